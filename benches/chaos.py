@@ -54,8 +54,9 @@ _WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))
 _SETPOINT, _HEARTBEAT = 84, 0
 _SO_TIMESTAMPNS = 35
 """Of <asm-generic/socket.h>; Python does not name it."""
-_OWN_GAP = {"link_stalls", "service_stopped"}
-"""Events whose gap is the link's own, or that of the service that was stopped."""
+_OWN_GAP = {"link_stalls", "link_moves", "service_stopped"}
+"""Events whose gap is the link's own, or that of the service that was stopped. A listening port answers a vehicle that moved to
+another address once the old one has been silent for 3 s."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -274,8 +274,9 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
-                px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
-                yield _Image(str(file), index, px, coded=predicts_frames(container))
+                if not frame.is_corrupt:  # what is concealed is a picture, and no measurement
+                    px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+                    yield _Image(str(file), index, px, coded=predicts_frames(container))
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({model.camera_source})") from why

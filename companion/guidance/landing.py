@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from msgspec.structs import replace
+
 from companion.base.mission import GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
@@ -170,8 +172,9 @@ class LandingGuidance:
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
                     before, self._contact = self._contact.newest, watched(self._contact, sample)
-                    if self._contact.newest is not before:
-                        self._impact = self._contact.newest
+                    if self._contact.newest is not None and self._contact.newest is not before:
+                        # By our own clock: a stamp that lies would put the contact before the commit.
+                        self._impact = replace(self._contact.newest, at=received_at)
             elif type(sample) is Attitude:
                 lean = reported_lean(sample.R_ned_body)
                 self._lean = _leant(self._lean, sample.stamp.measured_at, lean)

@@ -92,8 +92,7 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _size(data: Mapping[str, Any], path: Path) -> tuple[int, int]:
-    resolution = _numbers(data.get("resolution"))
-    sizes = [resolution, *([data.get(w), data.get(h)] for w, h in _SIZE)]
+    sizes: list[list[Any]] = [_numbers(data.get("resolution")), *([data.get(w), data.get(h)] for w, h in _SIZE)]
     size = next((s for s in sizes if len(s) == 2 and all(isinstance(v, float) and v == int(v) for v in s)), None)
     if size is None:
         raise BadInput(f"{path}: it does not say the size of the frames: add image_width and image_height")
@@ -157,4 +156,4 @@ def _fitted(xy: F64, seen: F64) -> F64:
     A, b = _offsets(xy), (seen - xy).ravel()
     if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
         return np.full(5, np.nan)
-    return np.linalg.lstsq(A, b, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], float)

@@ -19,6 +19,7 @@ _NAVDATA_WRAP_US = 2048 * 1_000_000
 _NAVDATA_PERIOD_S = 0.005
 """The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
 _IN_WORDS = {Refusal.BAD_CHECKSUM: "their checksum is wrong", Refusal.TOO_SHORT: "they are cut short"}
+_PAUSE_MS, _FRAME_MS = 600_000, 33
 _CHECKSUM_TAG = 0xFFFF
 _OPTION = struct.Struct("<HH")
 
@@ -30,16 +31,18 @@ def frames(path: Path) -> Iterator[Frame]:
         BadInput: the file cannot be read, or no frame in it decodes.
     """
     parser, decoder = PaveParser(), VideoDecoder()
-    first_ms: int | None = None
-    given = 0
+    last_ms: int | None = None
+    at_ms = given = 0
     for unit in parser.feed(_bytes(path)):
         image = decoder.newest([unit])
         if image is None:
             continue
-        first_ms = unit.header.timestamp_ms if first_ms is None else first_ms
+        step_ms = 0 if last_ms is None else (unit.header.timestamp_ms - last_ms) % (1 << 32)
+        last_ms = unit.header.timestamp_ms
+        # Its clock begins again with the drone: the next frame comes a frame later.
+        at_ms += step_ms if step_ms <= _PAUSE_MS else _FRAME_MS
         given += 1
-        at_ns = ((unit.header.timestamp_ms - first_ms) % (1 << 32)) * 1_000_000
-        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, image.px, coded=True)
+        yield Frame(stamp(at_ms * 1_000_000, FRAME_DELAY_S), unit.header.frame_number, image.px, coded=True)
     if not given:
         raise BadInput(f"{path}: no frame in it decodes")
 

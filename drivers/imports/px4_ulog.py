@@ -50,11 +50,11 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     """
     log = open_ulog(path, _TOPICS, tell)
     topics = {data.name: data.data for data in reversed(log.data_list) if data.name != "distance_sensor"}
-    if (ranges := _looking_down([data.data for data in log.data_list if data.name == "distance_sensor"], tell)) is not None:
-        topics["distance_sensor"] = ranges
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
     try:
+        if (ranges := _looking_down([data.data for data in log.data_list if data.name == "distance_sensor"], tell)) is not None:
+            topics["distance_sensor"] = ranges
         return _samples(topics, int(log.start_timestamp), tell)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
         raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why

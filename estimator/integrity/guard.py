@@ -28,6 +28,8 @@ from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
+_ABOVE_M = 0.3
+"""Height above the body from which on no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
@@ -140,9 +142,12 @@ def admit_sighting(
         belief: the steering estimate at its exposure, before the sighting.
 
     Returns:
-        The new guard, and TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another pad), or None.
+        The new guard, and IMPOSSIBLE (a pad above), TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another
+        pad), or None.
     """
     o = guard.options
+    if sighting.d_body_pad_level.item(2) < -_ABOVE_M:
+        return guard, Verdict.IMPOSSIBLE
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
         # In flight nothing tells a slower link from stamps that have begun to lie.

@@ -18,26 +18,30 @@ _OLD_S = 0.1
 
 
 class Half(Struct, frozen=True):
-    """The newest readings of one half."""
+    """Whether one half repeats itself."""
 
-    value: bytes = b""
-    since: int = 0
-    """Instant at which this value was first read, ns."""
-    last: int = 0
-    """Instant of the newest reading, ns."""
+    since: int = -1
+    """Instant at which the value was first read that it repeats, ns; -1 while it changes."""
     longest_s: float = 0.0
     """The longest time for which it has repeated itself in flight and then gone on."""
     frozen: bool = False
 
 
-def read(half: Half, value: bytes, t: int, frozen_s: float, flying: bool) -> Half:
-    """Process one reading at the instant `t`, ns."""
-    if value != half.value or t < half.since:
-        if half.since == half.last or half.frozen:
-            return Half(value, t, t, half.longest_s)
-        return Half(value, t, t, max(half.longest_s, (half.last - half.since) * 1e-9) if flying else half.longest_s)
-    after_s = max(frozen_s, min(_LONGEST * half.longest_s, _MOST_S))
-    return Half(value, half.since, t, half.longest_s, flying and (t - half.since) * 1e-9 > after_s)
+def read(half: Half, before: int | None, t: int, frozen_s: float, flying: bool) -> Half:
+    """Process one reading.
+
+    Args:
+        before: instant of the reading before, ns, if this one is the same to the bit; None if it differs.
+        t: instant of this one, ns.
+    """
+    since, longest_s = half.since, half.longest_s
+    if before is None:
+        if since < 0:
+            return half
+        return half if t < since else Half(-1, longest_s if half.frozen or not flying else max(longest_s, (t - since) * 1e-9))
+    since = before if since < 0 else since
+    after_s = max(frozen_s, min(_LONGEST * longest_s, _MOST_S))
+    return Half(since, longest_s, flying and (t - since) * 1e-9 > after_s)
 
 
 class TurnByAttitude(Struct, frozen=True):

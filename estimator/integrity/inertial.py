@@ -21,12 +21,19 @@ from estimator.integrity.parity import Bin, Parity, Slope, Vec3
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
+_IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
 _GYRO_WELL_RAD_S = math.radians(2.5)
 _GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
 """Number of bins, and by how much the least difference grows where the window is short."""
 _STEADY = 0.8
+_REVERSED_BINS = 4
+_TURNED_RAD_S = math.radians(8.0)
+"""Least turn, a root mean square, by which a wrong sense is told."""
+_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
+"""What a multirotor in the air feels: its thrust along the body's own vertical axis, and little across it."""
+_PERSISTS_GROSS = 2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
@@ -101,6 +108,8 @@ class Usual(NamedTuple):
 class Inertial(Struct, frozen=True):
     """The state of both halves of the IMU."""
 
+    imus: tuple[Imu, ...] = ()
+    """The newest samples, those since the newest bin and the one before them."""
     gyro: Half = Half()
     accel: Half = Half()
     turn: TurnByAttitude = TurnByAttitude()
@@ -132,26 +141,33 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     Returns:
         The next state, and the sample without its lost halves; None if nothing is left of it.
     """
-    t = imu.stamp.measured_at
-    gyro = halves.read(state.gyro, imu.w_body.tobytes(), t, o.imu_frozen_s, flying)
-    accel = halves.read(state.accel, imu.f_body.tobytes(), t, o.imu_frozen_s, flying)
+    t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
+    before = t if last is None else last.stamp.measured_at
+    same_w = last is not None and last.w_body.tobytes() == imu.w_body.tobytes()
+    same_f = last is not None and last.f_body.tobytes() == imu.f_body.tobytes()
+    gyro = halves.read(state.gyro, before if same_w else None, t, o.imu_frozen_s, flying)
+    accel = halves.read(state.accel, before if same_f else None, t, o.imu_frozen_s, flying)
+    lies, bad = state.gyro_fault, state.accel_fault
     frozen = gyro.frozen or accel.frozen
-    checked = parity.felt(state.parity, imu) if flying and not frozen else Parity()
-    after = Inertial(
-        gyro, accel, state.turn, checked, state.gyro_fault, state.accel_fault, state.usual, state.accel_against, state.named
-    )
-    if not frozen and state.gyro_fault is None and state.accel_fault is None:
+    checked, imus = (state.parity, (*state.imus[-_IMUS:], imu)) if flying and not frozen else (Parity(), (imu,))
+    after = Inertial(imus, gyro, accel, state.turn, checked, lies, bad, state.usual, state.accel_against, state.named)
+    if not frozen and lies is None and bad is None:
         return after, imu
-    gyro_s = _lost_s(state.gyro, gyro, state.gyro_fault is not None)
-    accel_s = _lost_s(state.accel, accel, state.accel_fault is not None)
+    gyro_s = _lost_s(state.gyro, gyro, lies is not None, (before, t))
+    accel_s = _lost_s(state.accel, accel, bad is not None, (before, t))
     return after, halves.replaced(imu, gyro_s, accel_s, state.turn)
 
 
 def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:
     """Process an attitude as the vehicle reports it."""
-    checked, ended = parity.levelled(state.parity, attitude)
-    after = replace(state, turn=state.turn.after(attitude), parity=checked)
-    return _judged(after) if ended and flying else after
+    turn = state.turn.after(attitude)
+    if turn is state.turn:
+        return state
+    checked, ended = parity.levelled(state.parity, attitude, state.imus)
+    if not ended:
+        return replace(state, turn=turn, parity=checked)
+    after = replace(state, turn=turn, parity=checked, imus=state.imus[-1:])
+    return _judged(after) if flying else after
 
 
 def weighed(state: Inertial, event: Baro) -> Inertial:
@@ -161,7 +177,8 @@ def weighed(state: Inertial, event: Baro) -> Inertial:
 
 def moved(state: Inertial, event: BodyVelocity) -> Inertial:
     """Process a velocity."""
-    return replace(state, parity=parity.moved(state.parity, event))
+    checked = parity.moved(state.parity, event)
+    return state if checked is state.parity else replace(state, parity=checked)
 
 
 def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> Inertial:
@@ -169,12 +186,16 @@ def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> In
     return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
 
 
-def _lost_s(before: Half, now: Half, named: bool) -> float:
-    """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures."""
+def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
+    """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures.
+
+    Args:
+        span: instants of the sample before and of the newest, ns.
+    """
     if now.frozen:
         # What was used until it was found was wrong as well.
-        return (now.last - (before.last if before.frozen else now.since)) * 1e-9
-    return max(1e-6, min(0.05, (now.last - before.last) * 1e-9)) if named else 0.0
+        return (span[1] - (span[0] if was.frozen else now.since)) * 1e-9
+    return max(1e-6, min(0.05, (span[1] - span[0]) * 1e-9)) if lies else 0.0
 
 
 def _judged(state: Inertial) -> Inertial:
@@ -189,11 +210,27 @@ def _judged_gyro(state: Inertial) -> Inertial:
         off = math.hypot(*(math.fsum(b.off[i] for b in second) / max(1, len(second)) for i in range(3)))
         well = fault.well + 1 if second and off < _GYRO_WELL_RAD_S else 0
         return replace(state, gyro_fault=None if well >= _WELL else replace(fault, well=well))
+    reversed_in = _reversed_axis(bins[-_REVERSED_BINS:])
+    if reversed_in:
+        return replace(state, gyro_fault=LyingHalf("gyro", f"turns the wrong way in {reversed_in}"), named=state.named + 1)
     for n, by in _GYRO_WINDOWS:
         what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
         if what:
             return replace(state, gyro_fault=LyingHalf("gyro", what), named=state.named + 1)
     return state
+
+
+def _reversed_axis(bins: tuple[Bin, ...]) -> str:
+    """Return the axis about which the gyro turns against the attitude; empty if about none."""
+    if len(bins) < _REVERSED_BINS:
+        return ""
+    for i, axis in enumerate(("roll", "pitch", "yaw")):
+        turned = [b.w[i] - b.off[i] for b in bins]
+        square = math.fsum(a * a for a in turned)
+        along = math.fsum(b.w[i] * a for b, a in zip(bins, turned, strict=True))
+        if square > _TURNED_RAD_S**2 * len(bins) and along < -0.5 * square:
+            return axis
+    return ""
 
 
 def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
@@ -215,7 +252,7 @@ def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
             return f"turns about {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
     if steady[2] and abs(off[2]) > by * _GYRO_YAW_RAD_S:
         seen = _turn_seen(p, bins[0].t)
-        gyro = math.fsum(b.rate_down for b in bins) / n
+        gyro = math.fsum(b.w[2] for b in bins) / n
         if seen is not None and abs(seen - gyro) > 0.6 * abs(off[2]) and abs(seen - gyro + off[2]) < _SHARE * abs(off[2]):
             return f"turns about {abs(math.degrees(off[2])):.0f} deg/s too {'much' if off[2] > 0 else 'little'} in yaw"
     return ""
@@ -238,7 +275,10 @@ def _judged_accel(state: Inertial) -> Inertial:
     if fault is not None:
         well = fault.well + 1 if off.agrees_with(usual) else 0
         return replace(state, accel_fault=None if well >= _WELL else replace(fault, well=well))
-    what, needed = ("", 1) if usual.n < _USUAL_MIN else _accel_lies(off, usual, p.bins[-1])
+    x, y, z = p.bins[-1].f
+    what, needed = _accel_lies(off, usual, p.bins[-1])
+    if z > -_THRUST_MIN_M_S2 or math.hypot(x, y) > _SIDE_MAX_M_S2:
+        what, needed = "feels no thrust where it has to", _PERSISTS_GROSS
     if not what:
         return replace(state, accel_against=0, usual=usual.after(off))
     against = state.accel_against + 1
@@ -272,6 +312,8 @@ def _widened(found: Slope | None, sigma: float) -> Slope | None:
 def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
     """Return what the accelerometer does, empty if it is not accused; and how many bins in a row have to say so."""
     ground, deck = off.ground, off.deck
+    if usual.n < _USUAL_MIN:
+        return "", 1
     if ground is not None:
         a = ground.value - usual.down
         agrees = deck is None or ((deck.value - usual.down) * a > 0.0 and abs(deck.value - usual.down) > _SHARE * abs(a))

@@ -42,8 +42,8 @@ class Bin(NamedTuple):
     dv: Vec3
     off: Vec3
     """Rate of the gyro less that of the attitude, rad/s in `body`."""
-    rate_down: float
-    """Mean rate of the gyro about the body's down axis, rad/s."""
+    w: Vec3
+    """Mean rate of the gyro, rad/s in `body`."""
     f: Vec3
     """Mean specific force in `body`, m/s^2."""
     up: Vec3
@@ -67,15 +67,13 @@ class Bin(NamedTuple):
 class Parity(Struct, frozen=True):
     """The bins, and what each witness said in them."""
 
-    imus: tuple[Imu, ...] = ()
-    """Samples since the newest bin."""
     attitudes: tuple[Attitude, ...] = ()
     """Attitudes since the newest bin; the first one ends it."""
     bins: tuple[Bin, ...] = ()
     heights: tuple[float, ...] = ()
     """Heights by the barometer since the newest bin, m."""
-    velocity: Vec3 = (math.nan, math.nan, math.nan)
-    """The newest velocity in `ned`, m/s."""
+    velocity: BodyVelocity | None = None
+    """The first velocity since the newest bin."""
     baro: tuple[Point, ...] = ()
     flow: tuple[Point, ...] = ()
     sight: tuple[Point, ...] = ()
@@ -97,24 +95,16 @@ def weighed(p: Parity, event: Baro) -> Parity:
 
 
 def moved(p: Parity, event: BodyVelocity) -> Parity:
-    """Add a velocity, turned to `ned` by the newest attitude."""
-    if not p.attitudes:
-        return p
-    (c, _, _), (s, _, _), _ = p.attitudes[-1].R_ned_body.matrix.tolist()
-    n = math.hypot(c, s)
-    (x, y, z), cov = event.v_level.tolist(), event.cov_level.diagonal().tolist()
-    level = math.nan if max(cov[:2]) > _UNMEASURED_VAR or n < 1e-6 else 1.0
-    down = math.nan if cov[2] > _UNMEASURED_VAR else z
-    return replace(p, velocity=(level * (c * x - s * y) / n, level * (s * x + c * y) / n, down))
+    """Add a velocity; the first of a bin counts."""
+    return p if p.velocity is not None or not p.attitudes else replace(p, velocity=event)
 
 
-def felt(p: Parity, imu: Imu) -> Parity:
-    """Add an IMU sample."""
-    return replace(p, imus=(*p.imus[-127:], imu)) if p.attitudes else p
+def levelled(p: Parity, attitude: Attitude, imus: tuple[Imu, ...]) -> tuple[Parity, bool]:
+    """Add an attitude; return whether it ended a bin.
 
-
-def levelled(p: Parity, attitude: Attitude) -> tuple[Parity, bool]:
-    """Add an attitude; return whether it ended a bin."""
+    Args:
+        imus: the IMU samples since the newest bin.
+    """
     if not p.attitudes:
         return replace(p, attitudes=(attitude,)), False
     span_s = (attitude.stamp.measured_at - p.attitudes[0].stamp.measured_at) * 1e-9
@@ -123,9 +113,11 @@ def levelled(p: Parity, attitude: Attitude) -> tuple[Parity, bool]:
         return p, False
     if span_s < _BIN_S:
         return replace(p, attitudes=(*p.attitudes, attitude)), False
-    if span_s > _GAP_S or len(p.imus) < _SAMPLES_MIN:
+    since = p.attitudes[0].stamp.measured_at
+    within = [imu for imu in imus if imu.stamp.measured_at > since]
+    if span_s > _GAP_S or len(within) < _SAMPLES_MIN:
         return Parity(attitudes=(attitude,)), False
-    return _binned(p, attitude, span_s), True
+    return _binned(p, attitude, within, span_s), True
 
 
 def sighted(p: Parity, t: int, d_ned: Vec3, yaw_rad: float | None) -> Parity:
@@ -174,11 +166,11 @@ def _fit(points: tuple[Point, ...], axis: int, since: int, least: int, order: in
     return Slope(2.0 * c, 4.0 * max(0.0, rest - c * c * qq) / (n - 3) / qq)
 
 
-def _binned(p: Parity, end: Attitude, span_s: float) -> Parity:
+def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
     first = p.attitudes[0]
     t0, t1 = first.stamp.measured_at, end.stamp.measured_at
-    both = np.array([(imu.w_body, imu.f_body) for imu in p.imus])
-    times = np.array([imu.stamp.measured_at for imu in p.imus])
+    both = np.array([(imu.w_body, imu.f_body) for imu in imus])
+    times = np.array([imu.stamp.measured_at for imu in imus])
     turns = np.array([a.R_ned_body.matrix for a in p.attitudes])
     which = np.searchsorted(np.array([a.stamp.measured_at for a in p.attitudes]), times, side="right") - 1
     f: F64 = np.add.reduce(np.matmul(turns[np.maximum(which, 0)], both[:, 1, :, None]), axis=0)[:, 0] / len(times)
@@ -192,8 +184,7 @@ def _binned(p: Parity, end: Attitude, span_s: float) -> Parity:
     off = wx - rx / span_s, wy - ry / span_s, wz - rz / span_s
     (c, _, _), (q, _, _), (x, y, z) = end.R_ned_body.matrix.tolist()
     n = max(1e-9, math.hypot(c, q))
-    made = Bin(t0, span_s, v, s, dv, off, wz, (f0, f1, f2), (x, y, z), (c / n, q / n))
-    v1, _ = made.at(t1)
+    made = Bin(t0, span_s, v, s, dv, off, (wx, wy, wz), (f0, f1, f2), (x, y, z), (c / n, q / n))
     middle = (t0 + t1) // 2
     baro = p.baro
     if p.heights:
@@ -201,6 +192,17 @@ def _binned(p: Parity, end: Attitude, span_s: float) -> Parity:
         # The height is positive up, and the integral down.
         mean = math.fsum(p.heights) / len(p.heights)
         baro = (*baro[1 - _KEPT :], (middle, (math.nan, math.nan, -mean - sz)))
-    x, y, z = p.velocity
-    flow = (*p.flow[1 - _KEPT :], (t1, (x - v1[0], y - v1[1], z - v1[2]))) if x == x or z == z else p.flow
-    return Parity((), (end,), (*kept[1 - _KEPT :], made), (), (math.nan,) * 3, baro, flow, p.sight, p.yaw)
+    flow = p.flow if p.velocity is None else (*p.flow[1 - _KEPT :], _flow(p.velocity, made, first))
+    return Parity((end,), (*kept[1 - _KEPT :], made), (), None, baro, flow, p.sight, p.yaw)
+
+
+def _flow(event: BodyVelocity, within: Bin, level: Attitude) -> Point:
+    """Return what a velocity says, turned to `ned` by an attitude."""
+    t = event.stamp.measured_at
+    (c, _, _), (s, _, _), _ = level.R_ned_body.matrix.tolist()
+    n = max(1e-9, math.hypot(c, s))
+    (x, y, z), cov = event.v_level.tolist(), event.cov_level.diagonal().tolist()
+    (vx, vy, vz), _ = within.at(t)
+    if max(cov[:2]) > _UNMEASURED_VAR:
+        x = y = math.nan
+    return t, ((c * x - s * y) / n - vx, (s * x + c * y) / n - vy, (math.nan if cov[2] > _UNMEASURED_VAR else z) - vz)

@@ -124,6 +124,8 @@ def test_half_of_an_imu_frozen_for_five_seconds_is_named_at_once_and_costs_centi
     [
         (changed(f=1.3), "% too much", 3.0),
         (changed(f_by=np.array([3.5, 0.0, 0.0])), "m/s^2 across the vertical", 3.0),
+        (lambda imu: replace(imu, f_body=imu.f_body[[2, 0, 1]]), "accelerometer feels no thrust", 0.4),
+        (lambda imu: replace(imu, w_body=imu.w_body * [-1.0, 1.0, 1.0]), "gyro turns the wrong way in roll", 2.5),
         (changed(w_by_deg=(5.0, 0.0, 0.0)), "deg/s too much in roll", 2.5),
         (changed(w_by_deg=(0.0, 0.0, -20.0)), "deg/s too little in yaw", 2.5),
     ],

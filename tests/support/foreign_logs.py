@@ -34,8 +34,7 @@ def dataflash(rows: Sequence[Row]) -> bytes:
     out = b""
     for name, (number, form, columns) in KINDS.items():
         size = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
-        values = (number, size, name.encode(), form.encode(), columns.encode())
-        out += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *values)
+        out += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, size, name.encode(), form.encode(), columns.encode())
     for name, values in rows:
         number, form, _ = KINDS[name]
         made = [

@@ -90,9 +90,10 @@ class Board:
             ok, corners = cv2.findChessboardCornersSB(grey, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
             return (np.arange(len(corners)), self._refined(grey, corners.reshape(-1, 2))) if ok else None
         found = ((corners, ids) for corners, ids, _, _ in (detector.detectBoard(grey) for detector in self._detectors))
-        corners, ids = next(((c, i) for c, i in found if i is not None and len(i) >= _LEAST_CORNERS), (None, None))
-        if corners is None or ids is None:
+        enough = next(((c, i) for c, i in found if i is not None and len(i) >= _LEAST_CORNERS), None)
+        if enough is None:
             return None
+        corners, ids = enough
         numbers = ids.ravel().astype(np.int64)
         across, along = numbers % (self.columns - 1), numbers // (self.columns - 1)
         if len(set(across)) < 2 or len(set(along)) < 2:

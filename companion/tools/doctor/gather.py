@@ -1,5 +1,7 @@
 """Take a snapshot of an autopilot, over its links or from its flight log. It judges nothing and changes nothing."""
 
+import contextlib
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,7 +55,8 @@ def examine_log(path: Path) -> Snapshot:
             f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "
             "file of parameters"
         )
-    log = _HISTORIES[kind](path, notes.append)
+    with contextlib.redirect_stdout(sys.stderr):  # parsers print what they meet, and standard output is for findings
+        log = _HISTORIES[kind](path, notes.append)
     return _log_snapshot(path, structs.replace(log, history=structs.replace(log.history, notes=tuple(notes))))
 
 

@@ -1,12 +1,13 @@
 """Install, update, roll back and uninstall, on a computer in a folder."""
 
+import fcntl
 import stat
 from pathlib import Path
 
 import pytest
 
 from companion.cli.main import main
-from companion.tools.install import machine, steps, versions
+from companion.tools.install import steps, versions
 from companion.tools.install.layout import COMMAND, CURRENT, PREFIX, SETTINGS, SYSTEM_FILES, UNIT
 from companion.tools.install.steps import InstallOptions
 from companion.tools.install.versions import Release, own, read
@@ -314,7 +315,12 @@ def test_a_lock_that_goes_away_while_it_is_taken_is_none(tmp_path: Path, monkeyp
     """The one before removes the file between our opening it and our lock."""
     computer = Computer(tmp_path)
     path = computer.path(f"{PREFIX}/.lock")
-    locked = machine.fcntl.flock
-    monkeypatch.setattr(machine.fcntl, "flock", lambda file, how: (path.unlink(), locked(file, how)))
+    flock = fcntl.flock
+
+    def late(file: int, how: int) -> None:
+        path.unlink()
+        flock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
     with pytest.raises(Recoverable, match="at work"), computer.locked(f"{PREFIX}/.lock"):
         raise AssertionError("two would be at work")

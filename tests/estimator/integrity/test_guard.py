@@ -231,3 +231,11 @@ def test_each_alert_is_raised_for_its_own_reason() -> None:
     assert [alerts(IntegrityGuard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(IntegrityAlert.VIEW_FROZEN,), ()]
     assert alerts(IntegrityGuard(view=ViewWatch((), True)), MonoNs(T)) == ()
     assert alerts(IntegrityGuard(view=view._replace(frozen=False)), MonoNs(T)) == ()
+
+
+def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing() -> None:
+    before = followed()
+    guard, verdict = admit_sighting(before, sighting(T + 33 * MS, (1.0, 0.5, -2.0)), attitude(T), None)
+    assert verdict is Verdict.IMPOSSIBLE
+    assert guard is before
+    assert admit_sighting(IntegrityGuard(), sighting(T, (0.0, 0.0, -0.1)), attitude(T), None)[1] is None, "it stands on it"

@@ -25,9 +25,10 @@ def attitude(t: int, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) ->
 
 
 def frozen_after(values: list[bytes], step_ms: int, flying: bool = True) -> list[bool]:
-    half, found = Half(), []
+    half, found, step = Half(), [], step_ms * MS
     for n, value in enumerate(values):
-        half = read(half, value, T + n * step_ms * MS, 0.15, flying)
+        same = n > 0 and value == values[n - 1]
+        half = read(half, T + (n - 1) * step if same else None, T + n * step, 0.15, flying)
         found.append(half.frozen)
     return found
 
