@@ -12,10 +12,12 @@ import os
 import socket
 import struct
 import termios
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, NoReturn, Protocol
 
 import serial
@@ -187,7 +189,7 @@ class _Datagrams(_Breakable, asyncio.DatagramProtocol):
         return bool(data)
 
 
-class _Paced(_Breakable):
+class _Paced(_Breakable, ABC):
     """A stream that is given no more than it takes in time."""
 
     _KERNEL_S: ClassVar[float]
@@ -233,12 +235,13 @@ class _Paced(_Breakable):
             self._timer.cancel()
             self._timer = None
 
+    @abstractmethod
     def _write(self, data: bytes) -> None:
-        raise NotImplementedError
+        """Give bytes to the kernel."""
 
+    @abstractmethod
     def _unsent(self) -> int:
         """Return the number of bytes that were written and have not left, or were not acknowledged."""
-        raise NotImplementedError
 
 
 def _in_kernel(fd: int) -> int:
@@ -413,9 +416,8 @@ async def _open_socket(
                 return wire, stream, address
             listening = endpoint.scheme == "udpin"
             (made.bind if listening else made.connect)(address)
-            datagrams, door = await loop.create_datagram_endpoint(
-                lambda listening=listening: _Datagrams(clock, received, counts, listening), sock=made
-            )
+            protocol_of = partial(_Datagrams, clock, received, counts, listening)
+            datagrams, door = await loop.create_datagram_endpoint(protocol_of, sock=made)
             return door, datagrams, address
         except (OSError, TimeoutError) as why:
             made.close()

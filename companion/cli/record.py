@@ -21,7 +21,7 @@ from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag
 from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
-from drivers.imports.kinds import Kind, kind_of
+from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
@@ -166,11 +166,11 @@ class _Source:
         reader = _READERS.get(kind)
         if reader is not None:
             return iter(reader(path, self._tell))
-        if kind is Kind.TABLE:
+        if kind is FileKind.TABLE:
             return iter(video.attitudes(path))
-        if kind is Kind.PAVE or path.suffix.lower() == ".pave":
+        if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
-        if kind is Kind.OTHER:
+        if kind is FileKind.OTHER:
             return video.frames(path, size)
         raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
 
@@ -178,16 +178,16 @@ class _Source:
         sys.stderr.write(f"decklander: {self.path}: {text}\n")
 
 
-_READERS: dict[Kind, Callable[[Path, Tell], Iterable[Sample]]] = {
-    Kind.ULOG: px4_ulog.read, Kind.DATAFLASH: dataflash.read, Kind.TLOG: tlog.read, Kind.NAVDATA: ardrone_capture.samples,
+_READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
+    FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read, FileKind.NAVDATA: ardrone_capture.samples,
 }  # fmt: skip
 _INSTEAD = {
-    Kind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
-    Kind.PARAMETERS: "give it to `decklander doctor`",
-    Kind.RECORDING: "it is imported already",
-    Kind.ROS_BAG: "export its topics as a table of attitudes and a video",
-    Kind.DATABASE: "export its topics as a table of attitudes and a video",
-    Kind.TEXT: "of text, tables with the header time_s,roll_deg,pitch_deg are imported",
+    FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
+    FileKind.PARAMETERS: "give it to `decklander doctor`",
+    FileKind.RECORDING: "it is imported already",
+    FileKind.ROS_BAG: "export its topics as a table of attitudes and a video",
+    FileKind.DATABASE: "export its topics as a table of attitudes and a video",
+    FileKind.TEXT: "of text, tables with the header time_s,roll_deg,pitch_deg are imported",
 }
 
 

@@ -18,7 +18,7 @@ _PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?[A-Z][A-Z0-9_]{0,15}[\s,=]+" + _NUMBER
 _SENTENCE = re.compile(rb"(?:\\[^\\]*\\)?[$!][A-Z]{4,6},[ -~]*")
 
 
-class Kind(Enum):
+class FileKind(Enum):
     """The kinds of file, with what a user may call them."""
 
     ULOG = "a PX4 log"
@@ -36,7 +36,7 @@ class Kind(Enum):
     OTHER = "a file of another kind"
 
 
-def kind_of(path: Path) -> Kind:
+def kind_of(path: Path) -> FileKind:
     """Return what a file is.
 
     Raises:
@@ -51,15 +51,15 @@ def kind_of(path: Path) -> Kind:
         if head.startswith(magic):
             return kind
     if dataflash.is_text(head):
-        return Kind.DATAFLASH
+        return FileKind.DATAFLASH
     if _is_tlog(head):
-        return Kind.TLOG
-    return _kind_of_text(head, path.suffix.lower()) if head and _is_text(head) else Kind.OTHER
+        return FileKind.TLOG
+    return _kind_of_text(head, path.suffix.lower()) if head and _is_text(head) else FileKind.OTHER
 
 
 _MAGICS = (
-    (px4_ulog.MAGIC, Kind.ULOG), (dataflash.MAGIC, Kind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, Kind.NAVDATA),
-    (b"PaVE", Kind.PAVE), (b"\x89MCAP", Kind.RECORDING), (b"#ROSBAG V", Kind.ROS_BAG), (b"SQLite format 3", Kind.DATABASE),
+    (px4_ulog.MAGIC, FileKind.ULOG), (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA),
+    (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 
 
@@ -72,14 +72,14 @@ def _is_text(head: bytes) -> bool:
     return all(byte in _TEXT for byte in head[:4096])
 
 
-def _kind_of_text(head: bytes, suffix: str) -> Kind:
+def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     lines = [line.strip() for line in head.splitlines()[:200] if line.strip()]
     said = [line for line in lines if not line.startswith((b"#", b"//"))]
     if said and sum(_SENTENCE.fullmatch(line) is not None for line in said) > len(said) // 2:
-        return Kind.SENTENCES
+        return FileKind.SENTENCES
     if said and sum(_PARAMETER.fullmatch(line) is not None for line in said) > len(said) // 2:
-        return Kind.PARAMETERS
-    return Kind.TABLE if suffix == ".csv" or (said and said[0].startswith(b"time_s,")) else Kind.TEXT
+        return FileKind.PARAMETERS
+    return FileKind.TABLE if suffix == ".csv" or (said and said[0].startswith(b"time_s,")) else FileKind.TEXT
 
 
 def _is_tlog(head: bytes) -> bool:

@@ -3,10 +3,11 @@
 import asyncio
 import os
 import socket
+import termios
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -14,7 +15,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import resolve as resolving
 from drivers import wires
 from drivers.clock import SystemClock
 from drivers.endpoint import Address, Endpoint
@@ -89,7 +89,7 @@ async def test_a_serial_line_that_stood_still_carries_nothing_old(monkeypatch: p
     async with open_wire(Endpoint("serial", os.ttyname(near), 57600), clock, nobody, counts) as wire:
         # A pseudo terminal neither tells what waits in it nor forgets it, as a serial port does.
         monkeypatch.setattr(wires, "_in_kernel", lambda fd: wire._total - gone[0])  # type: ignore[attr-defined]
-        monkeypatch.setattr(wires.termios, "tcflush", empty)
+        monkeypatch.setattr(termios, "tcflush", empty)
         for n in range(1200):  # 12 s of 100 messages a second
             clock.ahead_s += 0.01
             assert wire.send(message, None, "velocity" if n % 4 == 0 else "")
@@ -140,17 +140,17 @@ async def test_a_tcp_peer_that_does_not_read_is_given_no_more(monkeypatch: pytes
             before = wire._total  # type: ignore[attr-defined]
             assert before < 60 * 100, "half a second of 100 messages a second, and some more"
             assert counts.late > 1100
-            await until(lambda: bool(got.extend(_received(peer)) or len(got) == before))
+            await until(lambda: _into(got, peer) == before)
             wire.send(lambda: b"new", None)
-            await until(lambda: bool(got.extend(_received(peer)) or got.endswith(b"new")))
+            await until(lambda: bool(_into(got, peer)) and got.endswith(b"new"))
             assert len(got) <= before + 3 + 21 * 100, "what waited is no older than the queue allows"
 
 
-def _received(peer: socket.socket) -> bytes:
-    try:
-        return peer.recv(65536)
-    except BlockingIOError:
-        return b""
+def _into(got: bytearray, peer: socket.socket) -> int:
+    """Add what arrived; return the number of bytes so far."""
+    with suppress(BlockingIOError):
+        got.extend(peer.recv(65536))
+    return len(got)
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ def names(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
             raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
         return [(socket.AF_INET, options["type"], 0, "", (address, port)) for address in table[host]]
 
-    monkeypatch.setattr(resolving.socket, "getaddrinfo", getaddrinfo)
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
     yield table
     assert threading.get_ident() not in threads, "no look-up on the loop's thread"
 
@@ -276,7 +276,7 @@ async def test_a_resolver_that_hangs_holds_up_nobody_and_is_asked_once(monkeypat
         go_on.wait(20)
         return [(socket.AF_INET, options["type"], 0, "", (HOST, port))]
 
-    monkeypatch.setattr(resolving.socket, "getaddrinfo", getaddrinfo)
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
     for _ in range(3):
         with pytest.raises(Recoverable, match="no answer from the resolver"):
             await resolve("slow", 1, 0.02)

@@ -21,7 +21,7 @@ from companion.tools.doctor.snapshot import (
     TimeSyncSnapshot,
 )
 from drivers.imports import dataflash, parameter_file, px4_ulog, tlog
-from drivers.imports.kinds import Kind, kind_of
+from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog
 from drivers.imports.stamps import Tell
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
@@ -48,7 +48,7 @@ def examine_log(path: Path) -> Snapshot:
         BadInput: the file cannot be read, is none of them, or is of a vehicle that cannot hover.
     """
     kind, notes = kind_of(path), list[str]()
-    if kind is Kind.PARAMETERS:
+    if kind is FileKind.PARAMETERS:
         return structs.replace(_log_snapshot(path, parameter_file.read_history(path)), log=None)
     if kind not in _HISTORIES:
         raise BadInput(
@@ -60,8 +60,8 @@ def examine_log(path: Path) -> Snapshot:
     return _log_snapshot(path, structs.replace(log, history=structs.replace(log.history, notes=tuple(notes))))
 
 
-_HISTORIES: dict[Kind, Callable[[Path, Tell], AutopilotLog]] = {
-    Kind.ULOG: px4_ulog.read_history, Kind.DATAFLASH: dataflash.read_history, Kind.TLOG: tlog.read_history,
+_HISTORIES: dict[FileKind, Callable[[Path, Tell], AutopilotLog]] = {
+    FileKind.ULOG: px4_ulog.read_history, FileKind.DATAFLASH: dataflash.read_history, FileKind.TLOG: tlog.read_history,
 }  # fmt: skip
 
 

@@ -99,7 +99,7 @@ async def test_the_reason_of_the_broker_is_told(code: int, said: str, tmp_path: 
 
 async def test_the_status_follows_a_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     right, late_s = time.time, DAYS_200_S
-    monkeypatch.setattr(part_module.time, "time", lambda: right() - late_s)
+    monkeypatch.setattr(time, "time", lambda: right() - late_s)
     monkeypatch.setattr(part_module, "_WATCH_CLOCK_S", 0.02)
     async with wordy() as (broker, settings), running(settings, tmp_path / "spool"):
         await until(lambda: len(broker.statuses) == 1)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.imports import ardrone_capture, dataflash, parameter_file, px4_ulog, tlog
-from drivers.imports.kinds import Kind, kind_of
+from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu, Range, Sample, VehicleStatus
@@ -126,7 +126,7 @@ def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text, newline="")
         log = parameter_file.read_history(tmp_path / name)
         assert log.stack == ("PX4" if "px4" in name else "ArduPilot")
-        assert kind_of(tmp_path / name) is Kind.PARAMETERS
+        assert kind_of(tmp_path / name) is FileKind.PARAMETERS
     assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
     assert log.firmware == (1, 15, 4)
 
@@ -165,25 +165,25 @@ def test_wrong_checksums_are_counted_in_words(tmp_path: Path) -> None:
 
 NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,5423.41,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(60))
 FILES = {
-    Kind.DATAFLASH: made.dataflash(made.flight(TIMES, HEIGHTS)),
-    Kind.ULOG: made.px4_flight(BEGAN),
-    Kind.TLOG: made.telemetry_log(),
-    Kind.NAVDATA: made.navdata(1, 5000),
-    Kind.SENTENCES: NMEA.encode(),
-    Kind.PARAMETERS: PARAMETERS["copter.parm"].encode(),
-    Kind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
-    Kind.TEXT: b"a log of the bridge\n" * 20,
-    Kind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
-    Kind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
+    FileKind.DATAFLASH: made.dataflash(made.flight(TIMES, HEIGHTS)),
+    FileKind.ULOG: made.px4_flight(BEGAN),
+    FileKind.TLOG: made.telemetry_log(),
+    FileKind.NAVDATA: made.navdata(1, 5000),
+    FileKind.SENTENCES: NMEA.encode(),
+    FileKind.PARAMETERS: PARAMETERS["copter.parm"].encode(),
+    FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
+    FileKind.TEXT: b"a log of the bridge\n" * 20,
+    FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
+    FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
 }
 READERS = {
-    Kind.DATAFLASH: (dataflash.read, dataflash.read_history), Kind.ULOG: (px4_ulog.read, px4_ulog.read_history),
-    Kind.TLOG: (tlog.read, tlog.read_history), Kind.NAVDATA: (ardrone_capture.samples,),
+    FileKind.DATAFLASH: (dataflash.read, dataflash.read_history), FileKind.ULOG: (px4_ulog.read, px4_ulog.read_history),
+    FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (ardrone_capture.samples,),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_a_file_is_what_its_content_says_whatever_its_name(kind: Kind, tmp_path: Path) -> None:
+def test_a_file_is_what_its_content_says_whatever_its_name(kind: FileKind, tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_bytes(FILES[kind])
     assert kind_of(path) is kind
@@ -191,7 +191,7 @@ def test_a_file_is_what_its_content_says_whatever_its_name(kind: Kind, tmp_path:
 
 @given(st.sampled_from(sorted(READERS, key=lambda k: k.name)), st.data())
 @settings(max_examples=60, deadline=None)
-def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: Kind, draw: st.DataObject) -> None:
+def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: st.DataObject) -> None:
     data = bytearray(FILES[kind])
     for _ in range(draw.draw(st.integers(1, 4))):
         at = draw.draw(st.integers(0, len(data) - 1))
@@ -213,7 +213,7 @@ def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: Kind, draw: st.Da
         _read_all(kind, Path(folder) / "log", bytes(data))
 
 
-def _read_all(kind: Kind, path: Path, data: bytes) -> None:
+def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
     path.write_bytes(data)
     for read in READERS[kind]:
         told: list[str] = []

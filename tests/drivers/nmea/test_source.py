@@ -42,7 +42,8 @@ sentences = st.builds(
 def test_sentences_of_several_programs_are_put_together_wherever_they_are_cut(
     programs: list[list[bytes]], data: st.DataObject
 ) -> None:
-    joiner, found, now = SentenceJoiner(), {n: [] for n in range(len(programs))}, 0.0
+    joiner, now = SentenceJoiner(), 0.0
+    found: dict[int, list[bytes]] = {n: [] for n in range(len(programs))}
     streams = [b"".join(one) for one in programs]
     while any(streams):
         n = data.draw(st.sampled_from([n for n, rest in enumerate(streams) if rest]))

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -350,7 +351,7 @@ class StandIn(MiniatureAutopilot, ABC):
         if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC" and len(self.links.all) > 1:
             wire = self.links.all[1 - received.link]._wire
             if wire is not None:
-                wire.send(bytes(m.get_msgbuf()), None)
+                wire.send(partial(bytes, m.get_msgbuf()), None)
         super()._on_message(received)
 
     def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
