@@ -330,7 +330,7 @@ WORDS = {
     "broker_dies": "broker|mqtt",
 }
 """What the log has to say of an event; the others change nothing that a person could mend. A broker that says nothing is told of
-after twice `mqtt.keepalive_s`, 20 s, and these are shorter."""
+after twice `expert.mqtt.keepalive_s`, 20 s, and these are shorter."""
 KINDS = (
     "log_reader_stops", "terminal_hangs_up", "ctrl_z", "service_stopped", "disk_hangs", "disk_full", "clock_set", "link_stalls",
     "link_doubles", "link_moves", "broker_dies", "broker_says_nothing", "browsers_stop_reading", "cpu_hogs",
