@@ -179,7 +179,8 @@ class _Source:
 
 
 _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
-    FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read, FileKind.NAVDATA: ardrone_capture.samples,
+    FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
+    FileKind.NAVDATA: ardrone_capture.samples,
 }  # fmt: skip
 _INSTEAD = {
     FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",

@@ -59,7 +59,8 @@ def kind_of(path: Path) -> FileKind:
 
 _MAGICS = (
     (px4_ulog.MAGIC, FileKind.ULOG), (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA),
-    (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
+    (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG),
+    (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 
 
