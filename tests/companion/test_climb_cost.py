@@ -8,7 +8,7 @@ from msgspec import structs
 
 from companion.settings.load import shipped_response
 from companion.settings.mission import ConeOptions
-from companion.tools.calibrate.response_cost import climb_loop, contact, of_file, of_sigma
+from companion.tools.calibrate.touchdown_cost import climb_loop, climb_of_file, climb_of_sigma, contact
 
 ARDRONE = shipped_response("ardrone2")
 MISSING_M_S = 0.06
@@ -34,18 +34,18 @@ def test_contacts_are_those_of_simulated_landings(delay_s: float, lag_s: float, 
 
 
 def test_the_own_climb_costs_nothing_and_a_vehicle_that_answers_later_is_worse_than_one_that_answers_sooner() -> None:
-    right = of_file(ARDRONE.climb, ARDRONE)
+    right = climb_of_file(ARDRONE.climb, ARDRONE)
     assert (right.cost_m_s, right.cost_cm) == (0.0, 0.0)
     slow = structs.replace(ARDRONE, climb=structs.replace(ARDRONE.climb, lag_s=0.8))
     quick = structs.replace(ARDRONE, climb=structs.replace(ARDRONE.climb, lag_s=0.2))
-    assert of_file(ARDRONE.climb, slow).cost_m_s > 0.03 > of_file(ARDRONE.climb, quick).cost_m_s
+    assert climb_of_file(ARDRONE.climb, slow).cost_m_s > 0.03 > climb_of_file(ARDRONE.climb, quick).cost_m_s
     late = structs.replace(ARDRONE, climb=structs.replace(ARDRONE.climb, delay_s=0.3))
     assert not climb_loop(ARDRONE.climb, late).stable
-    assert math.isinf(of_file(ARDRONE.climb, late).cost_m_s)
+    assert math.isinf(climb_of_file(ARDRONE.climb, late).cost_m_s)
 
 
 def test_one_sigma_is_the_worst_of_its_ellipsoid_and_grows_with_it() -> None:
-    small, large = (of_sigma(ARDRONE, np.diag([s**2, (4.0 * s) ** 2])) for s in (0.01, 0.03))
+    small, large = (climb_of_sigma(ARDRONE, np.diag([s**2, (4.0 * s) ** 2])) for s in (0.01, 0.03))
     assert 0.0 < small[0].cost_m_s < large[0].cost_m_s < 0.1
     assert 0.0 < small[1].cost_cm < large[1].cost_cm < 1.0
-    assert math.isinf(of_sigma(ARDRONE, np.diag([0.3**2, 0.01**2]))[0].cost_m_s)
+    assert math.isinf(climb_of_sigma(ARDRONE, np.diag([0.3**2, 0.01**2]))[0].cost_m_s)

@@ -11,7 +11,7 @@ from companion.guidance.margins import margins
 from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
 from companion.settings.load import shipped_response
 from companion.settings.response import Response, response_from_mapping
-from companion.tools.calibrate.response_cost import ResponseCost, tilt_of_file, tilt_of_sigma
+from companion.tools.calibrate.touchdown_cost import ResponseCost, tilt_of_file, tilt_of_sigma
 from tests.companion.test_response_fit import GIVEN, WARM, asked, course
 
 TILT = shipped_response("ardrone2").tilt
