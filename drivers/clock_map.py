@@ -6,11 +6,17 @@ floor. The two crystals drift against each other, so an old least difference is 
 
 Source: Mills, RFC 5905 section 10 (clock filter by minimum delay); Moon, Skelly and Towsley, Estimation and removal of clock skew
 from network delay measurements, INFOCOM 1999 (the lower envelope).
+
+A map believes its source only as far as arrival bears it out. Where the source's stamps go back and stay back, its clock was set:
+the map begins again. Where they run at another rate than ours, they are invented or of another clock: the samples are stamped by
+arrival until the rates agree again. Both are logged.
 """
 
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
@@ -21,6 +27,17 @@ _FADE = 0.95
 """The factor by which the memory of the map's recent moves decays with each message."""
 _PRIOR = 5
 """The number of messages whose weight `unknown_s` has."""
+_BACK_S = 0.02
+"""The step back from which on a clock may have been set; stamps of several sensors in one stream are out of order by less."""
+_BACK_FOR, _BACK_FOR_S = 5, 2.0
+"""The messages and the time for which stamps stay back before the clock counts as set: one late datagram is no step."""
+_BLOCK_S, _BLOCKS = 2.0, 8
+"""The least differences of so many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
+slow clock for a while, and its stamps are right; no queue fills evenly for so long."""
+_RATE_OFF, _RATE_AGREES = 0.01, 0.003
+"""The disagreement of the rates from which on a source is not believed, and below which it is again. Crystals differ by 1e-4."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +64,8 @@ class ClockMapOptions:
     """A remote clock that steps back further than this, or ahead of the map by more, counts as reset."""
     unknown_s: float = 0.02
     """The delay above the floor that is assumed before any was measured."""
+    name: str = "a source"
+    """The name of the source in the log."""
 
     def __post_init__(self) -> None:
         for name in ("resolution_s", "floor_s", "floor_sigma_s", "window_s", "drift_ppm", "jump_s", "unknown_s"):
@@ -75,12 +94,23 @@ class ClockMap:
         self._count = 0
         self._excess_s = options.unknown_s
         self._fell_s = 0.0
+        self._before: tuple[int, int] | None = None
+        """The (unwrapped remote, difference) of the last message."""
+        self._back: _StepBack | None = None
+        self._rate = _RateWatch(options)
         self.restarts = 0
         """The number of times that the remote clock was reset."""
+
+    @property
+    def rate_error(self) -> float | None:
+        """How much faster than ours the remote clock runs, as a fraction; None while it is not known or the rates agree."""
+        return self._rate.error
 
     def reset(self) -> None:
         """Forget the remote clock, because the sender is known to have restarted."""
         self._least.clear()
+        self._before = self._back = None
+        self._rate.forget()
         self._newest_remote = None
         self._count = 0
         self._excess_s = self._o.unknown_s
@@ -93,17 +123,19 @@ class ClockMap:
         """
         now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrapped(remote_ns, now)
-        if self._newest_remote is not None and self._reset_if_restarted(remote, now):
+        if self._newest_remote is not None and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
             self.restarts += 1
             self.reset()
         difference = now - remote
+        self._before = remote, difference
         before = self._offset(now) if self._least else difference
         self._enter(difference, now)
         offset = self._offset(now)
         self._fell_s = _FADE * self._fell_s + abs(before - offset) / NS_PER_S
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)
-        measured_at = remote + offset - round(self._o.floor_s * NS_PER_S)
+        floor = round(self._o.floor_s * NS_PER_S)
+        measured_at = remote + offset - floor
         self._newest_remote = remote if self._newest_remote is None else max(remote, self._newest_remote)
         sigma_s = math.hypot(
             self._o.floor_sigma_s,
@@ -114,6 +146,10 @@ class ClockMap:
             # A map that has moved lately may move as far again: the messages so far were all late.
             self._fell_s,
         )
+        if self._rate.disagrees(remote, now):
+            # How late this message is, nobody knows; the delay that was measured before the clocks parted is the best there is.
+            sigma_s = math.hypot(self._o.floor_sigma_s, self._o.unknown_s)
+            return Stamp(MonoNs(now - floor), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "arrival")
         return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced")
 
     def _unwrapped(self, remote_ns: int, now: int) -> int:
@@ -132,6 +168,24 @@ class ClockMap:
         assert self._newest_remote is not None
         return remote < self._newest_remote - jump or now - remote < self._offset(now) - jump
 
+    def _set_back(self, remote: int, now: int) -> bool:
+        """Return whether the stamps went back a while ago, and none of those since fits the clock before."""
+        assert self._before is not None
+        difference, before = now - remote, self._before
+        if remote < before[0] - max(_BACK_S, self._o.resolution_s) * NS_PER_S:
+            self._back = _StepBack(now, (before[1] + difference) // 2, 0)
+        if self._back is None:
+            return False
+        if difference < self._back.least:
+            self._back = None
+            return False
+        self._back.count += 1
+        if self._back.count < _BACK_FOR or now - self._back.since < _BACK_FOR_S * NS_PER_S:
+            return False
+        late_s = (difference - self._offset(now)) / NS_PER_S
+        log.warning("the clock of %s was set back by about %.2f s: its samples are mapped anew", self._o.name, late_s)
+        return True
+
     def _allowed(self, now: int) -> int:
         return now * self._o.drift_ppm // 1_000_000
 
@@ -145,3 +199,54 @@ class ClockMap:
 
     def _offset(self, now: int) -> int:
         return self._least[0][1] + self._allowed(now)
+
+
+@dataclass(slots=True)
+class _StepBack:
+    """A step back of the remote clock that is not believed yet."""
+
+    since: int
+    least: int
+    """A difference below this one fits the clock before the step, ns."""
+    count: int
+
+
+class _RateWatch:
+    """Compares the rate of the remote clock with ours by the least difference of each second."""
+
+    def __init__(self, options: ClockMapOptions) -> None:
+        self._o = options
+        self._least: deque[tuple[int, int]] = deque(maxlen=_BLOCKS)
+        """Pairs (received_at, difference) of the least difference in each block, the last one unfinished."""
+        self._block_begin: int | None = None
+        self.error: float | None = None
+        """The fraction by which the remote clock is faster; None while the rates agree."""
+
+    def forget(self) -> None:
+        """Begin again after a restart of the remote clock; a source that was not believed stays so until it is measured."""
+        self._least.clear()
+        self._block_begin = None
+
+    def disagrees(self, remote: int, now: int) -> bool:
+        """Note one message, and return whether its source is not believed."""
+        if self._block_begin is None or now - self._block_begin >= _BLOCK_S * NS_PER_S:
+            self._judge()
+            self._block_begin = now
+            self._least.append((now, now - remote))
+        elif now - remote < self._least[-1][1]:
+            self._least[-1] = (now, now - remote)
+        return self.error is not None
+
+    def _judge(self) -> None:
+        if len(self._least) < _BLOCKS or self._least[-1][0] - self._least[0][0] > 3 * _BLOCKS * _BLOCK_S * NS_PER_S:
+            return
+        steps = sorted((a[1] - b[1]) / (b[0] - a[0]) for a, b in pairwise(self._least))
+        error = steps[len(steps) // 2]
+        coarse = self._o.resolution_s / _BLOCK_S
+        if self.error is None and abs(error) > _RATE_OFF + coarse and steps[-1] - steps[0] < abs(error):
+            self.error = error
+            text = "the clock of %s runs at %.3f of ours: its samples are stamped by arrival"
+            log.warning(text, self._o.name, 1.0 + error)
+        elif self.error is not None and abs(error) < _RATE_AGREES + coarse:
+            self.error = None
+            log.info("the clock of %s runs like ours again", self._o.name)

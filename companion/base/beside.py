@@ -4,6 +4,7 @@ A failed part cannot be trusted: its thread may be gone and its files closed. Ea
 callers reach the present one through `now`.
 """
 
+import asyncio
 import logging
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
@@ -67,7 +68,9 @@ class RestartablePart(Generic[Made]):
         Raises:
             Whatever ends the part.
         """
-        living = self.now = self.now or self._make()
+        if self.now is None:
+            self.now = await asyncio.to_thread(self._make)  # it reads files, of a disk that may hang
+        living = self.now
         try:
             await living.run()
         finally:

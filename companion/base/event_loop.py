@@ -63,8 +63,8 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 def heeded(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
     """Let the event loop of `run` call these handlers for signals instead of cancelling the main task.
 
-    An ending signal that came before is handled at once. SIGTERM keeps its deadlines; SIGINT has none here, because a person at
-    the keyboard can press Ctrl-C twice.
+    An ending signal that came before is handled at once. SIGTERM and SIGQUIT keep their deadlines; SIGINT has none here, because
+    a person at the keyboard can press Ctrl-C twice.
     """
     before = dict(_heeded)
     _heeded.update({int(number): handler for number, handler in handlers.items()})

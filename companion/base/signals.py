@@ -1,12 +1,12 @@
-"""End the process on SIGTERM or SIGINT: both set a flag and cancel the main task, and a deadline enforces the end.
+"""End the process on SIGTERM, SIGINT or SIGQUIT: they set a flag and cancel the main task, and a deadline enforces the end.
 
 No exception is ever thrown through an event loop. While one runs (`companion.base.event_loop.run`), the first signal cancels
 its main task, or calls the handler that was set instead. Tasks that have not ended `ABANDON_S` later are named in the log and
 abandoned. Outside a loop the first signal raises `Stopped` at the program's present instruction.
 
-A separate thread watches as well: `LAST_S` after SIGTERM, or at a second signal, it ends the process, whatever blocks the other
-threads. It reads signals from the interpreter's wakeup descriptor, so it works even while the main thread is inside a long
-library call.
+A separate thread watches as well: `LAST_S` after SIGTERM or SIGQUIT, or at a second signal, it ends the process, whatever blocks
+the other threads. It reads signals from the interpreter's wakeup descriptor, so it works even while the main thread is inside a
+long library call.
 """
 
 import os
@@ -15,15 +15,17 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 ABANDON_S = 1.2
 """Time after the signal at which the remaining tasks are abandoned."""
 LAST_S = 1.7
-"""Time after SIGTERM at which the process ends, whatever it is doing. Below 2 s, with room for a busy machine."""
+"""Time after SIGTERM or SIGQUIT at which the process ends, whatever it is doing. Below 2 s, with room for a busy machine."""
 LINGER_S = 1.0
 """Time that a program which ends by itself waits for remaining tasks and threads."""
 _ECHO_S = 0.1
@@ -31,7 +33,7 @@ _ECHO_S = 0.1
 _WATCHER = "signals"
 _WORDS_S = 0.1
 """Time for writing the last log lines, s: standard error may be a pipe that nobody reads."""
-ENDING = (signal.SIGTERM, signal.SIGINT)
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 
 
 class Stopped(BaseException):
@@ -51,6 +53,12 @@ class Stopped(BaseException):
         return 128 + self.number
 
 
+def _to_stderr(words: str) -> None:
+    if words:
+        sys.stderr.write(f"decklander: {words}\n")
+    sys.stderr.flush()
+
+
 class Process:
     """The state of this process's shutdown. There is one instance, `PROCESS`."""
 
@@ -65,6 +73,8 @@ class Process:
         """Passes a signal to the running event loop; None while no loop runs."""
         self.unfinished: Callable[[], str] = str
         """Returns the names of the event loop's remaining tasks; empty if there are none."""
+        self.last_words: Callable[[str], None] = _to_stderr
+        """Writes what is said just before the process ends; it may block."""
 
     @property
     def heeding(self) -> bool:
@@ -93,7 +103,7 @@ PROCESS = Process()
 
 
 def install() -> None:
-    """Let SIGTERM and SIGINT end this process as described above. Call it once, from the main thread."""
+    """Let the `ENDING` signals end this process as described above. Call it once, from the main thread."""
     PROCESS.pid = os.getpid()
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -157,7 +167,7 @@ def _watch(descriptor: int) -> None:
     first: int | None = None
     at_s = 0.0
     while True:
-        timeout_s = None if first != signal.SIGTERM else max(0.0, at_s + LAST_S - time.monotonic())
+        timeout_s = None if first in (None, signal.SIGINT) else max(0.0, at_s + LAST_S - time.monotonic())
         if select.select([descriptor], [], [], timeout_s)[0]:
             for number in os.read(descriptor, 64):
                 if number not in ENDING:
@@ -167,7 +177,7 @@ def _watch(descriptor: int) -> None:
                 elif time.monotonic() - at_s > _ECHO_S:
                     _end(128 + number, "")
         elif first is not None:
-            _end(128 + first, f"not ended {LAST_S} s after SIGTERM, ending at once: {_unfinished()}")
+            _end(128 + first, f"not ended {LAST_S} s after {signal.Signals(first).name}, ending at once: {_unfinished()}")
 
 
 def _unfinished() -> str:
@@ -177,8 +187,23 @@ def _unfinished() -> str:
             words.append(f"tasks {names}")
     frame = sys._current_frames().get(threading.main_thread().ident or 0)
     if frame is not None:
-        words.append(f"main thread in {frame.f_code.co_name}, {frame.f_code.co_filename}:{frame.f_lineno}")
+        words.append(f"main thread in {place(frame)}")
     return "; ".join(words)
+
+
+def place(frame: FrameType) -> str:
+    """Return where a thread is, in words."""
+    return f"{frame.f_code.co_name}, {frame.f_code.co_filename}:{frame.f_lineno}"
+
+
+def threads() -> Iterator[str]:
+    """Yield a line for each thread: its name, and the calls that it is in, the newest last."""
+    names = {thread.ident: thread.name for thread in threading.enumerate()}
+    for ident, frame in sys._current_frames().items():
+        calls = " > ".join(
+            f"{call.name} {Path(call.filename).name}:{call.lineno}" for call in traceback.extract_stack(frame)[-6:]
+        )
+        yield f"{names.get(ident, ident)}: {calls}"
 
 
 def _holding() -> list[threading.Thread]:
@@ -206,9 +231,7 @@ def _end(code: int, words: str) -> NoReturn:
         with suppress(Exception):
             sys.stdout.flush()
         with suppress(Exception):
-            if words:
-                sys.stderr.write(f"decklander: {words}\n")
-            sys.stderr.flush()
+            PROCESS.last_words(words)
 
     saying = threading.Thread(target=say, daemon=True)
     with suppress(RuntimeError):  # no thread can be started

@@ -20,10 +20,11 @@ from companion.cli import board_option, calibrate_flight, identify
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
-from companion.tools.calibrate.guide import PICTURES, Guide, GuideState, add_file, image_files, watch
+from companion.tools.calibrate.guide import Guide, GuideState, add_file, image_files, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.tools.calibrate.views import Collection
 from companion.tools.report.drawing import require_drawing
+from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
@@ -122,6 +123,10 @@ def _run_camera(args: argparse.Namespace) -> int:
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
         lacks = assess.missing_before(collection.views, size) if collection.views else ["the board"]
+        if collection.mirrored:
+            lacks.insert(
+                0, "a camera that does not mirror: turn off the horizontal flip of the camera, its driver or its pipeline"
+            )
         _say(args, collection, None, assess.Assessment(tuple(lacks), ()), written=False)
         return 1
     solution = solve(collection.views, board, size, mount)

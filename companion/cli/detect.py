@@ -42,11 +42,13 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 U8 = NDArray[np.uint8]
 
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
 RECORDINGS = {".mcap"}
 VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts"}
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
+_SURE = 0.5
+_MIRROR_TRIES = 8
+"""So many frames without a sure pad are searched for a mirrored one: a camera that mirrors does so in all of them."""
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 _INK = {
     "ellipse": (255, 200, 0),
@@ -152,7 +154,8 @@ def run(args: argparse.Namespace) -> int:
     sets = list(COLOUR_SETS.values()) if args.colours == "auto" else [COLOUR_SETS[args.colours]]
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     album = _album(args.annotate)
-    frames = found = unreadable = 0
+    frames = found = sure = unreadable = mirrored = 0
+    untried = _MIRROR_TRIES
     if not args.json:
         sys.stdout.write(_HEADER)
     for file in files:
@@ -166,6 +169,10 @@ def run(args: argparse.Namespace) -> int:
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
                 found += seen.selected is not None
+                sure += _is_sure(seen)
+                if untried and not _is_sure(seen):
+                    untried -= 1
+                    mirrored += _is_sure(_best(_mirror(frame), None, TrackerConfig(camera, pad), sets)[0])
                 record = _record(image, seen, colours, elapsed_ms)
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
@@ -177,6 +184,12 @@ def run(args: argparse.Namespace) -> int:
             sys.stderr.write(f"decklander: {why}\n")
     if not args.json:
         sys.stdout.write(f"found in {found} of {frames} frames\n")
+    if mirrored > sure:
+        sys.stdout.flush()
+        sys.stderr.write(
+            f"decklander: {mirrored} frames show the pad mirrored, and no drone lands by such: turn off the mirror "
+            "(horizontal flip) of the camera, its driver or its pipeline\n"
+        )
     if unreadable:
         return 2
     return 0 if found else 1
@@ -222,7 +235,9 @@ def _files(paths: Sequence[str]) -> list[Path]:
         path = Path(text)
         try:
             if path.is_dir():
-                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in PICTURES | VIDEOS | RECORDINGS)
+                inside = sorted(
+                    p for p in path.iterdir() if p.is_file() and p.suffix.lower() in images.PICTURES | VIDEOS | RECORDINGS
+                )
                 if not inside:
                     raise BadInput(f"{text}: no image, video or recording in this folder")
                 files += inside
@@ -244,14 +259,14 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
         try:
             data = images.load(file)
             claimed = images.claimed_size(data)
-            if claimed is not None and size not in (claimed, claimed[::-1]):
+            if claimed is not None and claimed != size:
                 raise _wrong_size(str(file), claimed, model)
-            yield _Image(str(file), 0, images.decode(data, size, turned=True))
+            yield _Image(str(file), 0, images.decode(data, size))
             return
         except OSError as why:
             raise _NoImageError(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:
-            if file.suffix.lower() in PICTURES:
+            if file.suffix.lower() in images.PICTURES:
                 raise _NoImageError(f"{file}: not an image that can be read ({why})") from why
     index = 0
     try:
@@ -354,6 +369,14 @@ def _best(frame: Frame, attitude: Attitude | None, tracker: TrackerConfig, sets:
     if registered.chosen == "lamps":
         return registered, colours
     return together(thesis, registered.selected, registered.opinions), colours
+
+
+def _is_sure(seen: Detection) -> bool:
+    return seen.selected is not None and seen.selected.confidence >= _SURE
+
+
+def _mirror(frame: Frame) -> Frame:
+    return Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
 
 
 def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> dict[str, object]:

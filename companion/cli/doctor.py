@@ -7,6 +7,7 @@ import json
 import logging
 import shlex
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -325,6 +326,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         for finding in found:
             sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
+        for name, (value, default) in _differs(snapshot).items():
+            sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
     else:
         sys.stdout.write(_page(snapshot, found))
     if args.fix:
@@ -381,6 +384,14 @@ def _log_lines(of: str, parameters: int, log: LogHistory) -> list[str]:
     return lines
 
 
+def _differs(snapshot: Snapshot) -> dict[str, tuple[float, float]]:
+    return {} if snapshot.autopilot is None else snapshot.autopilot.differs
+
+
+def _short(value: float) -> str:
+    return f"{value:.6g}"
+
+
 def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     lines = []
     if (a := snapshot.autopilot) is not None:
@@ -396,6 +407,12 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
         lines.append(
             f"clock: round trip {1e3 * snapshot.sync.round_trip_s:.1f} ms, {'locked' if snapshot.sync.locked else 'not locked'}"
         )
+    if differs := _differs(snapshot):
+        lines.append(f"{len(differs)} parameters of modes, time limits, EKF and loops are not what the firmware begins with:")
+        lines += textwrap.wrap(
+            ", ".join(f"{name} {_short(value)} ({_short(default)})" for name, (value, default) in differs.items()),
+            120, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False,
+        )  # fmt: skip
     lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    fix: {f.fix}" for f in found]
     lines.append(f"{len(found)} of {len(RULES)} known faults found" if found else f"none of {len(RULES)} known faults found")
     return "\n".join(lines) + "\n"

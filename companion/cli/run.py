@@ -9,8 +9,9 @@ from pathlib import Path
 
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
+from companion.base.service_log import logging_to_stderr
 from companion.guidance.make_pilot import make_pilot
-from companion.service.assemble import Proven, live, log_to_stderr, make_daemon
+from companion.service.assemble import Proven, live, make_daemon
 from companion.settings.load import Settings, find_file, load, shipped
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files
@@ -19,6 +20,12 @@ from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)
 
+FROM_TERMINAL = (
+    "started from a terminal: when it hangs up the service flies on, and nobody reads its log; for a flight: "
+    "sudo systemd-run --unit decklander-flight --same-dir $(command -v decklander) run --config FILE"
+)
+"""What is said at the start to whoever runs the service by hand."""
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander run` to the parser."""
@@ -26,7 +33,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "run",
         help="run the landing service",
         description="Run the landing service: find the pad, approach it, land on it. SIGTERM stops the service and leaves the "
-        'drone hovering. SIGUSR1 starts the approach if guidance.start is "signal", and resumes it after SIGUSR2 paused it.',
+        "drone hovering; a terminal that hangs up does not. SIGUSR1 starts the approach if guidance.start is "
+        '"signal", and resumes it after SIGUSR2 paused it.',
     )
     parser.add_argument(
         "--config",
@@ -70,15 +78,17 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0
-    log_to_stderr(settings)
-    for line in remarks(settings):
-        log.warning(line)
-    memory.share_one_arena()
-    file = find_file(args.config, "", Path(), "settings")
-    daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file)
-    outcome = event_loop.run(live(daemon, pilot))
-    if outcome is not None:
-        sys.stderr.write(f"flight ended: {outcome.value}\n")
+    with logging_to_stderr(settings.service.log_level) as told:
+        for line in remarks(settings):
+            log.warning(line)
+        if sys.stdin is not None and sys.stdin.isatty():
+            log.warning(FROM_TERMINAL)
+        memory.share_one_arena()
+        file = find_file(args.config, "", Path(), "settings")
+        daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file, log_counts=told.counts)
+        outcome = event_loop.run(live(daemon, pilot, stays=True))
+        if outcome is not None:
+            log.info("flight ended: %s", outcome.value)
     return 0 if not args.once or outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS) else 1
 
 

@@ -1,4 +1,4 @@
-"""Make the daemon from settings, and run it as a process with signals and logs. Settings that have worked are `Proven`."""
+"""Make the daemon from settings, and run it as a process with signals. Settings that have worked are `Proven`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import hashlib
 import logging
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,11 +16,13 @@ from companion.base import memory
 from companion.base.beside import RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import Health
+from companion.base.loop_lag import LoopWatch
 from companion.base.missing_inputs import SHIP_PLACE
 from companion.base.mission import FlightOutcome
 from companion.base.notify import Manager, Pulse, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.base.signals import PROCESS, threads
 from companion.base.supervise import Body
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
@@ -116,17 +117,21 @@ def make_daemon(
     observers: Sequence[Observer] = (),
     once: bool = False,
     settings_file: Path | None = None,
+    log_counts: Callable[[], Mapping[str, float]] | None = None,
 ) -> Daemon:
     """Return a daemon around the pilot, with the vehicle and the links of the settings.
 
     Args:
         settings_file: the file that the settings were read from, for the page; None if there is none.
+        log_counts: returns the counters of the log, for health.
 
     Raises:
         BadInput: a secret, certificate or folder that a link needs cannot be read or used.
     """
     ticking = clock or SystemClock()
     health = Health(ticking)
+    if log_counts is not None:
+        health.counters("log", log_counts)
     watching, extras = list(observers), dict[str, Body]()
     recording: Callable[[bool], str | None] | None = None
     tap: Tap | None = None
@@ -206,6 +211,9 @@ def make_daemon(
     if (pulse := _pulse(pilot, health, ticking)) is not None:
         watching.append(pulse)
         extras["manager"] = pulse.run
+    if isinstance(ticking, SystemClock):
+        stands = PilotOperator(pilot, OrderSender(OrderSource.LIMITS, "standstill"), ticking)
+        extras["loop"] = LoopWatch(health, partial(_flies, pilot), stands.pause).run
 
     return Daemon(
         vehicle.open_link,
@@ -248,24 +256,44 @@ def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
         return None
     if manager is None:
         return None
-    return Pulse(manager, health, clock, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), interval_s)
+    return Pulse(manager, health, clock, partial(_flies, pilot), interval_s)
 
 
-def log_to_stderr(settings: Settings) -> None:
-    """Log one line per message to standard error, without the wall time if journald adds it."""
-    under_journald = not sys.stderr.isatty()
-    form = "%(levelname)s %(name)s: %(message)s" if under_journald else "%(asctime)s %(levelname)s %(name)s: %(message)s"
-    logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
+def _flies(pilot: Pilot) -> bool:
+    """Return whether the vehicle flew by its newest status."""
+    return pilot.vehicle is not None and bool(pilot.vehicle.flying)
 
 
-async def live(daemon: Daemon, pilot: Pilot) -> FlightOutcome | None:
-    """Run the daemon; SIGINT and SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
+async def live(daemon: Daemon, pilot: Pilot, *, stays: bool = False) -> FlightOutcome | None:
+    """Run the daemon, and heed signals.
+
+    SIGINT and SIGTERM end it in order: the vehicle holds, recordings are closed. SIGQUIT does the same after the log has said
+    where each thread is. SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it. Python ignores SIGPIPE: the write fails.
+
+    Args:
+        stays: a terminal that hangs up (SIGHUP) or Ctrl-Z (SIGTSTP) is told and not followed: a drone in the air cannot be put
+            aside. SIGTTIN and SIGTTOU, which stop a job in the background that uses its terminal, are ignored.
+    """
     operator = PilotOperator(pilot, OrderSender(OrderSource.SIGNAL), SystemClock())
+
+    def quit_() -> None:
+        for line in threads():
+            log.warning("thread %s", line)
+        daemon.stop()
+
     handlers: dict[signal.Signals, Callable[[], object]] = {
         signal.SIGINT: daemon.stop,
         signal.SIGTERM: daemon.stop,
+        signal.SIGQUIT: quit_,
         signal.SIGUSR1: lambda: operator.order(OperatorOrder.BEGIN),
         signal.SIGUSR2: lambda: operator.order(OperatorOrder.HOLD),
     }
+    if stays and PROCESS.heeding:
+        handlers |= {
+            signal.SIGHUP: partial(log.warning, "the terminal hung up (SIGHUP): the service goes on; SIGTERM ends it"),
+            signal.SIGTSTP: partial(log.warning, "Ctrl-Z (SIGTSTP) is not followed: the service goes on; Ctrl-C ends it"),
+        }
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+        signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     with heeded(handlers):
         return await daemon.run()

@@ -25,7 +25,7 @@ from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import NmeaReader, SentenceListener, listening
+from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, SentenceListener, listening
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
@@ -101,7 +101,7 @@ class SentencesPart(NullObserver):
         self._options = options
         self._reports = reports
         self._clock = clock
-        self._reader = NmeaReader(options.mmsi)
+        self._reader = NmeaReader(options.mmsi, options.nmea_simulated)
         self._listener: SentenceListener | None = None
         self._told: set[str] = set()
 
@@ -128,7 +128,8 @@ class SentencesPart(NullObserver):
             self._reports.offer(sample)
         for why in self._reader.refused.keys() - self._told - {"other_sentence"}:
             self._told.add(why)
-            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", why.replace("_", " "))
+            reason = REFUSED_FOR.get(why, why.replace("_", " "))
+            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", reason)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,9 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     mmsi: Annotated[
         int, number("MMSI of the ship, whose AIS reports alone are taken; 0 takes none", "1", 0, 999_999_999, public=True)
     ] = 0
+    nmea_simulated: Annotated[
+        bool, choice("whether sentences that say that they are simulated are taken like a fix: for a rehearsal only")
+    ] = False
     mqtt: Annotated[
         bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)", public=True)
     ] = False

@@ -64,6 +64,7 @@ class VideoChannel:
                 resolution_s=1e-3,
                 floor_s=options.video_delay_s,
                 floor_sigma_s=options.video_delay_sigma_s,
+                name="the drone's video",
             )
         )
         self._began = MonoNs(0)

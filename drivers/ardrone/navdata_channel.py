@@ -49,6 +49,7 @@ class NavdataChannel:
                 wrap_ns=2048 * 1_000_000_000,
                 floor_s=options.navdata_delay_s,
                 floor_sigma_s=options.navdata_delay_sigma_s,
+                name="the drone's navdata",
             )
         )
         self._order = NavdataOrder()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 U8 = NDArray[np.uint8]
@@ -18,7 +19,19 @@ MOST_PIXELS = 8192 * 8192
 """Largest number of pixels of an image: that of the largest camera that a camera file can describe."""
 MOST_BYTES = 256 << 20
 """Largest size of an encoded image."""
+PICTURES = frozenset({
+    ".jpg", ".jpeg", ".jpe", ".png", ".bmp", ".dib",
+    ".tif", ".tiff", ".webp", ".ppm", ".pgm", ".pbm", ".pnm", ".jp2", ".ras", ".sr",
+})  # fmt: skip
+"""The endings of image files in a folder."""
 _HEAD = 1 << 16
+_BEFORE_MOST = 64
+"""The bytes that a bridge may put before a JPEG."""
+_WHITE = 255.0
+_GAP = bytes(24)
+"""Zeros that are no coded data of the usual tables: eight coefficients each of -1 in three bytes, and a block has 63."""
+_USUAL_AC = bytes.fromhex("7d01020300041105122131410613516107")
+"""The begin of the usual table for the brightness (ITU-T T.81, table K.5)."""
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
 
@@ -27,12 +40,14 @@ class ImageRefused(ValueError):
     """The bytes are not an image that may be decoded; the text gives the reason without the source."""
 
 
-def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, turned: bool = False) -> U8:
-    """Decode one image of any format that `claimed_size` reads.
+def decode(data: bytes | memoryview, size: tuple[int, int] | None = None) -> U8:
+    """Decode one image of any format that `claimed_size` reads, as the sensor gave it: an orientation tag turns nothing.
+
+    A JPEG is refused at any doubt of its decoder: what follows a gap in its data looks like a picture, and is none. Values of
+    more than 8 bits are scaled to 8 by what the file states.
 
     Args:
         size: width and height that it must have; None allows any size up to `MOST_PIXELS`.
-        turned: apply the orientation tag of a phone's JPEG, so that width and height of `size` may be swapped in the file.
 
     Returns:
         (H, W, 3) uint8, BGR.
@@ -44,20 +59,68 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, tur
     if claimed is None:
         raise ImageRefused("no size of an image in it")
     width, height = claimed
-    fits = size is None or claimed == size or (turned and claimed == size[::-1])
-    if not fits or width * height > MOST_PIXELS or not width or not height:
+    if size not in (None, claimed) or width * height > MOST_PIXELS or not width or not height:
         expected = f"at most {MOST_PIXELS / 1e6:.0f} million pixels" if size is None else f"{size[0]}x{size[1]} px"
         raise ImageRefused(f"{width}x{height} px, expected {expected}")
-    flags = cv2.IMREAD_COLOR if turned else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    begin = _jpeg_begin(data)
+    px = _decoded_jpeg(data[begin:]) if begin is not None else _decoded(data)
+    if size is not None and px.shape[1::-1] != size:
+        raise ImageRefused(f"{px.shape[1]}x{px.shape[0]} px, expected {size[0]}x{size[1]} px")
+    return px
+
+
+def _decoded_jpeg(data: bytes | memoryview) -> U8:
+    if _has_gap(data):
+        raise ImageRefused("damaged: zeros in place of coded data")
     try:
-        px = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return np.asarray(simplejpeg.decode_jpeg(data, "BGR", strict=True), np.uint8)
+    except (ValueError, MemoryError) as why:
+        raise ImageRefused(f"damaged: {why}") from why
+
+
+def _has_gap(data: bytes | memoryview) -> bool:
+    """Return whether a block of zeros lies in the coded data, as a lost USB packet leaves it, and not after the end.
+
+    Zeros are codes of the usual tables, and the decoder reads them without a word. No encoder writes so many of them by these
+    tables; by tables of its own, a black image may be nothing else.
+    """
+    gap = bytes(data).find(_GAP)
+    if gap < 0:
+        return False
+    head = bytes(data[: min(gap, _HEAD)])
+    scan = head.find(b"\xff\xda")
+    usual = b"\xff\xc4" not in head or _USUAL_AC in head
+    return scan >= 0 and usual and bytes(data).find(b"\xff\xd9", scan, gap) < 0
+
+
+def _decoded(data: bytes | memoryview) -> U8:
+    try:
+        px = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     except (cv2.error, MemoryError) as why:
         raise ImageRefused("damaged") from why
     if px is None:
         raise ImageRefused("damaged")
-    if size is not None and px.shape[1::-1] != size:
-        raise ImageRefused(f"{px.shape[1]}x{px.shape[0]} px, expected {size[0]}x{size[1]} px")
-    return np.asarray(px, np.uint8)
+    most = _largest_value(data, px)
+    return np.asarray(px, np.uint8) if most == _WHITE else np.clip(np.rint(px * (_WHITE / most)), 0, _WHITE).astype(np.uint8)
+
+
+def _largest_value(data: bytes | memoryview, px: NDArray[np.generic]) -> float:
+    """Return the value of white.
+
+    A PNM states it, a PNG may state how many bits count. Else it is the least number of bits, by twos, that holds all values:
+    cameras of 10, 12 and 14 bits write their values into 16 as they are.
+    """
+    head = bytes(data[:_HEAD])
+    if head[:1] == b"P" and (words := _pnm_words(head)) is not None and len(words) > 2 and head[1:2] not in b"14":
+        return float(max(1, int(words[2])))
+    if px.dtype == np.uint8:
+        return _WHITE
+    if not np.issubdtype(px.dtype, np.unsignedinteger):
+        return 1.0  # floats go from 0 to 1
+    if head.startswith(b"\x89PNG") and 0 < (at := head.find(b"sBIT")) < len(head) - 4 and 8 <= head[at + 4] <= 16:
+        return float((1 << head[at + 4]) - 1)
+    most = int(px.max())
+    return float(next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if most < 1 << bits))
 
 
 def load(path: Path) -> bytes:
@@ -75,15 +138,28 @@ def load(path: Path) -> bytes:
 
 
 def claimed_size(data: bytes | memoryview) -> tuple[int, int] | None:
-    """Return the width and height that the header claims; None if it is torn, or not of a JPEG, PNG, BMP, TIFF, WebP or PNM."""
+    """Return the width and height that the header claims; None if it is torn, or of no format that is read."""
     head = bytes(data[:16])
+    if (begin := _jpeg_begin(data)) is not None:
+        return _guarded(_jpeg, data[begin:])
     for magic, read in _READERS:
         if head.startswith(magic):
-            try:
-                return read(data)
-            except (struct.error, ValueError, IndexError):
-                return None
+            return _guarded(read, data)
     return None
+
+
+def _guarded(read: Callable[[bytes | memoryview], tuple[int, int] | None], data: bytes | memoryview) -> tuple[int, int] | None:
+    try:
+        return read(data)
+    except (struct.error, ValueError, IndexError):
+        return None
+
+
+def _jpeg_begin(data: bytes | memoryview) -> int | None:
+    """Return where a JPEG begins, which some bytes of no format may precede; None if there is none."""
+    head = bytes(data[: _BEFORE_MOST + 3])
+    begin = head.find(b"\xff\xd8\xff")
+    return None if begin < 0 or any(head.startswith(magic) for magic, _ in _READERS) else begin
 
 
 def _jpeg(data: bytes | memoryview) -> tuple[int, int] | None:
@@ -153,19 +229,37 @@ def _tiff(data: bytes | memoryview) -> tuple[int, int] | None:
 
 
 def _pnm(data: bytes | memoryview) -> tuple[int, int] | None:
-    lines = bytes(data[2:_HEAD]).splitlines()
-    words = b" ".join(line.partition(b"#")[0] for line in lines[:64]).split()
-    if not all(word.isdigit() and len(word) < 10 for word in words[:2]):
+    words = _pnm_words(bytes(data[:_HEAD]))
+    return None if words is None else (int(words[0]), int(words[1]))
+
+
+def _pnm_words(head: bytes) -> list[bytes] | None:
+    """Return width, height and, where it is a number, the value of white; None if there is no size."""
+    words = b" ".join(line.partition(b"#")[0] for line in head[2:].splitlines()[:64]).split()[:3]
+    numbers = [word for word in words if word.isdigit() and len(word) < 10]
+    return None if len(numbers) < 2 or numbers != words[: len(numbers)] else numbers
+
+
+def _jp2(data: bytes | memoryview) -> tuple[int, int] | None:
+    at = bytes(data[:_HEAD]).find(b"ihdr")
+    if at < 0:
         return None
-    return int(words[0]), int(words[1])
+    height, width = struct.unpack_from(">II", data, at + 4)
+    return width, height
+
+
+def _sun(data: bytes | memoryview) -> tuple[int, int] | None:
+    width, height = struct.unpack_from(">II", data, 4)
+    return width, height
 
 
 _READERS: tuple[tuple[bytes, Callable[[bytes | memoryview], tuple[int, int] | None]], ...] = (
-    (b"\xff\xd8", _jpeg),
     (b"\x89PNG\r\n\x1a\n", _png),
     (b"BM", _bmp),
     (b"RIFF", _webp),
     (b"II*\0", _tiff),
     (b"MM\0*", _tiff),
+    (b"\0\0\0\x0cjP  ", _jp2),
+    (b"\x59\xa6\x6a\x95", _sun),
     *((b"P%d" % kind, _pnm) for kind in range(1, 7)),
 )

@@ -227,6 +227,7 @@ class V4l2Channel:
             received_at = await self._readable(device)
             batch = self._drain(device)
             counters.buffers += len(batch)
+            self._camera.count_damage(self._o.device, received_at)
             gap = 0
             for buffer in batch:
                 if last is not None:

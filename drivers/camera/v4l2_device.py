@@ -20,7 +20,7 @@ from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import FORMATS, CameraOptions, Size
-from drivers.camera.v4l2_formats import FrameLayout
+from drivers.camera.v4l2_formats import FrameLayout, line_length
 from estimator.contracts.errors import BadInput, SetupImpossible
 
 _MODE, _TIME, _PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
@@ -222,6 +222,8 @@ class KernelDevice:
             buff = kernel.dequeue(self.fileno())
         except BlockingIOError:
             return None
+        if buff.index >= len(self._maps):
+            raise OSError(errno.EIO, f"the driver gave buffer {buff.index} of {len(self._maps)}")
         try:
             data = self._maps[buff.index][: buff.bytesused]
         finally:
@@ -271,6 +273,7 @@ class KernelDevice:
             if (layout.format, layout.width, layout.height) != (name, width, height):
                 sizes.append(f"{layout.width}x{layout.height} ({name})")
                 continue
+            self._check_line(layout)
             if rate_hz >= 0.9 * o.rate_hz:
                 return layout, rate_hz
             if best is None or rate_hz > best[0]:
@@ -278,6 +281,12 @@ class KernelDevice:
         if best is None:
             raise BadInput(f"camera {self._path}: no frame of {width}x{height} px; the nearest is {', '.join(sizes)}")
         return self._try(best[1], width, height, o.rate_hz)
+
+    def _check_line(self, layout: FrameLayout) -> None:
+        try:
+            line_length(layout)
+        except BadInput as why:
+            raise BadInput(f"camera {self._path}: {why}") from why
 
     def _try(self, name: str, width: int, height: int, asked_hz: float) -> tuple[FrameLayout, float]:
         got = kernel.set_format(self.fileno(), name, width, height)

@@ -1,4 +1,4 @@
-"""Decode the bytes of a V4L2 buffer to a BGR image. Wire input never raises: the result for unreadable bytes is None."""
+"""Decode the bytes of a V4L2 buffer to a BGR image. The result for unreadable bytes is None."""
 
 from dataclasses import dataclass
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused, decode
 from drivers.camera.videos import most_pixels
+from estimator.contracts.errors import BadInput
 
 U8 = NDArray[np.uint8]
 
@@ -26,34 +27,60 @@ class FrameLayout:
     """The length of an image line, bytes; 0 for compressed formats."""
 
 
+def line_length(layout: FrameLayout) -> int:
+    """Return the length of an image line, bytes; where a driver says 0, the lines follow one another without a gap.
+
+    Raises:
+        BadInput: the driver tells a line that is too short for the width.
+    """
+    w, even = layout.width, layout.width + layout.width % 2
+    needed = {"YUYV": 2 * even, "NV12": even}.get(layout.format, w)
+    stride = layout.bytes_per_line or needed
+    if stride < (needed if layout.format == "YUYV" else w):
+        raise BadInput(
+            f"the camera's driver says that a line of {w} px in {layout.format} takes {stride} bytes, but it takes {needed}: "
+            "choose another camera.format or size, or another driver"
+        )
+    return stride
+
+
 def to_bgr(data: bytes, layout: FrameLayout) -> U8 | None:
     """Decode one buffer of a format whose frames are independent to (H, W, 3) BGR; None if torn, damaged or of another size.
 
-    YUYV and NV12 are read as BT.601 with studio swing, which webcams send and V4L2 assumes for standard definition.
+    YUYV and NV12 are read as BT.601 with studio swing, which webcams send and V4L2 assumes for standard definition. Their sizes
+    may be odd.
+
+    Raises:
+        BadInput: the layout is none that can be; the device checks it when it is opened.
     """
     if layout.format == "MJPG":
-        return _jpeg(data, layout)
-    w, h, stride = layout.width, layout.height, layout.bytes_per_line
-    rows = h * 3 // 2 if layout.format == "NV12" else h
+        try:
+            return decode(data, (layout.width, layout.height))
+        except ImageRefused:
+            return None
+    w, h, stride = layout.width, layout.height, line_length(layout)
+    rows = h + (h + 1) // 2 if layout.format == "NV12" else h
     if len(data) < rows * stride:
         return None
     lines = np.frombuffer(data, np.uint8, rows * stride).reshape(rows, stride)
     if layout.format == "YUYV":
-        return _u8(cv2.cvtColor(lines[:, : 2 * w].reshape(h, w, 2), cv2.COLOR_YUV2BGR_YUYV))
+        even = w + w % 2
+        return _u8(cv2.cvtColor(lines[:, : 2 * even].reshape(h, even, 2), cv2.COLOR_YUV2BGR_YUYV)[:, :w])
     if layout.format == "NV12":
-        return _u8(cv2.cvtColor(np.ascontiguousarray(lines[:, :w]), cv2.COLOR_YUV2BGR_NV12))
+        return _u8(cv2.cvtColor(_even_planes(lines, w, h), cv2.COLOR_YUV2BGR_NV12)[:h, :w])
     return _u8(cv2.cvtColor(np.ascontiguousarray(lines[:, :w]), cv2.COLOR_GRAY2BGR))
 
 
-def _jpeg(data: bytes, layout: FrameLayout) -> U8 | None:
-    # The decoder silently fills the missing part of a torn frame with grey, hence the end mark; drivers pad with zeros.
-    whole = data.rstrip(b"\0")
-    if not (whole.startswith(b"\xff\xd8") and whole.endswith(b"\xff\xd9")):
-        return None
-    try:
-        return decode(whole, (layout.width, layout.height))
-    except ImageRefused:
-        return None
+def _even_planes(lines: U8, w: int, h: int) -> U8:
+    """Return NV12's two planes with an even width and height, the last column and row of brightness twice."""
+    even = min(w + w % 2, lines.shape[1])
+    planes = lines[:, :even]
+    if even % 2:
+        planes = np.pad(planes, ((0, 0), (0, 1)), mode="edge")
+        planes[h:, -1] = planes[h:, -3]  # the colours alternate
+    if h % 2:
+        planes = np.insert(planes, h, planes[h - 1], axis=0)
+    return np.ascontiguousarray(planes)
 
 
 def _u8(px: NDArray[np.generic]) -> U8:

@@ -4,7 +4,9 @@ options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
 async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
 
-A file is played at its own speed. A live stream's clock stamps its frames; it is mapped to ours by the least delay measured.
+A file is played at its own speed. A live stream's clock stamps its frames, where its container has one (RTP, MPEG-TS, FLV); it is
+mapped to ours by the least delay measured. What a demuxer makes up for a stream without times (MJPEG over HTTP, raw H.264) is not
+used: such a frame is stamped by the arrival of its first byte.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from drivers.camera.exposure import ExposureDrive
 from drivers.camera.images import ImageRefused
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.videos import MOST_PACKET_BYTES, open_video, predicts_frames
+from drivers.camera.videos import MOST_PACKET_BYTES, has_times, open_video, predicts_frames
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.reconnect import BackOff, reconnect
 from drivers.running_beside import running_beside
@@ -42,7 +44,14 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 Packet: TypeAlias = "AnyPacket[VideoStream]"
 
-_LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp"}
+_LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp", "analyzeduration": "1000000"}
+_BY_LENGTH = frozenset({"mpjpeg"})
+"""Those without times whose frames tell their length; the end of others is known only when the next one begins."""
+_BACKLOG_MOST, _WAITED_S = 300, 0.001
+"""FFmpeg reads seconds of a stream to learn what it is. When those frames arrived, nobody noted: without times in the container
+they are not given out, until one has been waited for so long, or so many have passed."""
+_ARRIVAL_SIGMA_S = 0.008
+"""The standard deviation of a frame's way through kernel and demuxer where nothing but its arrival is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +99,12 @@ class StreamChannel:
         loop = asyncio.get_running_loop()
         o, counters = self._o, self._camera.counters
         began: tuple[MonoNs, float] | None = None
-        clocks = ClockMap(ClockMapOptions(resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s))
+        known = ClockMapOptions(
+            resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s, name=f"camera {o.device}"
+        )
+        clocks = ClockMap(known)
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
+            self._camera.count_damage(o.device, image.received_at)
             if o.is_address:
                 stamp = self._live_stamp(image, clocks)
             else:
@@ -110,7 +123,8 @@ class StreamChannel:
     def _live_stamp(self, image: _Image, clocks: ClockMap) -> Stamp:
         if image.pts_s is None or not 0 <= image.pts_s < 1e9:
             measured_at = after(image.received_at, -self._o.latency_s)
-            return Stamp(measured_at, image.received_at, self._o.latency_sigma_s, "arrival")
+            sigma_s = math.hypot(self._o.latency_sigma_s, _ARRIVAL_SIGMA_S)
+            return Stamp(measured_at, image.received_at, sigma_s, "arrival")
         return clocks.stamp(round(image.pts_s * 1e9), image.received_at)
 
 
@@ -126,6 +140,10 @@ class _Reader:
         self._packets: Iterator[Packet] = iter(())
         self._ready: list[_Image] = []
         self._waiting = True
+        self._timed = True
+        self._at_once = True
+        self._newest_at: MonoNs | None = None
+        self._backlog = 0
         self.rate_hz = 30.0
         self.coded = False
 
@@ -153,6 +171,9 @@ class _Reader:
         if not self._container.streams.video:
             raise BadInput(f"{o.device}: there is no video in it")
         self.coded = predicts_frames(self._container)
+        self._timed = has_times(self._container)
+        self._backlog = _BACKLOG_MOST if o.is_address and not self._timed else 0
+        self._at_once = self._timed or self._container.format.name in _BY_LENGTH
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE" if o.is_address else "AUTO"
         rate = stream.average_rate
@@ -174,6 +195,7 @@ class _Reader:
     def next(self) -> _Image | None:
         """Return the next frame, None at the end."""
         while not self._ready:
+            asked = self._clock.now()
             try:
                 packet = next(self._packets)
             except StopIteration:
@@ -181,7 +203,12 @@ class _Reader:
             except FFmpegError as why:
                 reason = "silent" if isinstance(why, av.error.ExitError | av.error.TimeoutError) else "failed"
                 raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
-            self._decode(packet, self._clock.now())
+            now = self._clock.now()
+            if seconds_between(asked, now) > _WAITED_S:
+                self._backlog = 0
+            # A packet whose end is the begin of the next one is given out when that begins: its own begin gave the last one out.
+            began, self._newest_at = (now if self._at_once else self._newest_at or now), now
+            self._decode(packet, began)
         return self._ready.pop(0)
 
     def _decode(self, packet: Packet, received_at: MonoNs) -> None:
@@ -207,8 +234,12 @@ class _Reader:
                 self._counters.frames_damaged += 1
                 self._waiting = True
                 continue
+            if self._backlog:
+                self._backlog -= 1
+                self._counters.frames_overtaken += 1
+                continue
             px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-            self._ready.append(_Image(px, image.time, received_at))
+            self._ready.append(_Image(px, image.time if self._timed else None, received_at))
 
     def close(self) -> None:
         if self._container is not None:

@@ -9,6 +9,8 @@ from drivers.camera.images import MOST_PIXELS, ImageRefused
 
 MOST_PACKET_BYTES = 32 << 20
 """Largest size of an encoded frame, bytes: that of an uncompressed one of 10 million pixels."""
+_NO_TIMES = 0x80
+"""FFmpeg's flag AVFMT_NOTIMESTAMPS."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
 
@@ -16,6 +18,11 @@ _MARGIN = 4
 def most_pixels(size: tuple[int, int] | None) -> int:
     """Return the pixels of the largest frame that is decoded where (width, height) are expected, None where anything is."""
     return MOST_PIXELS if size is None else min(MOST_PIXELS, _MARGIN * size[0] * size[1])
+
+
+def has_times(container: InputContainer) -> bool:
+    """Return whether the container tells times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
+    return not container.format.flags & _NO_TIMES
 
 
 def predicts_frames(container: InputContainer) -> bool:

@@ -218,7 +218,9 @@ def read_history(path: Path) -> AutopilotLog:
 class _HistoryReader:
     def __init__(self) -> None:
         self.parameters: dict[str, float] = {}
+        self._defaults: dict[str, float] = {}
         self._texts: list[str] = []
+        self._text_times_s: list[float] = []
         self._vehicle: str | None = None
         self._firmware: tuple[int, int, int] | None = None
         self._first_us: int | None = None
@@ -261,13 +263,17 @@ class _HistoryReader:
             self._targets_lost,
         )
         return AutopilotLog(
-            "ArduPilot", self._vehicle, self._firmware, dict(sorted(self.parameters.items())), tuple(self._texts), (), history
-        )
+            "ArduPilot", self._vehicle, self._firmware, dict(sorted(self.parameters.items())), tuple(self._texts), (), history,
+            tuple(self._text_times_s), self._defaults,
+        )  # fmt: skip
 
     def _parameter(self, m: Any) -> None:
         value = float(m.Value)
         if math.isfinite(value):
             self.parameters[str(m.Name)] = value
+            default = float(getattr(m, "Default", math.nan))
+            if math.isfinite(default):
+                self._defaults[str(m.Name)] = default
 
     def _text(self, m: Any) -> None:
         text = str(m.Message)
@@ -276,6 +282,7 @@ class _HistoryReader:
             self._firmware = (int(found[2]), int(found[3]), int(found[4] or 0))
         if len(self._texts) < _TEXTS_MAX:
             self._texts.append(text)
+            self._text_times_s.append(round(self._now_s, 2))
 
     def _event(self, m: Any) -> None:
         if m.Id == _ARMED:

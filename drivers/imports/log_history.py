@@ -69,6 +69,10 @@ class AutopilotLog(Struct, frozen=True):
     events: tuple[int, ...]
     """Numbers of PX4's EVENTs."""
     history: LogHistory
+    text_times_s: tuple[float, ...] = ()
+    """When each text was said, since the log began, seconds."""
+    defaults: dict[str, float] = field(default_factory=dict)
+    """The firmware's own default of each parameter that has one in the log."""
     precision_landing: bool = False
     """Whether PX4 flew AUTO.PRECLAND."""
 

@@ -216,7 +216,10 @@ def _autopilot_log(path: Path, log: Any) -> AutopilotLog:
     precision = any(int(state) == _PRECLAND for state in states)
     events = tuple(int(n) for n in topics.get("event", {}).get("id", ()))
     texts = tuple(str(m.message) for m in log.logged_messages)
-    return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, precision)
+    times_s = tuple(round((int(m.timestamp) - int(log.start_timestamp)) * 1e-6, 2) for m in log.logged_messages)
+    of_firmware, of_airframe = (log.get_default_parameters(kind) for kind in (0, 1))
+    defaults = {str(name): float(value) for name, value in (of_firmware | of_airframe).items() if isinstance(value, int | float)}
+    return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, times_s, defaults, precision)
 
 
 def _firmware(log: Any) -> tuple[int, int, int] | None:

@@ -1,4 +1,6 @@
-"""Read what a camera's flight left in plain files: the frames of a video, at its own time stamps, and a table of attitudes.
+"""Read what a camera's flight left in plain files: the frames of a video and a table of attitudes.
+
+Frames have the video's own time stamps; those of one without any (raw H.264, MJPEG) follow its frame rate.
 
 A table is CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`.
 """
@@ -12,7 +14,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.videos import open_video, predicts_frames
+from drivers.camera.videos import has_times, open_video, predicts_frames
 from drivers.imports.stamps import FRAME_DELAY_S, attitude, stamp
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
@@ -54,7 +56,7 @@ def attitudes(path: Path) -> list[Sample]:
 
 
 def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
-    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off.
+    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off, and damaged frames are left out.
 
     Args:
         size: width and height that are expected; frames that are far larger are refused before they are decoded.
@@ -70,15 +72,16 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
         first_s: float | None = None
-        number, coded = 0, predicts_frames(container)
+        number, coded, timed = 0, predicts_frames(container), has_times(container)
+        rate_hz = float(container.streams.video[0].average_rate or 0.0) or 25.0
         try:
             for image in container.decode(video=0):
-                if image.pts is None:
+                number += 1
+                if image.is_corrupt:
                     continue
-                time_s = float(image.time or 0.0)
+                time_s = float(image.time) if timed and image.time is not None else number / rate_hz
                 first_s = time_s if first_s is None else first_s
                 px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-                number += 1
                 yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px, coded=coded)
         except FFmpegError as why:
             if number == 0:

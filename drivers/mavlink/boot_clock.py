@@ -30,7 +30,8 @@ class BootClock:
 
     def __init__(self, sync: TimeSync) -> None:
         self._sync = sync
-        self._map = ClockMap(ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.002))
+        known = ClockMapOptions(MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.002, name="the autopilot")
+        self._map = ClockMap(known)
         self._newest: int | None = None
         self.restarts = 0
         """Times the autopilot was seen to have booted."""

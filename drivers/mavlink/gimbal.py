@@ -56,7 +56,7 @@ _ARRIVAL_SIGMA_S = 0.02
 """Standard deviation of the instant of a report without a stamp, which has the time of its arrival."""
 _OLDER_AFTER_S = 1.0
 """Time without a report of the gimbal protocol after which MOUNT_ORIENTATION is taken."""
-_OWN_CLOCK = ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.005)
+_OWN_CLOCK = ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.005, name="the gimbal")
 
 
 class Refused(Exception):

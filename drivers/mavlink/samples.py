@@ -33,7 +33,7 @@ _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
 _LANDED_STATE_WITHIN_S = 3.0
 """From the first heartbeat: every PX4 says EXTENDED_SYS_STATE by then, also over a slow link."""
-_SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0)
+_SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
 """The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
@@ -193,7 +193,8 @@ class MavlinkSampler:
         flying = flying_of(m.landed_state, mav.MAV_STATE_UNINIT, bool(self.condition.armed))
         if m.landed_state == 0:
             flying = self.condition.flying
-        return self._status_samples(replace(self.condition, flying=flying), received_at)
+        taking_off = m.landed_state == mav.MAV_LANDED_STATE_TAKEOFF
+        return self._status_samples(replace(self.condition, flying=flying, taking_off=taking_off), received_at)
 
     def _sys_status(self, m: Message, received_at: MonoNs) -> list[Sample]:
         share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)

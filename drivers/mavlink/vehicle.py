@@ -116,6 +116,8 @@ class Condition:
     terminated: bool = False
     """Whether the autopilot cut its motors in flight."""
     battery_fraction: float | None = None
+    taking_off: bool = False
+    """Whether it says that it climbs out after a take-off."""
 
 
 _FLYING = {1: False, 2: True, 3: True, 4: True}

@@ -12,7 +12,7 @@ import datetime
 import logging
 import math
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -28,15 +28,28 @@ from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
 KNOT_M_S = 1852.0 / 3600.0
-DATAGRAM_MAX = 2048
-_LINES_MAX = 16
+DATAGRAM_MAX = 65_535
+LINES_MAX = 800
+_LINE_MAX = 1024
 _DAY_NS, _MINUTE_NS = 86_400 * NS_PER_S, 60 * NS_PER_S
 _ARRIVAL_SIGMA_S = 0.2
 """Standard deviation of the instant of a sentence without a time."""
 _FIX_SIGMA_M = 2.5
 """Standard deviation of a place at a dilution of precision of 1."""
-_RMC_SIGMA_M = 5.0
-"""The same of a sentence that does not tell its precision."""
+_DILUTION = 2.0
+"""The dilution of precision of a sentence that does not tell it."""
+_RECKONED_SIGMA_M = 50.0
+"""Standard deviation of a place that the receiver reckons from an old one."""
+_OF_MODE: Mapping[str, float | str] = {
+    "": 5.0, "A": 5.0, "D": 2.5, "P": 2.5, "F": 1.0, "R": 0.5, "E": _RECKONED_SIGMA_M,
+    "M": "typed_in", "S": "simulated", "N": "no_fix",
+}  # fmt: skip
+"""What a place is worth by the mode of RMC: the standard deviation, or the reason why it is refused. Old receivers tell none."""
+_OF_QUALITY: Mapping[int, float | str] = {
+    1: _FIX_SIGMA_M, 2: _FIX_SIGMA_M, 3: _FIX_SIGMA_M, 4: 0.5, 5: 1.0, 6: _RECKONED_SIGMA_M,
+    0: "no_fix", 7: "typed_in", 8: "simulated",
+}  # fmt: skip
+"""The same by the quality of GGA, at a dilution of 1."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
 """The same by the flag of AIS, which tells only whether it is better than 10 m."""
 HEADING_SIGMA_RAD = math.radians(2.0)
@@ -47,7 +60,19 @@ COV_SPEED.setflags(write=False)
 _SPEED_MAX_KN = 102.0
 _COURSE_FROM_M_S = 0.3
 """Speed below which a receiver may leave the course out."""
+_AIS_NO_PLACE, _AIS_RECKONED = {61: "typed_in", 63: "no_fix"}, 62
+"""Seconds of the minute above 60, which say how the transponder has its place."""
 _AIS_REPORTS = (1, 2, 3, 18)
+
+REFUSED_FOR = {
+    "no_fix": "the receiver has no fix",
+    "no_heading": "the compass has no heading yet",
+    "typed_in": "her place was typed in by hand",
+    "simulated": "it says that it is simulated; for a rehearsal set expert.vessel.nmea_simulated",
+    "reckoned": "its velocity is reckoned from an old place",
+    "impossible": "it holds a number that no ship has",
+}
+"""What reasons mean, where their names alone do not say it."""
 
 Samples = list[GeoFix | VesselReport]
 
@@ -57,10 +82,12 @@ class NmeaReader:
 
     Args:
         mmsi: whose AIS reports are taken; 0 for nobody's.
+        simulated: whether what says that it is simulated is worth what a fix is: a rehearsal.
     """
 
-    def __init__(self, mmsi: int = 0) -> None:
+    def __init__(self, mmsi: int = 0, simulated: bool = False) -> None:
         self._mmsi = mmsi
+        self._simulated = simulated
         # The window is long, so that a link that becomes slow is told as late reports and not as another clock.
         self._day = ClockMap(_options(_DAY_NS, 0.01))
         self._minute = ClockMap(_options(_MINUTE_NS, 1.0))
@@ -89,9 +116,10 @@ class NmeaReader:
             self.refused["too_long"] += 1
             return
         lines = [line for line in datagram.decode("ascii", "replace").splitlines() if line.strip()]
-        if len(lines) > _LINES_MAX:
-            self.refused["too_long"] += len(lines) - _LINES_MAX
-        yield from lines[:_LINES_MAX]
+        short = [line for line in lines[:LINES_MAX] if len(line) <= _LINE_MAX]
+        if len(lines) > len(short):
+            self.refused["too_long"] += len(lines) - len(short)
+        yield from short
 
     def _sentence(self, line: str, received_at: MonoNs) -> Samples:
         line = line.strip()
@@ -114,25 +142,45 @@ class NmeaReader:
     def _rmc(self, m: Any, received_at: MonoNs) -> Samples:
         if m.status != "A":
             raise _Refused("no_fix")
-        place, v = _place(m), _velocity(m.spd_over_grnd, m.true_course)
+        sigma_m = self._worth(_OF_MODE, _field(m, 11))
+        place, v = _place(m), None if m.spd_over_grnd is None else _velocity(m.spd_over_grnd, m.true_course)
+        v = v if sigma_m < _RECKONED_SIGMA_M else None
         stamp = self._day.stamp(_time_ns(m.timestamp), received_at)
-        return [GeoFix(stamp, "vessel", place, _RMC_SIGMA_M, v), *_moving(stamp, v)]
+        return [GeoFix(stamp, "vessel", place, sigma_m, v), *_moving(stamp, v)]
 
     def _gga(self, m: Any, received_at: MonoNs) -> Samples:
-        if _number(m.gps_qual) < 1:
-            raise _Refused("no_fix")
-        sigma_m = _FIX_SIGMA_M * max(1.0, _number(m.horizontal_dil))
-        place = _place(m, _number(m.altitude))
-        return [GeoFix(self._day.stamp(_time_ns(m.timestamp), received_at), "vessel", place, sigma_m)]
+        sigma_m = self._worth(_OF_QUALITY, int(_number(m.gps_qual)))
+        dilution = _DILUTION if m.horizontal_dil in (None, "") else _number(m.horizontal_dil)
+        place = _place(m, None if m.altitude is None else _number(m.altitude))
+        return [GeoFix(self._day.stamp(_time_ns(m.timestamp), received_at), "vessel", place, sigma_m * max(1.0, dilution))]
 
     def _vtg(self, m: Any, received_at: MonoNs) -> Samples:
+        if self._worth(_OF_MODE, _field(m, 8)) >= _RECKONED_SIGMA_M:
+            raise _Refused("reckoned")
+        if m.spd_over_grnd_kts is None:
+            raise _Refused("no_fix")
         return _moving(_arrival(received_at), _velocity(m.spd_over_grnd_kts, m.true_track))
 
     def _hdt(self, m: Any, received_at: MonoNs) -> Samples:
+        if not m.heading:
+            raise _Refused("no_heading")
         heading_deg = _number(m.heading)
         if m.hdg_true != "T" or not 0.0 <= heading_deg <= 360.0:
             raise _Refused("impossible")
         return [VesselReport(_arrival(received_at), None, None, math.radians(heading_deg), HEADING_SIGMA_RAD)]
+
+    def _worth(self, table: Mapping[Any, float | str], said: object) -> float:
+        """Return the standard deviation of a place by what its sentence says of it, m.
+
+        Raises:
+            _Refused: it is none to fly by, or says what no receiver does.
+        """
+        worth = table.get(said, "impossible")
+        if worth == "simulated" and self._simulated:
+            return _FIX_SIGMA_M
+        if isinstance(worth, str):
+            raise _Refused(worth)
+        return worth
 
     def _ais(self, line: str, received_at: MonoNs) -> Samples:
         if line.split(",")[1] != "1":
@@ -147,9 +195,13 @@ class NmeaReader:
         except ValueError:  # 91 and 181 say that there is no fix
             raise _Refused("no_fix") from None
         v = _velocity(m.speed, m.course if _number(m.course) < 360.0 else None) if _number(m.speed) <= _SPEED_MAX_KN else None
-        known = _number(m.second) < 60
-        stamp = self._minute.stamp(int(m.second) * NS_PER_S, received_at) if known else _arrival(received_at)
-        out: Samples = [GeoFix(stamp, "vessel", place, _AIS_SIGMA_M[bool(m.accuracy)], v), *_moving(stamp, v)]
+        second, sigma_m = int(_number(m.second)), _AIS_SIGMA_M[bool(m.accuracy)]
+        if second in _AIS_NO_PLACE:
+            raise _Refused(_AIS_NO_PLACE[second])
+        if second == _AIS_RECKONED:
+            sigma_m, v = _RECKONED_SIGMA_M, None
+        stamp = self._minute.stamp(second * NS_PER_S, received_at) if second < 60 else _arrival(received_at)
+        out: Samples = [GeoFix(stamp, "vessel", place, sigma_m, v), *_moving(stamp, v)]
         if 0 <= _number(m.heading) < 360:
             out.append(VesselReport(stamp, None, None, math.radians(_number(m.heading)), HEADING_SIGMA_RAD))
         return out
@@ -171,7 +223,9 @@ def checked(sentence: str) -> bool:
 
 
 def _options(wrap_ns: int, resolution_s: float) -> ClockMapOptions:
-    return ClockMapOptions(wrap_ns=wrap_ns, resolution_s=resolution_s, floor_sigma_s=0.1, window_s=600.0, jump_s=5.0)
+    return ClockMapOptions(
+        wrap_ns=wrap_ns, resolution_s=resolution_s, floor_sigma_s=0.1, window_s=600.0, jump_s=5.0, name="the ship's receiver"
+    )
 
 
 def _arrival(received_at: MonoNs) -> Stamp:
@@ -193,6 +247,11 @@ def _number(value: object) -> float:
     return number
 
 
+def _field(m: Any, index: int) -> str:
+    """Return a field that older versions of the standard do not have, empty where it is not there."""
+    return str(m.data[index]).strip() if len(m.data) > index else ""
+
+
 def _time_ns(value: object) -> int:
     """Return the time of day, nanoseconds.
 
@@ -210,6 +269,9 @@ def _place(m: Any, height_m: float | None = None) -> GeoPoint:
     Raises:
         _Refused: there is no such place, or a part of it is left out.
     """
+    for text in (m.lat, m.lon):
+        if text and _number(text) % 100.0 >= 60.0:
+            raise _Refused("impossible")  # minutes of arc
     if m.lat_dir not in ("N", "S") or m.lon_dir not in ("E", "W") or not m.lat or not m.lon:
         raise _Refused("malformed")
     try:
@@ -230,6 +292,8 @@ def _velocity(speed_kn: object, course_deg: object) -> np.ndarray[tuple[int], np
     if course_deg in (None, ""):
         return np.zeros(3) if speed < _COURSE_FROM_M_S else None
     course = math.radians(_number(course_deg))
+    if not 0.0 <= course <= 2.0 * math.pi:
+        raise _Refused("impossible")
     return np.array([speed * math.cos(course), speed * math.sin(course), 0.0])
 
 

@@ -1,5 +1,7 @@
 """The command line: exit codes, one line on stderr, and nothing imported that was not asked for."""
 
+from __future__ import annotations
+
 import argparse
 import importlib
 import re

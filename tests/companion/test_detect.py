@@ -12,6 +12,8 @@ import pytest
 from companion.cli import main as cli
 from companion.recording.reading import RecordedFrame, open_recording
 from estimator.vision.pad import Pad
+from sitl.camera.camera import Renderer
+from tests.sitl.images import PLAIN, shot
 from tests.support.pad_images import PadPlacement, image
 from tests.support.shipped import shipped_camera, shipped_pad
 
@@ -135,6 +137,33 @@ def test_lines_for_people_and_images_of_what_was_seen(album: Path, tmp_path: Pat
     assert inked is not None
     enlarged = cv2.resize(plain, (1280, 720), interpolation=cv2.INTER_NEAREST)
     assert 200 < np.count_nonzero(np.any(inked[:720] != enlarged, axis=2)) < 40_000
+
+
+def test_a_mirrored_camera_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    camera, renderer = shipped_camera("sim"), Renderer(PLAIN, shipped_pad("aruco_board"))
+    px = renderer.render(shot(1.2), np.random.default_rng(3))
+    assert px.shape == (camera.height, camera.width, 3)
+    for name, seen in (("plain", px), ("mirrored", px[:, ::-1])):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), seen)
+        detect(tmp_path / f"{name}.png", "--camera", "sim", "--pad", "aruco_board", "--json")
+        out, err = capsys.readouterr()
+        confidence = json.loads(out)["confidence"]
+        assert (confidence >= 0.5) == (name == "plain")
+        assert ("mirror" in err) == (name == "mirrored")
+
+
+def test_folders_hold_any_image_and_deep_ones_are_found_alike(
+    album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grey = cv2.cvtColor(cv2.imread(str(album / "a.png")), cv2.COLOR_BGR2GRAY).astype(np.uint16)
+    (tmp_path / "deep.pgm").write_bytes(b"P5 640 360 1023\n" + (grey * 4).astype(">u2").tobytes())
+    cv2.imwrite(str(tmp_path / "deep.png"), grey * 4)
+    cv2.imwrite(str(tmp_path / "eight.png"), grey.astype(np.uint8))
+    assert detect(tmp_path, "--camera", "sim", "--json") == 0
+    found = records(capsys)
+    assert len(found) == 3
+    places = np.array([r["d_body_pad_level_m"] for r in found], float)
+    assert np.ptp(places, axis=0).max() < 0.01
 
 
 def test_nothing_found_is_exit_code_one(album: Path, capsys: pytest.CaptureFixture[str]) -> None:

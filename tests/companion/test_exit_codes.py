@@ -31,7 +31,7 @@ def lives(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """`run` with a flight that ends as the test says; no flight at all, an error."""
     lives = SimpleNamespace(error=None, observers=())
 
-    async def live(*_: Any) -> None:
+    async def live(*_: Any, **__: Any) -> None:
         for observer in lives.observers:
             observer.on_frame(None)
         if lives.error is not None:

@@ -100,6 +100,59 @@ def test_a_wrap_after_a_long_silence_is_not_a_restart() -> None:
     assert stamps[-1].sigma_s < 0.01
 
 
+@pytest.mark.parametrize(("rate_hz", "step_s"), [(1.0, 3.0), (200.0, 0.4), (30.0, 0.1)])
+def test_a_clock_that_is_set_back_by_less_than_a_jump_is_followed_within_seconds(
+    rate_hz: float, step_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = ClockMap(ClockMapOptions(floor_s=0.002, window_s=600.0, jump_s=5.0, name="the ship's receiver"))
+    true_s = np.arange(0.0, 60.0, 1 / rate_hz)
+    remote_s = 500.0 + true_s - np.where(true_s >= 20.0, step_s, 0.0)
+    stamps = [clock.stamp(round(r * S), MonoNs(round((t + 0.002) * S))) for r, t in zip(remote_s, true_s, strict=True)]
+    error_s = np.array([s.measured_at / S for s in stamps]) - true_s
+    assert np.all(np.abs(error_s[true_s > 20.0 + 6.0]) < 0.01)
+    assert clock.restarts == 1
+    assert "the ship's receiver was set back" in caplog.text
+
+
+@pytest.mark.parametrize("ahead_s", [0.3, -0.3])
+def test_one_absurd_stamp_costs_itself_alone(ahead_s: float) -> None:
+    clock = ClockMap(ClockMapOptions(floor_s=0.002, window_s=600.0))
+    steady(clock, 500.0, 10.0, 5.0)
+    clock.stamp(round((505.0 + ahead_s) * S), MonoNs(round(15.002 * S)))
+    stamps = steady(clock, 505.005, 15.005, 10.0)
+    late_s = [(s.measured_at - round((15.005 + 0.005 * k) * S)) / S for k, s in enumerate(stamps)]
+    assert np.all(np.abs(late_s[500:]) < 1e-3)
+
+
+def test_a_queue_that_fills_for_some_seconds_is_no_slow_clock() -> None:
+    clock = ClockMap(ClockMapOptions(floor_s=0.002))
+    true_s = np.arange(0.0, 40.0, 0.02)
+    delay_s = 0.002 + np.interp(true_s, [10.0, 19.0, 21.0], [0.0, 0.4, 0.0])
+    stamps = [clock.stamp(round(t * S), MonoNs(round((t + d) * S))) for t, d in zip(true_s, delay_s, strict=True)]
+    assert {s.source for s in stamps} == {"synced"}
+    assert np.abs(np.array([s.measured_at / S for s in stamps]) - true_s)[true_s < 19.0].max() < 0.01
+
+
+@pytest.mark.parametrize("rate", [0.4, 0.98, 1.02, 2.5])
+def test_a_clock_of_another_rate_is_left_for_the_arrival_and_believed_again(
+    rate: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = ClockMap(ClockMapOptions(floor_s=0.002, name="camera mast"))
+    rng = np.random.default_rng(5)
+    true_s = np.arange(0.0, 120.0, 0.04)
+    remote_s = np.where(true_s < 60.0, rate * true_s, rate * 60.0 + true_s - 60.0)
+    arrived_s = np.maximum.accumulate(true_s + 0.002 + rng.exponential(0.003, true_s.size))
+    stamps = [clock.stamp(round(r * S), MonoNs(round(h * S))) for r, h in zip(remote_s, arrived_s, strict=True)]
+    error_s = np.abs(np.array([s.measured_at / S for s in stamps]) - true_s)
+    sources = np.array([s.source for s in stamps])
+    wrong = (true_s > 20.0) & (true_s < 60.0)
+    assert set(sources[wrong]) == {"arrival"}
+    assert error_s[wrong].max() < 0.05
+    assert set(sources[true_s > 90.0]) == {"synced"}
+    assert error_s[true_s > 90.0].max() < 0.01
+    assert f"camera mast runs at {rate:.3f} of ours" in caplog.text
+
+
 def test_a_longer_way_is_believed_after_the_window() -> None:
     clock = ClockMap(ClockMapOptions(window_s=2.0, floor_s=0.002))
     steady(clock, 0.0, 10.0, 3.0, delay_s=0.002)

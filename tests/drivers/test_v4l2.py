@@ -171,6 +171,27 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
     assert device.closed
 
 
+def test_a_share_of_torn_frames_is_told_with_its_cure(caplog: pytest.LogCaptureFixture) -> None:
+    camera, layout = VideoSource(), FrameLayout("MJPG", W, H, 0)
+    whole = cv2.imencode(".jpg", image())[1].tobytes()
+    torn = whole[: len(whole) // 2] + whole[len(whole) // 2 + 40 :]
+    at = 0
+    for n in range(300):
+        camera.counters.buffers += 1
+        camera.counters.frames_damaged += n % 3 == 0 and to_bgr(torn, layout) is None
+        camera.count_damage("USB camera", MonoNs(at))
+        at += 33_333_333
+    assert camera.damage is not None
+    assert "USB camera: 9.9 of 30.0 frames a second are damaged" in caplog.text
+    assert "cable" in caplog.text
+    assert len(caplog.records) == 1, "once a minute"
+    for _ in range(200):
+        camera.counters.buffers += 1
+        camera.count_damage("USB camera", MonoNs(at))
+        at += 33_333_333
+    assert camera.damage is None
+
+
 async def test_a_slow_bus_holds_up_no_frame_and_the_stamp_follows_the_new_exposure() -> None:
     drive, device = ExposureDrive(settle_frames=2), FakeDevice()
     camera, slow = VideoSource(drive), SlowExposure()
@@ -323,6 +344,37 @@ def test_formats_come_out_as_the_image_that_went_in(form: str) -> None:
     away = np.abs(out.astype(int) - wanted)
     assert np.median(away) <= 3
     assert np.percentile(away, 80) <= 8
+
+
+@pytest.mark.parametrize(("form", "w", "h", "stride"), [
+    ("YUYV", W, H, 0), ("GREY", W, H, 0), ("NV12", W, H, 0), ("YUYV", 63, 47, 128), ("NV12", 63, 47, 64), ("NV12", 63, 47, 63),
+    ("NV12", 64, 47, 72), ("GREY", 63, 47, 0),
+])  # fmt: skip
+def test_odd_sizes_and_strides_of_zero_are_read_where_their_meaning_is_clear(form: str, w: int, h: int, stride: int) -> None:
+    px = np.full((H, W, 3), 128, np.uint8)
+    px[:, W // 2 :] = (60, 40, 210)
+    grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
+    if form == "YUYV":
+        lines = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUY2).reshape(H, 2 * W)[:h]
+    elif form == "NV12":
+        i420 = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_I420)
+        u, v = (i420[H + i * H // 4 : H + (i + 1) * H // 4].reshape(H // 2, W // 2) for i in (0, 1))
+        lines = np.vstack([i420[:h], np.stack([u, v], axis=2).reshape(H // 2, W)[: (h + 1) // 2]])
+    else:
+        lines = grey[:h, :w]
+    wide = stride or lines.shape[1]
+    data = np.pad(lines, ((0, 0), (0, max(0, wide - lines.shape[1]))))[:, :wide].tobytes()
+    out = to_bgr(data, FrameLayout(form, w, h, stride))
+    assert out is not None
+    wanted = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) if form == "GREY" else px
+    assert out.shape == (h, w, 3)
+    assert np.percentile(np.abs(out.astype(int) - wanted[:h, :w]), 95) <= 6
+
+
+@pytest.mark.parametrize(("form", "stride"), [("GREY", W - 1), ("YUYV", 2 * W - 2), ("NV12", 1)])
+def test_a_line_that_cannot_hold_the_width_is_one_error_with_its_numbers(form: str, stride: int) -> None:
+    with pytest.raises(BadInput, match=rf"line of {W} px in {form} takes {stride} bytes, but it takes \d+"):
+        to_bgr(bytes(10 * W * H), FrameLayout(form, W, H, stride))
 
 
 def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:

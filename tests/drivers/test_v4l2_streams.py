@@ -4,12 +4,14 @@ import asyncio
 import contextlib
 import socket
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -112,6 +114,81 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
             assert np.median(steps) == pytest.approx(1 / RATE, rel=0.1)
             await until(lambda: camera.down is not None)
         assert sum(camera.counters.restarts.values()) >= 1
+
+
+def numbered(n: int) -> np.ndarray:
+    """An image whose blocks hold the number `n` in binary."""
+    return np.repeat(np.repeat(np.array([[(n >> b & 1) * 255 for b in range(8)]], np.uint8), H, 0), W // 8, 1)
+
+
+def number_in(frame: Frame) -> int:
+    row = frame.px[H // 2, W // 16 :: W // 8, 1]
+    return sum(int(v > 127) << b for b, v in enumerate(row))
+
+
+def parts(kind: str, n: int) -> list[bytes]:
+    """The bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
+    if kind == "mjpeg":
+        jpegs = [cv2.imencode(".jpg", numbered(i))[1].tobytes() for i in range(n)]
+        return [b"--f\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(j), j) for j in jpegs]
+    coder = av.CodecContext.create("libx264", "w")
+    coder.width, coder.height, coder.pix_fmt, coder.framerate = W, H, "yuv420p", Fraction(25)
+    coder.options = {"preset": "ultrafast", "tune": "zerolatency", "g": "10"}
+    images = (av.VideoFrame.from_ndarray(cv2.cvtColor(numbered(i), cv2.COLOR_GRAY2BGR), format="bgr24") for i in range(n))
+    return [b"".join(bytes(p) for p in coder.encode(image)) for image in images]
+
+
+@contextlib.contextmanager
+def playing(kind: str, gaps_s: Sequence[float], sent: dict[int, int]) -> Iterator[str]:
+    """Send frames to one client with these gaps, note when each left, and give the address."""
+    door = socket.create_server(("127.0.0.1", 0))
+    frames = parts(kind, len(gaps_s))
+
+    def play() -> None:
+        client, _ = door.accept()
+        with client, contextlib.suppress(OSError):
+            if kind == "mjpeg":
+                client.recv(4096)
+                client.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=f\r\n\r\n")
+            for number, (part, gap_s) in enumerate(zip(frames, gaps_s, strict=True)):
+                time.sleep(gap_s)
+                sent[number] = time.monotonic_ns()
+                client.sendall(part)
+            time.sleep(0.1)
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    port = door.getsockname()[1]
+    try:
+        yield f"http://127.0.0.1:{port}/" if kind == "mjpeg" else f"tcp://127.0.0.1:{port}"
+    finally:
+        door.close()
+        thread.join()
+
+
+@pytest.mark.parametrize("kind", ["mjpeg", "h264"])
+async def test_a_stream_without_times_is_stamped_by_arrival(kind: str) -> None:
+    """Frames come at an uneven rate that is nowhere near the 25 a second that the demuxer makes up, after a hundred at once."""
+    gaps_s = [0.0] * 100 + [0.02 if n % 40 < 20 else 0.055 for n in range(60)]
+    sent: dict[int, int] = {}
+    errors, sigmas, number = [], [], 0
+    with playing(kind, gaps_s, sent) as address:
+        async with (
+            asyncio.timeout(60),
+            open_camera(stream(address, reconnect_first_s=30.0, reconnect_most_s=30.0), None, CLOCK) as camera,
+        ):
+            with contextlib.suppress(CameraLost):
+                while number < len(gaps_s) - 3:
+                    frame = await camera.frames.get()
+                    number = number_in(frame)
+                    assert frame.stamp.source == "arrival"
+                    errors.append((frame.stamp.measured_at - sent[number]) * 1e-9)
+                    sigmas.append(frame.stamp.sigma_s)
+    settled = np.abs(errors)
+    assert len(settled) > 20
+    assert np.quantile(settled, 0.9) < 3 * max(sigmas)
+    assert np.median(settled) < 0.01
+    assert max(sigmas) < 0.015
 
 
 async def test_a_camera_that_is_not_there_is_waited_for() -> None:

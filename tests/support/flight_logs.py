@@ -1,5 +1,6 @@
 """Flight logs of both stacks, written as the programs write them: dataflash (.bin) and ULog (.ulg)."""
 
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,25 +23,36 @@ def _layout(form: str) -> str:
     return "<" + "".join(_CODES[c] for c in form)
 
 
-def _row(name: str, *values: object) -> bytes:
-    number, form, _ = _FORMATS[name]
+def _row(name: str, *values: object, form: str = "") -> bytes:
+    number, usual, _ = _FORMATS[name]
     packed = [v.encode() if isinstance(v, str) else v for v in values]
-    return b"\xa3\x95" + bytes([number]) + struct.pack(_layout(form), *packed)
+    return b"\xa3\x95" + bytes([number]) + struct.pack(_layout(form or usual), *packed)
 
 
-def dataflash(path: Path, parameters: Mapping[str, float], rows: Sequence[tuple[float, str, Sequence[object]]] = ()) -> Path:
+def dataflash(
+    path: Path,
+    parameters: Mapping[str, float],
+    rows: Sequence[tuple[float, str, Sequence[object]]] = (),
+    *,
+    defaults: bool = False,
+) -> Path:
     """Write an ArduCopter 4.5.7 log.
 
     Args:
         rows: (seconds, message, its values after the time), in order of time.
+        defaults: whether parameters have their defaults beside them; not a number for those of `parameters`.
     """
+    formats = _FORMATS | ({"PARM": (130, "QNff", "TimeUS,Name,Value,Default")} if defaults else {})
     data = b"".join(
         _row("FMT", number, 3 + struct.calcsize(_layout(form)), name, form, columns)
-        for name, (number, form, columns) in _FORMATS.items()
+        for name, (number, form, columns) in formats.items()
     )
     data += _row("MSG", 0, "ArduCopter V4.5.7 (2a3dc4b7)")
-    data += b"".join(_row("PARM", 0, name, float(value)) for name, value in parameters.items())
-    path.write_bytes(data + b"".join(_row(name, round(1e6 * at_s), *values) for at_s, name, values in rows))
+    unknown = (math.nan,) if defaults else ()
+    data += b"".join(_row("PARM", 0, name, float(value), *unknown, form=formats["PARM"][1]) for name, value in parameters.items())
+    path.write_bytes(
+        data + b"".join(_row(name, round(1e6 * at_s), *values, form=formats[name][1]) for at_s, name, values in rows)
+    )
     return path
 
 

@@ -177,7 +177,8 @@ class AutopilotView(Protocol):
 class Outputs:
     """Makes LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR, each when it is due.
 
-    No target is sent while the vehicle is on the ground: a target that moves after touchdown can keep ArduPilot from disarming.
+    No target is sent while the vehicle takes off, nor on the ground: a target that moves after touchdown can keep ArduPilot from
+    disarming.
 
     Args:
         pad_radius_m: the radius of the pad's disc.
@@ -256,6 +257,9 @@ class Outputs:
             return None, "unknown autopilot"
         if vehicle.condition.flying is False:
             return None, "on ground"
+        if vehicle.condition.taking_off:
+            # ArduPilot begins its estimate with the first target, and complains of a pad that leaves the picture in the climb.
+            return None, "taking off"
         if sighted is None or seconds_between(sighted, now) > self._stale_s:
             return None, "not seen"
         if vehicle.stack is Stack.ARDUPILOT:

@@ -222,7 +222,8 @@ class MetricsEndpoint:
             return _closing(web.Response(status=401, headers={"WWW-Authenticate": "Bearer"}))
         now_s = asyncio.get_running_loop().time()
         if now_s >= self._made_s + _PAGE_S:
-            self._page, self._made_s = text(self._health.snapshot()), now_s
+            self._made_s = now_s
+            self._page = await asyncio.to_thread(text, self._health.snapshot())
         return _closing(web.Response(body=self._page, headers={"Content-Type": CONTENT_TYPE}))
 
     async def _state(self, request: web.Request) -> web.Response:

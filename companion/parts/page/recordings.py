@@ -103,7 +103,7 @@ class ReportMaker:
         ticket = secrets.token_urlsafe(24)
         page = folder / f"{ticket}.html"
         try:
-            fault = self._unfit(name) or await self._written(self._folder / name, page)
+            fault = await asyncio.to_thread(self._unfit, name) or await self._written(self._folder / name, page)
         except OSError as why:
             fault = in_words(why)
         if fault is not None:

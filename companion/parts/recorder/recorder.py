@@ -39,6 +39,8 @@ log = logging.getLogger(__name__)
 PART = "recorder"
 _ROOM_AGAIN_MB = 20.0
 """The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
+_HANGS_S = 2.0
+"""Time for one record after which the disk is said to hang: a card that tidies itself takes up to a second."""
 P = ParamSpec("P")
 
 
@@ -98,6 +100,10 @@ class Recorder:
         self._back_off_s = options.retry_s
         self._recorded_health: MonoNs | None = None
         self._shown = RecorderState.IDLE
+        self._busy_since_s: float | None = None
+        """When the thread began with its present record; None while it waits for one."""
+        self._hanging: int | None = None
+        """The number of records dropped before the disk hung; None while it does not."""
         self._seen = 0
         self._paused = False
         self._unflushed = 0
@@ -232,6 +238,8 @@ class Recorder:
 
     def _show(self) -> None:
         """Write the recorder's own state into the service's health, from the loop's thread."""
+        if not self._lossless:
+            self._tell_of_hanging()
         if self._health is None or self._state is self._shown:
             return
         self._shown = self._state
@@ -239,6 +247,16 @@ class Recorder:
             self._health.down(PART, OSError(self.why))
         else:
             self._health.up(PART)
+
+    def _tell_of_hanging(self) -> None:
+        """Log when the disk takes nothing, and when it does again."""
+        since_s = self._busy_since_s
+        if self._hanging is None and since_s is not None and time.monotonic() - since_s > _HANGS_S:
+            self._hanging = self.dropped.total()
+            log.warning("recorder: the disk has taken nothing for %.1f s; records wait, then are dropped", _HANGS_S)
+        elif self._hanging is not None and (since_s is None or time.monotonic() - since_s < _HANGS_S):
+            log.warning("recorder: the disk takes records again; %d were dropped", self.dropped.total() - self._hanging)
+            self._hanging = None
 
     def _work(self) -> None:
         try:
@@ -251,7 +269,9 @@ class Recorder:
                     continue
                 if item is None:
                     break
+                self._busy_since_s = time.monotonic()
                 self._guarded(self._take, item)
+                self._busy_since_s = None
                 self._queue.task_done()
             self._guarded(self._end_file)
         finally:

@@ -103,8 +103,6 @@ def _cells(collection: Collection | None) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(row) for row in coverage(collection.views, collection.size).tolist())
 
 
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
-
 Report = Callable[[Collection], None]
 
 
@@ -117,7 +115,7 @@ def image_files(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES)
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in images.PICTURES)
             if not inside:
                 raise BadInput(f"{path}: no image in this folder")
             files += inside
@@ -134,9 +132,9 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
     Raises:
         BadInput: the file is neither, or its size differs from those before it.
     """
-    if file.suffix.lower() in PICTURES:
+    if file.suffix.lower() in images.PICTURES:
         try:
-            px = images.decode(images.load(file), turned=True)
+            px = images.decode(images.load(file))
         except OSError as why:
             raise BadInput(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:

@@ -18,6 +18,8 @@ _NEW = 0.06
 """Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
 _STILL = 0.004
 """Share of the diagonal that the board may have moved since the previous frame of a video: more causes blur."""
+_MIRROR_TRIES = 8
+"""So many images without the board are searched for a mirrored one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,8 @@ class Collection:
         self.image_count = 0
         self.without: list[str] = []
         """Names of images in which the board was not found."""
+        self.mirrored = 0
+        """Number of the first images without the board that show it mirrored."""
         self.repeated = 0
         """Number of images that showed nothing new, or a moving board."""
 
@@ -66,6 +70,8 @@ class Collection:
         found = self._board.find(grey)
         if found is None:
             self.without.append(name)
+            if len(self.without) <= _MIRROR_TRIES and self._board.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
+                self.mirrored += 1
             self._before = None
             return None
         view = BoardView(name, *found)

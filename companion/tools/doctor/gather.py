@@ -7,6 +7,7 @@ from pathlib import Path
 from msgspec import structs
 
 from companion.tools.doctor.diagnose import PARAMETERS
+from companion.tools.doctor.differs import defaults_of, differing
 from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
@@ -67,11 +68,33 @@ def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
             mode="auto.precland" if log.precision_landing else "unknown",
             parameters={n: v for n, v in log.parameters.items() if n in asked},
             absent=tuple(n for n in asked if n not in log.parameters) if len(log.parameters) >= _MANY else (),
-            texts=log.texts,
+            texts=_standing(log),
             events=log.events,
+            differs=differing(log.parameters, log.defaults),
         ),
         log=log.history,
     )
+
+
+_NEAR_DECK_S = 10.0
+"""Time before a landing in which targets may end: the pad leaves the picture, and none are sent on the ground."""
+
+
+def _standing(log: AutopilotLog) -> tuple[str, ...]:
+    """Return the texts of a log but those of ArduPilot's precision landing that a later one takes back.
+
+    Its estimate is begun by the first target, whether or not somebody ordered a landing. What came well before the contact is
+    no fault of the landing, and a target that is lost just before a landing, or after it, is none at all.
+    """
+    out, begun = [], False
+    for text, at_s in reversed(tuple(zip(log.texts, log.text_times_s, strict=True))):
+        lower = text.lower()
+        begun |= "precland: init complete" in lower
+        landed = any(at_s >= one.at_s - _NEAR_DECK_S for one in log.history.landings)
+        if ("precland: init failed" in lower and begun) or ("precland: target lost" in lower and (begun or landed)):
+            continue
+        out.append(text)
+    return tuple(reversed(out))
 
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
@@ -186,7 +209,8 @@ async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float
     version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
     await wait_until(clock, _VERSION_S, lambda: notes.firmware is not None)
-    parameters.request(names_in(PARAMETERS[identity.stack.value], notes.firmware))
+    known = defaults_of(identity.stack.value, notes.firmware)
+    parameters.request(dict.fromkeys((*names_in(PARAMETERS[identity.stack.value], notes.firmware), *known)))
 
     def answered() -> bool:
         heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
@@ -233,6 +257,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
     if identity is None or sync is None:
         return Snapshot(seconds, links, wanted_system=wanted, heard=heard)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
+    values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
         seconds,
         links,
@@ -244,7 +269,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
             mode=condition.mode,
             armed=condition.armed,
             flying=condition.flying,
-            parameters={} if parameters is None else dict(sorted(parameters.values.items())),
+            parameters=values,
             absent=() if parameters is None else tuple(sorted(parameters.absent)),
             rates_hz={name: round(rate, 2) for name, rate in sorted(rates.items())},
             wanted_hz=dict(RATES_HZ[identity.stack]),
@@ -253,6 +278,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
             events=tuple(autopilot.events),
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
+            differs=differing(values, defaults_of(identity.stack.value, notes.firmware)),
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,

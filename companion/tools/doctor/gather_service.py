@@ -112,14 +112,14 @@ async def _of_camera(snapshot: ServiceSnapshot, settings: Settings, clock: Clock
                 async with asyncio.timeout(_FIRST_FRAME_S):
                     frame = await camera.frames.get()
             except TimeoutError:
-                return structs.replace(snapshot, device_fault=camera.down or "it sends no frame")
+                return structs.replace(snapshot, device_fault=camera.down or camera.damage or "it sends no frame")
             height, width = frame.px.shape[:2]
             began, before = clock.now(), camera.counters.frames
             await clock.sleep(seconds)
             rate_hz = (camera.counters.frames - before) / seconds_between(began, clock.now())
     except DecklanderError as why:
         return structs.replace(snapshot, device_fault=str(why))
-    return structs.replace(snapshot, frame_size=(width, height), frame_rate_hz=rate_hz)
+    return structs.replace(snapshot, device_fault=camera.damage, frame_size=(width, height), frame_rate_hz=rate_hz)
 
 
 async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:

@@ -42,6 +42,7 @@ RENAMED = {
     "PSC_VELXY_FLTE": LaterName("PSC_NE_VEL_FLTE", 1.0, _47),
     "PSC_VELZ_P": LaterName("PSC_D_VEL_P", 1.0, _47),
     "PSC_VELZ_FLTE": LaterName("PSC_D_VEL_FLTE", 1.0, _47),
+    "PSC_ACCZ_P": LaterName("PSC_D_ACC_P", 0.1, _47),
     "PSC_ACCZ_FLTE": LaterName("PSC_D_ACC_FLTE", 1.0, _47),
 }
 

@@ -7,11 +7,15 @@ PARAMETERS = (
     "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
     "PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_XY_DIST_MAX", "PLND_ALT_MAX", "INS_GYR_CAL",
     "EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW", "EK3_RNG_USE_HGT",
+    "SCR_ENABLE", "SCR_HEAP_SIZE", "DKL_ENABLE",
     *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
 )  # fmt: skip
 _EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
 _BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
 _MOVING_TARGET = 1
+_SCRIPT = "configs/autopilot/decklander_disarm.lua"
+_HEAP_MIN = 40_000.0
+"""Memory that the script needs, with ArduPilot's own share of it, bytes."""
 
 
 def _ardupilot(p: Snapshot) -> AutopilotSnapshot | None:
@@ -266,6 +270,27 @@ def target_lost(p: Snapshot) -> Finding | None:
     )
 
 
+def disarm_script(p: Snapshot) -> Finding | None:
+    """Find a copter that stays armed on the deck when the service dies there, as far as it can run scripts."""
+    a, scripting = _ardupilot(p), _value(p, "SCR_ENABLE")
+    if a is None or scripting is None or not p.moving_pad:
+        return None
+    what = "a service that dies in the last decimetres leaves it armed on deck: "
+    if scripting != 1.0:
+        fix = f"copy {_SCRIPT} to APM/scripts, set SCR_ENABLE 1 and reboot"
+        return advice("disarm-script", what + f"SCR_ENABLE is {scripting:g}, no script runs", fix)
+    heap = _value(p, "SCR_HEAP_SIZE")
+    if heap is not None and heap < _HEAP_MIN:
+        few = f"SCR_HEAP_SIZE is {heap:g}, too little for a script"
+        return advice("disarm-script", what + few, "set SCR_HEAP_SIZE 80000 and reboot")
+    if "DKL_ENABLE" in a.absent:
+        fix = f"copy {_SCRIPT} to APM/scripts on the SD card and reboot"
+        return advice("disarm-script", what + "the script that disarms it there does not run (no parameter DKL_ENABLE)", fix)
+    if _value(p, "DKL_ENABLE") == 0.0:
+        return advice("disarm-script", what + "DKL_ENABLE is 0", "set DKL_ENABLE 1")
+    return None
+
+
 def old_firmware(p: Snapshot) -> Finding | None:
     """Find ArduPilot before 4.1, which reads targets as angles only."""
     a = _ardupilot(p)
@@ -282,5 +307,5 @@ def old_firmware(p: Snapshot) -> Finding | None:
 RULES: tuple[Rule, ...] = (
     plnd_missing, plnd_disabled, plnd_not_rebooted, plnd_type, plnd_estimator, plnd_lag, plnd_still_target, plnd_mount_twice,
     plnd_blind, plnd_low_ceiling, no_rangefinder, rangefinder_unfed, rangefinder_turned, ekf_external, ekf_height_by_range,
-    gyro_calibration, frame_not_supported, init_failed, target_lost, old_firmware,
+    gyro_calibration, frame_not_supported, init_failed, target_lost, disarm_script, old_firmware,
 )  # fmt: skip

@@ -133,13 +133,14 @@ def targets_withheld(p: Snapshot) -> Finding | None:
     cures = {
         "not seen": "the pad is not in the frame, or colours and light do not suit: decklander detect on a frame shows why",
         "on ground": "no targets are sent while the vehicle reports that it is on the ground: this is as it should be",
+        "taking off": "no targets are sent during a take-off: this is as it should be",
         "no attitude": "no attitude covers the instant: see attitude-slow and clock-not-locked",
         "no local position": "LOCAL_POSITION_NED does not come: see stream-silent",
         "no newer position": "LOCAL_POSITION_NED comes too rarely: ask for 30 Hz and more, see link-lossy",
         "not below": "the pad is not below the vehicle: check the camera's mount (rpy_body_cam_deg)",
         "unknown autopilot": "neither ArduPilot nor PX4: no form of target is known to be obeyed",
     }
-    make = advice if why == "on ground" else error
+    make = advice if why in ("on ground", "taking off") else error
     return make("targets-withheld", f"no target was sent: {why}", cures.get(why, "see the log"))
 
 

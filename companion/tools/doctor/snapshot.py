@@ -63,6 +63,9 @@ class AutopilotSnapshot(Struct, frozen=True):
     """STATUSTEXTs, oldest first."""
     events: tuple[int, ...] = ()
     """Numbers of EVENTs, oldest first; PX4 uses them where other autopilots send texts."""
+    differs: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """The parameters that touch modes, time limits, sources of the EKF and loops, and are not what the firmware begins with: each
+    with its value and the default."""
     precland_enabled: bool | None = None
     precland_healthy: bool | None = None
     """Whether SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""

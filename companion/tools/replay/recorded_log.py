@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.recording import decode
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.recording.records import ContactRecord, FusionRecord, TruthRecord
+from companion.recording.records import ContactRecord, FusionRecord, HealthRecord, TruthRecord
 from companion.tools.report.expected_place import expected_in_body, held_rotation, less_innovation
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (
@@ -71,6 +72,7 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
     frames: list[RecordedFrame] = []
     compared: dict[tuple[str, MonoNs], FusionResult] = {}
     flying: bool | None = None
+    late: dict[str, float] = {}
     for event in recording.events():
         if not log.started:
             log.started = instant(event)
@@ -88,10 +90,14 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
                 add_truth(log, event)
             case VehicleStatus():
                 flying = flying if event.flying is None else event.flying
+            case HealthRecord():
+                late = {count.name: count.value for count in event.counters if count.part == "loop"}
             case _:
                 pass
     if not log.started:
         raise BadInput(f"{recording.name}: holds no event")
+    if late.keys() >= {"lag_worst_s", "lag_p999_s", "held"}:
+        log.facts.append(("event loop", in_words(late)))
     for frame in frames:
         _framed(log, frame, compared)
     log.outcome = _outcome(log, flying)

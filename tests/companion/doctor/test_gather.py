@@ -48,6 +48,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
     parameters = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
     parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYR_CAL": 1.0}
+    parameters |= {"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 204800.0, "DKL_ENABLE": 1.0}
     fake = MiniatureAutopilot(parameters=parameters)
     talking = asyncio.create_task(examined(fake, 1.5))
     await until(lambda: fake.commands[512] > 0)

@@ -240,3 +240,36 @@ def test_recorded_logs_of_both_stacks() -> None:
     assert {f.rule for f in diagnose(examine_log(DATA / "px4_sample.ulg"))} == {
         "px4-offboard-short", "px4-precland-missing", "px4-disarm-late", "px4-return-lands"
     }  # fmt: skip
+
+
+def precland_text(at_s: float, text: str) -> Row:
+    return at_s, "MSG", (f"PrecLand: {text}",)
+
+
+@pytest.mark.parametrize(
+    ("said", "rules"),
+    [
+        ([(8.0, "Target Found"), (8.6, "Init Failed"), (20.0, "Target Found"), (20.6, "Init Complete")], []),
+        ([(8.0, "Init Complete"), (9.0, "Target Lost"), (20.6, "Init Complete"), (39.5, "Target Lost")], []),
+        ([(20.6, "Init Complete"), (40.5, "Target Lost")], []),
+        ([(20.0, "Target Found"), (20.6, "Init Failed")], ["target-too-rare"]),
+        ([(20.6, "Init Complete"), (25.0, "Target Lost")], ["target-lost"]),
+    ],
+)
+def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(
+    said: list[tuple[float, str]], rules: list[str], tmp_path: Path
+) -> None:
+    """ArduCopter begins its estimate on the climb-out, loses the pad on the way, and near the deck again: all of it ends well."""
+    assert [f.rule for f in copter(tmp_path, [*FLIGHT, *(precland_text(*one) for one in said)])] == rules
+
+
+def test_a_log_tells_what_its_own_firmware_begins_with(tmp_path: Path) -> None:
+    path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters | {"PSC_POSXY_P": 0.7, "SERIAL1_BAUD": 57.0}, FLIGHT)
+    autopilot = examine_log(path).autopilot
+    assert autopilot is not None
+    assert autopilot.differs == {}, "a log without defaults says nothing"
+    for value, default in ((1.0, 1.0), (1.25, 1.0)):
+        rows = [(0.5, "PARM", ("PSC_POSXY_P", value, default)), (0.5, "PARM", ("SERIAL1_BAUD", 57.0, 115.0))]
+        autopilot = examine_log(dataflash(path, ARDUPILOT.parameters, [*rows, *FLIGHT], defaults=True)).autopilot
+        assert autopilot is not None
+        assert autopilot.differs == ({"PSC_POSXY_P": (1.25, 1.0)} if value != default else {})

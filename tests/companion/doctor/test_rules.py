@@ -210,6 +210,11 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYR_CAL", 1.0), "ashore"),
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
+    "nobody disarms it on deck": (
+        "disarm-script",
+        ardupilot(parameters=ARDUPILOT.parameters | {"SCR_ENABLE": 0.0}),
+        "SCR_ENABLE 1",
+    ),
     "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),
     "refuses to arm": (
         "arming-refused",
@@ -314,3 +319,24 @@ def test_another_message_of_the_same_is_as_good() -> None:
     assert diagnose(ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=old)) == ()
     slow = diagnose(ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=old | {"ATTITUDE": 4.0}))
     assert [f.rule for f in slow] == ["attitude-slow"]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "absent", "says"),
+    [
+        ({"SCR_ENABLE": 0.0}, ("DKL_ENABLE",), "copy configs/autopilot/decklander_disarm.lua to APM/scripts, set SCR_ENABLE 1"),
+        ({"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 20000.0}, ("DKL_ENABLE",), "set SCR_HEAP_SIZE 80000"),
+        ({"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 43008.0}, ("DKL_ENABLE",), "copy configs/autopilot/decklander_disarm.lua"),
+        ({"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 204800.0, "DKL_ENABLE": 0.0}, (), "set DKL_ENABLE 1"),
+        ({"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 204800.0, "DKL_ENABLE": 1.0}, (), None),
+        ({}, ("SCR_ENABLE", "DKL_ENABLE"), None),
+    ],
+)
+def test_a_copter_that_nobody_disarms_on_deck_is_an_advice_and_no_change_of_its_own(
+    parameters: dict[str, float], absent: tuple[str, ...], says: str | None
+) -> None:
+    autopilot = replace(ARDUPILOT, parameters=ARDUPILOT.parameters | parameters, absent=absent)
+    found = diagnose(replace(GOOD, autopilot=autopilot))
+    assert [(f.rule, f.severity, f.changes) for f in found] == ([] if says is None else [("disarm-script", Severity.ADVICE, ())])
+    assert says is None or says in found[0].fix
+    assert diagnose(replace(GOOD, autopilot=autopilot, moving_pad=False)) == ()

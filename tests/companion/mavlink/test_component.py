@@ -72,6 +72,11 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
         assert stage.component.outputs.withheld["not seen"] > 3
         stage.seen = True
         await until(lambda: len(fake.of("LANDING_TARGET")) > silent)
+        fake.landed_state = 3
+        await until(lambda: stage.component.outputs.withheld["taking off"] > 3)
+        fake.landed_state = 2
+        climbed = len(fake.of("LANDING_TARGET"))
+        await until(lambda: len(fake.of("LANDING_TARGET")) > climbed)
         fake.landed_state, fake.armed = 1, False
         await until(lambda: stage.component.outputs.withheld["on ground"] > 3)
         silent = len(fake.of("LANDING_TARGET"))

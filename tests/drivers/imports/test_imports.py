@@ -128,6 +128,20 @@ def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) ->
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
 
 
+@pytest.mark.parametrize("form", ["h264", "mjpeg"])
+def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
+    path = tmp_path / f"flight.{form}"
+    with av.open(str(path), "w", format=form) as out:
+        video_stream = out.add_stream("libx264" if form == "h264" else "mjpeg", rate=25)
+        video_stream.width, video_stream.height = 64, 48
+        video_stream.pix_fmt = "yuv420p" if form == "h264" else "yuvj420p"
+        for i in range(10):
+            out.mux(video_stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
+        out.mux(video_stream.encode(None))
+    frames = list(video.frames(path))
+    assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
+
+
 def test_videos_keep_their_own_times(tmp_path: Path) -> None:
     path = tmp_path / "v.mp4"
     with av.open(str(path), "w") as out:

@@ -94,8 +94,18 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
         (line("GPRMC,081836,A,,,,,,,130998,,"), "malformed"),
         (line("GPRMC,,A,3751.65,S,14507.36,E,005.5,360.0,130998,011.3,E"), "malformed"),
         (line("HEHDT,400.0,T"), "impossible"),
-        (line("HEHDT,,T"), "malformed"),
-        (line("GPVTG,,T,,M,,N,,K"), "malformed"),
+        (line("GPRMC,081836,A,3760.65,S,14507.36,E,005.5,360.0,130998,011.3,E"), "impossible"),
+        (line("GPRMC,081836,A,3751.65,S,14575.36,E,005.5,360.0,130998,011.3,E"), "impossible"),
+        (line("GPRMC,081836,A,3751.65,S,14507.36,E,005.5,540.0,130998,011.3,E"), "impossible"),
+        (line("GPVTG,-90.0,T,,M,010.0,N,18.5,K,A"), "impossible"),
+        (line("GPGGA,134658.00,5106.9,N,11402.3,W,12,09,1.0,10.0,M,-16.27,M,08,AAAA"), "impossible"),
+        (line("GPRMC,,V,,,,,,,,,,N"), "no_fix"),
+        (line("GPGGA,,,,,,0,,,,,,,,"), "no_fix"),
+        (line("HEHDT,,T"), "no_heading"),
+        (line("GPVTG,,T,,M,,N,,K"), "no_fix"),
+        (line("GPVTG,,,,,,,,,N"), "no_fix"),
+        (ais(second=61), "typed_in"),
+        (ais(second=63), "no_fix"),
         (line("GPGSV,3,1,11,03,03,111,00"), "other_sentence"),
         (b"A" * 3000, "too_long"),
     ],
@@ -104,6 +114,77 @@ def test_what_is_wrong_is_counted_by_its_reason(sentence: bytes, reason: str) ->
     reader = NmeaReader(MMSI)
     assert reader.samples(sentence, NOW) == []
     assert reader.refused == {reason: 1}
+
+
+PLACE = "3751.65,S,14507.36,E"
+RTK_M, METRES_M, RECKONED_M = (0.1, 1.0), (2.0, 5.0), (20.0, 500.0)
+
+
+@pytest.mark.parametrize(
+    ("body", "worth"),
+    [
+        *((f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,{mode}", METRES_M) for mode in "ADP"),
+        *((f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,{mode}", RTK_M) for mode in "FR"),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,", METRES_M),
+        (f"GNRMC,081836,A,{PLACE},005.5,045.0,130998,,,A,V", METRES_M),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,E", RECKONED_M),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,M", "typed_in"),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,S", "simulated"),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,N", "no_fix"),
+        *((f"GPGGA,081836,{PLACE},{quality},09,1.0,12.0,M,42.1,M,,", METRES_M) for quality in "123"),
+        *((f"GPGGA,081836,{PLACE},{quality},09,1.0,12.0,M,42.1,M,,", RTK_M) for quality in "45"),
+        (f"GPGGA,081836,{PLACE},6,09,1.0,12.0,M,42.1,M,,", RECKONED_M),
+        (f"GPGGA,081836,{PLACE},7,09,1.0,12.0,M,42.1,M,,", "typed_in"),
+        (f"GPGGA,081836,{PLACE},8,09,1.0,12.0,M,42.1,M,,", "simulated"),
+        (f"GPGGA,081836,{PLACE},0,09,1.0,12.0,M,42.1,M,,", "no_fix"),
+        (f"IIRMC,081836,A,{PLACE},,,130998,,,A", METRES_M),
+        (f"IIGGA,081836,{PLACE},1,09,0.9,,M,,M,,", METRES_M),
+        (f"IIGGA,081836,{PLACE},1,09,,12.0,M,,M,,", METRES_M),
+        (f"IIGGA,081836,{PLACE},1,,,,,,,,", METRES_M),
+    ],
+)  # fmt: skip
+def test_a_place_is_worth_what_its_sentence_says_of_it(body: str, worth: tuple[float, float] | str) -> None:
+    reader = NmeaReader()
+    made = reader.samples(line(body), NOW)
+    if isinstance(worth, str):
+        assert (made, dict(reader.refused)) == ([], {worth: 1})
+        return
+    fix = made[0]
+    assert isinstance(fix, GeoFix)
+    assert worth[0] <= fix.sigma_m <= worth[1]
+    if worth is RECKONED_M:
+        assert (fix.v_ned, len(made)) == (None, 1), "no velocity is taken of what is reckoned"
+
+
+def test_a_rehearsal_takes_what_is_simulated_where_the_settings_say_so() -> None:
+    for body in (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,S", f"GPGGA,081836,{PLACE},8,09,1.0,12.0,M,42.1,M,,"):
+        assert NmeaReader().samples(line(body), NOW) == []
+        fix, *_ = NmeaReader(simulated=True).samples(line(body), NOW)
+        assert fix.sigma_m <= 5.0
+    assert NmeaReader(simulated=True).samples(line(f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,M"), NOW) == []
+
+
+def test_the_second_of_ais_says_how_its_place_is_known() -> None:
+    for second, low, high in ((30, 5.0, 10.0), (60, 5.0, 10.0), (62, 20.0, 500.0)):
+        fix, *rest = NmeaReader(MMSI).samples(ais(second=second), NOW)
+        assert low <= fix.sigma_m <= high
+        assert any(s.v_vessel_ned is not None for s in rest) == (second != 62)
+
+
+def test_a_datagram_holds_as_many_sentences_as_udp_carries() -> None:
+    reader = NmeaReader()
+    assert len(reader.samples(line("HEHDT,123.4,T") * 700, NOW)) == 700
+    assert not reader.refused
+
+
+def test_a_receiver_that_puts_its_clock_back_is_followed_within_seconds() -> None:
+    reader = NmeaReader()
+    for n in range(120):
+        at = 8 * 3600 + n - (3 if n >= 60 else 0)
+        body = f"GPRMC,{at // 3600:02d}{at // 60 % 60:02d}{at % 60:02d}.00,A,{PLACE},005.4,000.0,211126,,,A"
+        fix, *_ = reader.samples(line(body), MonoNs(NOW + n * 10**9))
+        if n >= 66:
+            assert fix.stamp.delay_s < 0.5
 
 
 def test_reports_that_come_10_s_late_say_so() -> None:

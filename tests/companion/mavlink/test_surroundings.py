@@ -1,0 +1,119 @@
+"""Nothing around the real service stops its flight: its log's reader, its terminal, signals, a standstill."""
+
+import asyncio
+import fcntl
+import os
+import pty
+import signal
+import sys
+import time
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from drivers.mavlink.dialect import mav
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from tests.companion.mavlink.test_process import RIG, free_udp_port, grey_video, told
+from tests.support.fake_ardrone import until
+from tests.support.processes import ROOT, decklander, started
+
+_SLOW_S = 0.7
+"""The longest gap between commands, of 0.04 s each, that a busy machine alone may make, s."""
+
+
+def longest_gap_s(craft: MiniatureAutopilot, since: float) -> float:
+    """The longest time without a command since an instant of the craft's clock, up to now."""
+    times = [since, *(at for at, _ in craft.setpoints if at > since), craft.now_s]
+    return max(b - a for a, b in pairwise(times))
+
+
+def drained(reading: int) -> str:
+    """What waits in a pipe or terminal."""
+    said = b""
+    with suppress(BlockingIOError, OSError):
+        while data := os.read(reading, 65536):
+            said += data
+    return said.decode(errors="replace")
+
+
+@pytest.mark.timeout(120)
+async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_signals(tmp_path: Path) -> None:
+    port, video, rig = free_udp_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
+    grey_video(video)
+    rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    os.set_blocking(reading, False)
+    craft = MiniatureAutopilot()
+    with started(decklander("run", "--config", str(rig)), stdout=writing, stderr=writing) as service:
+        os.close(writing)
+        async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
+            await until(lambda: bool(craft.of("HEARTBEAT")))
+            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
+            await until(lambda: len(craft.setpoints) > 10)
+            said = drained(reading)
+            assert "search" in said
+
+            # Nobody reads its log, which would fill the pipe in these lines
+            began = craft.now_s
+            for n in range(50):
+                assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, float(n % 2)) == mav.MAV_RESULT_ACCEPTED
+            for number in (signal.SIGHUP, signal.SIGTSTP, signal.SIGPIPE, signal.SIGTTOU):
+                service.send_signal(number)
+                await asyncio.sleep(0.2)
+            await until(lambda: craft.now_s > began + 2.0)
+            assert longest_gap_s(craft, began) < _SLOW_S
+            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
+
+            # It stands still, and does not go on as if nothing had been
+            service.send_signal(signal.SIGSTOP)
+            await asyncio.sleep(2.4)
+            service.send_signal(signal.SIGCONT)
+            lines = [said]
+
+            def heard(words: str) -> bool:
+                lines.append(drained(reading))
+                return words in "".join(lines)
+
+            await until(lambda: heard("the drone is told to hold"))
+            await until(lambda: heard("standstill: hold: accepted"))
+            for words in ("the terminal hung up (SIGHUP)", "Ctrl-Z (SIGTSTP) is not followed"):
+                assert heard(words), "".join(lines)
+
+            service.send_signal(signal.SIGQUIT)
+            await until(lambda: service.poll() is not None)
+            assert service.returncode == 0
+            heard("")
+            assert "thread MainThread:" in "".join(lines), "where it was is told before it ends"
+    os.close(reading)
+
+
+@pytest.mark.timeout(60)
+def test_a_terminal_that_hangs_up_does_not_end_it_and_sigterm_does(tmp_path: Path) -> None:
+    port, video, rig = free_udp_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
+    grey_video(video)
+    rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
+    number, terminal = pty.fork()
+    if number == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, decklander("run", "--config", str(rig)))
+    os.set_blocking(terminal, False)
+    said, end = "", time.monotonic() + 40.0
+    try:
+        while "waiting for" not in said:
+            assert time.monotonic() < end, said
+            said += drained(terminal)
+            time.sleep(0.05)
+        assert "started from a terminal" in said
+        os.close(terminal)
+        time.sleep(0.5)
+        assert os.waitpid(number, os.WNOHANG) == (0, 0), "it went on"
+        os.kill(number, signal.SIGTERM)
+        assert os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]) == 0
+        number = 0
+    finally:
+        if number:
+            os.kill(number, signal.SIGKILL)
+            os.waitpid(number, 0)

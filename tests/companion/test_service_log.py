@@ -1,0 +1,126 @@
+"""The log waits for nobody and tells what it left out; one place in the source cannot fill it."""
+
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.base.service_log import LINES_A_MINUTE, KindLimit, ServiceLog, logging_to_stderr
+from tests.support.processes import PATIENCE_S
+
+
+def record(text: object, line: int = 1, name: str = "companion.x", level: int = logging.WARNING) -> logging.LogRecord:
+    return logging.LogRecord(name, level, "x.py", line, text, None, None)
+
+
+@contextmanager
+def log_into_pipe() -> Iterator[tuple[ServiceLog, int]]:
+    """A log into a pipe that takes 4 kB, and the end that somebody may read."""
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+    import fcntl
+
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    told = ServiceLog(writing, timed=False)
+    try:
+        yield told, reading
+    finally:
+        os.close(reading)
+        told.close()
+        os.close(writing)
+
+
+def read_until(reading: int, wanted: str) -> str:
+    """What was written, up to a text."""
+    said, end = "", time.monotonic() + PATIENCE_S
+    while wanted not in said:
+        assert time.monotonic() < end, said
+        try:
+            said += os.read(reading, 65536).decode()
+        except BlockingIOError:
+            time.sleep(0.01)
+    return said
+
+
+def test_a_reader_that_stands_still_costs_lines_and_no_time() -> None:
+    with log_into_pipe() as (told, reading):
+        began = time.monotonic()
+        for n in range(3000):
+            told.handle(record(f"number {n} {'x' * 40}", line=n))
+        assert time.monotonic() - began < 5.0, "it waited"
+        dropped = told.counts()["dropped"]
+        assert dropped >= 1000
+        said = read_until(reading, "are missing")
+        assert said.splitlines()[0] == f"WARNING companion.x: number 0 {'x' * 40}"
+        assert f"{dropped:.0f} lines of this log are missing" in said
+        told.handle(record("and on", line=9999))
+        read_until(reading, "and on")
+
+
+def test_a_reader_that_went_away_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    told = ServiceLog(writing)
+    for n in range(5):
+        told.handle(record("nobody", line=n))
+    told.close()
+    os.close(writing)
+    assert told.counts()["dropped"] >= 5
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.floats(0.0, 30.0)), max_size=400))
+def test_no_kind_has_more_lines_in_a_minute_and_every_line_is_accounted_for(arrivals: list[tuple[int, float]]) -> None:
+    limit, now, written, held = KindLimit(), 0.0, dict[int, list[float]](), 0
+    for kind, after in arrivals:
+        now += after / 10.0
+        for _, words in limit.due(now):
+            held += int(words.split()[0])
+        if limit.admits(record("text", kind), now):
+            written.setdefault(kind, []).append(now)
+    for _, words in limit.due(now + 61.0):
+        held += int(words.split()[0])
+    assert sum(map(len, written.values())) + held == len(arrivals)
+    assert limit.held == held
+    for times in written.values():
+        assert all(sum(start <= t < start + 59.9 for t in times) <= 2 * LINES_A_MINUTE for start in times)
+
+
+def test_a_flood_is_one_line_with_its_count() -> None:
+    limit = KindLimit()
+    assert sum(limit.admits(record(f"bad stream {n}"), 0.01 * n) for n in range(1000)) == LINES_A_MINUTE
+    assert limit.admits(record("another place", line=2), 10.0)
+    assert not list(limit.due(59.0))
+    assert list(limit.due(60.0)) == [("companion.x", "940 more lines like this in 60 s: bad stream 999")]
+    assert limit.admits(record("bad stream again"), 60.1)
+
+
+def test_a_text_that_a_peer_chose_stays_on_one_line_and_says_nothing_to_a_terminal() -> None:
+    with log_into_pipe() as (told, reading):
+        told.handle(record("ship\n2026 ERROR forged: it landed\x1b[2J\u2028end"))
+        assert read_until(reading, "end") == "WARNING companion.x: ship 2026 ERROR forged: it landed [2J end\n"
+
+
+def test_other_peoples_loggers_are_shown_by_our_levels() -> None:
+    with log_into_pipe() as (told, reading):
+        for n, (name, level) in enumerate(
+            [("pymavlink.dialects", logging.ERROR), ("aiohttp.web", logging.INFO), ("libav.h264", logging.WARNING)]
+        ):
+            told.handle(record("not shown", n, name, level))
+        told.handle(record("task failed", 5, "asyncio", logging.ERROR))
+        assert read_until(reading, "failed") == "ERROR asyncio: task failed\n"
+
+
+def test_the_root_logger_is_given_back(capfd: pytest.CaptureFixture[str]) -> None:
+    before = logging.getLogger().handlers[:]
+    with logging_to_stderr("info"):
+        logging.getLogger("companion.x").info("inside")
+        logging.getLogger("companion.x").debug("below the level")
+    assert logging.getLogger().handlers == [h for h in before if h in logging.getLogger().handlers]
+    said = capfd.readouterr().err
+    assert "INFO companion.x: inside\n" in said
+    assert "below" not in said
