@@ -25,7 +25,7 @@ from estimator.contracts.estimates import RelativeState, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.integrity.guard import IntegrityGuard, admit_sighting, fused  # noqa: E402
+from estimator.integrity.guard import IntegrityGuard, admit_sighting, judged  # noqa: E402
 from estimator.options import EstimatorOptions  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
@@ -64,7 +64,7 @@ def is_admitted(seen: Sighting, attitude: Attitude, belief: RelativeState, first
         at = MonoNs(STAMP.measured_at - 1_000_000 * ago_ms)
         before = replace(seen, stamp=Stamp(at, at, 0.0, "sim"), d_body_pad_level=first_level)
         guard, _ = admit_sighting(guard, before, attitude, None)
-        guard = fused(guard, before, attitude)
+        guard = judged(guard, before, attitude, is_fused=True)
     return admit_sighting(guard, seen, attitude, belief)[1] is None
 
 

@@ -95,7 +95,8 @@ def step_samples(memory: Memory, samples: Sequence[Sample]) -> tuple[Memory, Seq
     passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
     attitudes = memory.attitudes.add(*[s for s in passed if type(s) is Attitude])
     gimbal = memory.gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
-    stepped = [path.step_samples(passed) for path in memory.paths]
+    paths = memory.paths if guard.restarts == memory.guard.restarts else _begun_again(memory)
+    stepped = [path.step_samples(passed) for path in paths]
     by_path = [results for _, results in stepped]
     after = Memory(memory.options, attitudes, tuple([path for path, _ in stepped]), guard, gimbal)
     if len(passed) == len(samples) and len(by_path) == 1:
@@ -138,9 +139,14 @@ def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionRe
     if refusal is not None:
         return structs.replace(memory, guard=guard), _refused([path.name for path in memory.paths], sighting, refusal)
     paths, results = zip(*[path.step(sighting) for path in memory.paths], strict=True)
-    if results[0].verdict is Verdict.FUSED:
-        guard = integrity.fused(guard, sighting, attitude)
-    return Memory(memory.options, memory.attitudes, paths, guard, memory.gimbal), results
+    judged = integrity.judged(guard, sighting, attitude, results[0].verdict is Verdict.FUSED)
+    after = Memory(memory.options, memory.attitudes, paths, judged, memory.gimbal)
+    return (after if judged.restarts == guard.restarts else structs.replace(after, paths=_begun_again(after))), results
+
+
+def _begun_again(memory: Memory) -> tuple[Path, ...]:
+    """Return the paths with the filter begun again: what it believes was made with a sensor that lies."""
+    return tuple([_path(path.name, memory.options) if path.name == "ekf" else path for path in memory.paths])
 
 
 def _refused(names: list[PathName], event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
@@ -203,7 +209,7 @@ def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs)
         agrees = float(guard.heights.confirmed(now))
         return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad)
 
-    return state.marked(guard.tracks.number, integrity.alerts(guard, now), Details(details))
+    return state.marked(guard.tracks.number, integrity.alerts(guard, now), guard.lost, Details(details))
 
 
 def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:

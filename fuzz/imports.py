@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from companion.cli import detect
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
+from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from fuzz import ardrone
@@ -132,9 +133,27 @@ def capture_seeds() -> Iterator[bytes]:
     yield from ardrone.video_seeds()
 
 
+def tlog_seeds() -> Iterator[bytes]:
+    """Yield a telemetry log: a heartbeat, a parameter, attitudes and ranges, each after its instant."""
+    link, out = mav.MAVLink(None, srcSystem=1, srcComponent=1), b""
+    down = mav.MAV_SENSOR_ROTATION_PITCH_270
+    for n in range(6):
+        messages = [
+            mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209, 4, 4, 3),
+            mav.MAVLink_param_value_message(b"GUID_TIMEOUT", 0.2, mav.MAV_PARAM_TYPE_REAL32, 1, 0),
+            mav.MAVLink_attitude_message(1000 + 50 * n, 0.02, -0.01, 1.5, 0.0, 0.0, 0.0),
+            mav.MAVLink_distance_sensor_message(1000 + 50 * n, 5, 4000, 500 - 4 * n, 0, 0, down, 0),
+        ]
+        stamp = struct.pack(">Q", 1_764_072_000_000_000 + 50_000 * n)
+        out += b"".join(stamp + bytes(message.pack(link)) for message in messages)
+    yield out
+    yield out[:150] + out[200:]
+
+
 TARGETS = {
     "attitude_csv": Target(reader("a.csv", video.attitudes, _tilts), csv_seeds, 1024),
     "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
     "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
+    "tlog": Target(reader("x.tlog", tlog.read, lambda path: [tlog.read_history(path)]), tlog_seeds),
     "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
 }

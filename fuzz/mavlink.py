@@ -27,14 +27,15 @@ from companion.parts.mavlink.make import AutopilotPart
 from companion.settings.load import from_mapping
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.model import Settings
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningKey, load_key
 from drivers.mavlink.signing_times import SigningTimes
+from drivers.wires import Pack, WireCounts
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import F64, Rotation
@@ -82,7 +83,7 @@ class Wires:
 
     @asynccontextmanager
     async def open(
-        self, endpoint: Endpoint, clock: Clock, received: Callable[[bytes, MonoNs, Any], None]
+        self, endpoint: Endpoint, clock: Clock, received: Callable[[bytes, MonoNs, Any], None], counts: WireCounts
     ) -> AsyncIterator[Wires]:
         self.received.append(received)
         yield self
@@ -91,10 +92,11 @@ class Wires:
     def local(self) -> None:
         return None
 
-    def send(self, data: bytes, to: object) -> bool:
+    def send(self, pack: Pack, to: object, newest_of: str = "") -> bool:
         self.sent += 1
-        self._reader.decode(bytearray(data))
-        return True
+        if data := pack():
+            self._reader.decode(bytearray(data))
+        return bool(data)
 
     async def broken(self) -> None:
         await asyncio.Event().wait()

@@ -43,6 +43,7 @@ MODULES = {
     "attitude_csv": "fuzz.imports",
     "dataflash": "fuzz.imports",
     "ulog": "fuzz.imports",
+    "tlog": "fuzz.imports",
     "ardrone_capture": "fuzz.imports",
     "v4l2": "fuzz.frames",
     "vision": "fuzz.frames",

@@ -153,6 +153,29 @@ def makes_group(expression: ast.expr) -> bool:
     return ast.unparse(expression) in ("asyncio.TaskGroup()", "TaskGroup()")
 
 
+WAITED_ON_GROUND = {"companion/parts/operator/local_socket.py", "companion/parts/page/recordings.py"}
+"""Removes its socket when it ends; removes reports, which are made on the ground alone."""
+WAITING_CALLS = {
+    "open", "read_text", "write_text", "read_bytes", "write_bytes", "unlink", "iterdir", "glob", "stat", "lstat", "mkdir",
+    "fsync", "getaddrinfo", "gethostbyname", "Popen", "check_output", "check_call",
+}  # fmt: skip
+"""Calls that may wait for a disk, a name or a process, by their last name."""
+
+
+def waiting_calls(source: str) -> list[int]:
+    """Lines of coroutines that call what may wait, on the loop itself: what is awaited or in a function of its own does not."""
+    found = []
+    for task in (node for node in ast.walk(parsed(source)) if isinstance(node, ast.AsyncFunctionDef)):
+        awaited = {id(node.value) for node in ast.walk(task) if isinstance(node, ast.Await)}
+        inner = {id(deep) for node in ast.walk(task) if isinstance(node, ast.FunctionDef | ast.Lambda) for deep in ast.walk(node)}
+        for node in ast.walk(task):
+            if isinstance(node, ast.Call) and id(node) not in awaited | inner:
+                name = ast.unparse(node.func).rpartition(".")[2]
+                if name in WAITING_CALLS or ast.unparse(node.func) in ("time.sleep", "subprocess.run"):
+                    found.append(node.lineno)
+    return sorted(found)
+
+
 def detached_tasks(source: str) -> list[int]:
     """Lines that start a task outside a TaskGroup: by `create_task` of anything else, or by `ensure_future`."""
     tree = parsed(source)
@@ -281,6 +304,26 @@ def test_no_queue_is_unbounded_and_no_task_detached() -> None:
     }
     assert {path for path in found if path in SUPERVISED} == SUPERVISED
     assert {path: lines for path, lines in found.items() if path not in SUPERVISED} == {}
+
+
+def test_calls_that_wait_are_found() -> None:
+    source = """
+async def part(path, loop):
+    text = path.read_text()
+    with open(path) as file:
+        time.sleep(1.0)
+    await loop.getaddrinfo("host", 1)
+    def later(): return path.read_bytes()
+    await asyncio.to_thread(path.read_bytes)
+    socket.getaddrinfo("host", 1)
+"""
+    assert waiting_calls(source) == [3, 4, 5, 9]
+
+
+def test_no_coroutine_of_the_service_waits_for_a_disk_a_name_or_a_process() -> None:
+    of_service = [p for p in modules() if within(name_of(p), "companion.base", "companion.parts", "companion.service", "drivers")]
+    found = {str(p.relative_to(ROOT)): lines for p in of_service if (lines := waiting_calls(p.read_text()))}
+    assert set(found) <= WAITED_ON_GROUND, found
 
 
 def test_modules_are_named_for_what_is_in_them() -> None:

@@ -167,12 +167,17 @@ class LoopWatch:
 def calls(frame: FrameType) -> str:
     """Return the call that a thread is in, and the one of ours that made it."""
     newest = outer = frame
-    while outer.f_back is not None and not str(outer.f_globals.get("__name__", "")).startswith(_OURS):
+    while outer.f_back is not None and not _is_ours(outer):
         outer = outer.f_back
     if newest.f_code.co_name == "select":
         return "it waited for the interpreter, which another thread kept"
     words = [_place(newest)] + ([f"called by {_place(outer)}"] if outer is not newest and outer.f_back is not None else [])
     return ", ".join(words)
+
+
+def _is_ours(frame: FrameType) -> bool:
+    name = str(frame.f_globals.get("__name__", ""))
+    return name.startswith(_OURS) and not name.endswith("event_loop")
 
 
 def _place(frame: FrameType) -> str:

@@ -53,6 +53,8 @@ class State(Enum):
     """Held still: the pad was not found, or the tries are used up."""
     ABORTED = "aborted"
     """Held still: the operator ended the flight."""
+    TAKEN = "taken over"
+    """Left alone: a failsafe of the autopilot or a person flies the vehicle."""
     EMERGENCY = "emergency"
     """The vehicle cut its motors."""
 
@@ -67,6 +69,8 @@ class Event(Enum):
     GROUNDED_BY_OTHERS = "on the ground without our order"
     TAKEN_OFF = "taken off"
     """The vehicle flies, the first time or after it has stood."""
+    TAKEN = "vehicle taken over"
+    """The vehicle's mode is no longer the one in which it obeys: a failsafe or a person has it."""
     ABORT = "abort ordered"
     PAUSE = "pause ordered"
     BEGIN = "landing ordered"
@@ -107,7 +111,7 @@ class StateChange:
 _STAYS_UP = (State.REFUSED, State.GAVE_UP, State.ABORTED)
 GROUND = frozenset({State.STANDBY, State.WAIT, State.LANDED, State.LANDED_BY_OTHERS, State.EMERGENCY})
 """States in which guidance leaves the vehicle alone."""
-ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.EMERGENCY, *_STAYS_UP})
+ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.TAKEN, State.EMERGENCY, *_STAYS_UP})
 """States that end a flight; the next one begins when the vehicle has stood and flies again."""
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
@@ -120,6 +124,7 @@ FAULTS = frozenset(
     {
         Event.CUT,
         Event.GROUNDED_BY_OTHERS,
+        Event.TAKEN,
         Event.OTHER_PAD,
         Event.NO_CONDITIONS,
         Event.HOPELESS,
@@ -142,11 +147,15 @@ class FlightOutcome(Enum):
     """The pad was not found again, or the tries are used up; the vehicle is held still."""
     REFUSED = State.REFUSED.value
     """The conditions are beyond the limits; the vehicle is held still."""
+    TAKEN = State.TAKEN.value
+    """A failsafe of the autopilot or a person took the vehicle."""
     EMERGENCY = State.EMERGENCY.value
     """The vehicle cut its motors."""
     ABORTED = State.ABORTED.value
     """The operator aborted the flight; the vehicle is held still."""
 
 
+AGAIN = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED, FlightOutcome.TAKEN)
+"""Outcomes after which the operator may begin again in the air."""
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
-"""Outcomes in which it did not land by its own decision; the operator may begin again in the air."""
+"""Outcomes in which it did not land by its own decision."""

@@ -13,6 +13,8 @@ class ReasonCause(Enum):
     VEHICLE_FLIES = "the vehicle flies"
     VEHICLE_STANDS = "the vehicle stands on the ground"
     MOTORS_CUT = "the vehicle cut its motors"
+    TAKEN_OVER = "{detail:s}"
+    GIVEN_BACK = "the vehicle was given back"
     OPERATOR = "by the operator's order"
     AUTOMATIC = "the settings say to begin by itself"
 
@@ -24,6 +26,7 @@ class ReasonCause(Enum):
     FELT = "contact felt, a step of {measured:.1f} m/s^2"
     HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
     REPORTED = "the vehicle reports contact"
+    REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
     VESSEL_FAR = "the vessel was {measured:.0f} m away"
@@ -62,6 +65,10 @@ class ReasonCause(Enum):
     DRIFTED = "it drifted {measured:.2f} m off the pad while landing (limit {limit:.2f} m)"
     PAST_DECK = "it came down {measured:.2f} m past the deck"
     NOT_CLIMBING = "it did not climb within {limit:.0f} s"
+    ROSE_AGAINST = "ordered down it rose by {measured:.1f} m within {limit:g} s"
+    SANK_AGAINST = "ordered up it sank by {measured:.1f} m within {limit:g} s"
+    ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
+    STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
@@ -122,8 +129,8 @@ class Reason(Struct, frozen=True):
     measured: float | None = None
     """In the unit that the cause's text names."""
     limit: float | None = None
-    detail: IntegrityAlert | Verdict | None = None
-    """The alert, or the verdict on most of the frames, where the cause is about one."""
+    detail: IntegrityAlert | Verdict | str | None = None
+    """The alert, the verdict on most of the frames, or the vehicle's own words, where the cause is about one."""
 
     @property
     def text(self) -> str:
@@ -131,7 +138,7 @@ class Reason(Struct, frozen=True):
         if isinstance(self.detail, Verdict):
             detail = _FRAME_WORDS[self.detail]
         else:
-            detail = "" if self.detail is None else self.detail.value
+            detail = "" if self.detail is None else self.detail if isinstance(self.detail, str) else self.detail.value
         numbers = {"measured": _or_nan(self.measured), "limit": _or_nan(self.limit)}
         return self.cause.value.format(detail=detail, **numbers)
 

@@ -49,10 +49,10 @@ def _admits(record: logging.LogRecord) -> bool:
 
 
 class OneLine(logging.Formatter):
-    """The form of every line: time, level, logger, message. journald adds the time itself. A traceback follows its line."""
+    """The form of every line: level, time, logger, message. journald adds the time itself. A traceback follows its line."""
 
     def __init__(self, *, timed: bool) -> None:
-        super().__init__(("%(asctime)s " if timed else "") + "%(levelname)s %(name)s: %(message)s")
+        super().__init__("%(levelname)s " + ("%(asctime)s " if timed else "") + "%(name)s: %(message)s")
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         record.message = _CONTROL.sub(" ", record.message)[:_LINE_MAX]
@@ -102,7 +102,7 @@ class ServiceLog(logging.Handler):
 
     Args:
         descriptor: where lines are written; it may block for as long as it likes.
-        timed: whether each line begins with the wall time.
+        timed: whether each line has the wall time.
     """
 
     def __init__(self, descriptor: int, *, timed: bool = True) -> None:

@@ -19,7 +19,7 @@ from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
-from companion.tools.calibrate.camera_file import text
+from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.guide import Guide, GuideState, add_file, image_files, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.tools.calibrate.views import Collection
@@ -76,6 +76,13 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     board_option.add(p)
     p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
+    p.add_argument(
+        "--export",
+        action="append",
+        default=[],
+        choices=FOREIGN,
+        help="write the camera for others, too, beside FILE with the ending .ros.yaml, .opencv.yaml or .kalibr.yaml",
+    )
     p.add_argument(
         "--accept",
         default="good",
@@ -140,7 +147,10 @@ def _run_camera(args: argparse.Namespace) -> int:
     if accepted:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         try:
+            others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
             out.write_text(text(solution, f"{source} ({args.board} {args.squares}, {found.grade})", rpy), encoding="utf-8")
+            for path, content in others.items():
+                path.write_text(content, encoding="utf-8")
         except OSError as why:
             raise BadInput(f"--out {out}: {why.strerror or why}") from why
     _say(args, collection, solution, found, written=accepted)

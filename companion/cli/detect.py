@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.learned_file import second_opinion
-from companion.settings.load import find_file, read_toml
+from companion.settings.load import find_file, read_camera, read_toml
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames
 from estimator.contracts.errors import BadInput
@@ -201,7 +201,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     camera_source = str(file)
     if args.camera is not None:
         path = find_file(args.camera, "cameras", Path(), "--camera")
-        camera, camera_source = Camera.from_mapping(read_toml(path), str(path)), str(path)
+        camera, camera_source = read_camera(path), str(path)
     elif recording is not None:
         camera = recording.camera()
     if camera is None:
@@ -274,8 +274,9 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
-                px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
-                yield _Image(str(file), index, px, coded=predicts_frames(container))
+                if not frame.is_corrupt:  # what is concealed is a picture, and no measurement
+                    px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+                    yield _Image(str(file), index, px, coded=predicts_frames(container))
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({model.camera_source})") from why

@@ -275,7 +275,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "log",
         nargs="?",
         metavar="LOG",
-        help="examine a flight log instead: dataflash (.bin) or PX4 (.ulg); parameters and events",
+        help="examine a file instead: a flight log (.bin, .log, .ulg, .tlog) with parameters and events, or a file of parameters",
     )
     parser.add_argument(
         "--link",

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.settings.load import SHIPPED, load, read_toml
+from companion.settings.load import SHIPPED, load, read_camera, read_toml
 from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
@@ -83,7 +83,7 @@ def _say(args: argparse.Namespace, title: str) -> None:
 def _shipped() -> tuple[Camera, Pad]:
     """Return the camera of the photographs and the printed pad."""
     camera, pad = SHIPPED / "cameras" / "photos.toml", SHIPPED / "pads" / "printed.toml"
-    return Camera.from_mapping(read_toml(camera), str(camera)), Pad.from_mapping(read_toml(pad), str(pad))
+    return read_camera(camera), Pad.from_mapping(read_toml(pad), str(pad))
 
 
 def _tables(chapter: Chapter5) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from companion.parts.mavlink.key_setup import VERSION_2_CURE, Met, meet, observe, send_key
 from companion.parts.page.access import make_token
 from drivers.clock import SystemClock
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.signing import SigningKey, load_key
 from estimator.contracts.errors import BadInput
 

@@ -1,7 +1,7 @@
 """The command `decklander`: find the subcommand, run it, and turn errors into one line on stderr and an exit code.
 
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
-of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
+of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
 Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
 """

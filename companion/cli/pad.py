@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from companion.cli import board_option
-from companion.settings.load import SHIPPED, find_file, read_toml, shipped
+from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
 from companion.tools.print_pad.pdf import pdf
 from companion.tools.print_pad.sheets import PAPERS, sheets, svg
 from estimator.contracts.errors import BadInput
-from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
@@ -160,7 +159,7 @@ def _check(args: argparse.Namespace) -> int:
         BadInput: the pad or the camera is missing or has a fault.
     """
     file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
-    pad, camera = Pad.from_mapping(read_toml(file), str(file)), Camera.from_mapping(read_toml(camera_file), str(camera_file))
+    pad, camera = Pad.from_mapping(read_toml(file), str(file)), read_camera(camera_file)
     deck = linear_light(_DECKS["grey steel"])
     bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
     by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []

@@ -7,7 +7,7 @@ import heapq
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from companion.recording.reading import RecordedFrame, Recording, instant, open_
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
+from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
@@ -66,8 +68,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     foreign = actions.add_parser(
         "import",
         help="import videos, tables and logs of other tools",
-        description="Import videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, "
-        "ArduPilot dataflash logs, and AR.Drone captures (PaVE video, navdata) into one recording. Each source begins at "
+        description="Import videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, ArduPilot dataflash "
+        "logs (binary or text), telemetry logs of ground stations (.tlog), and AR.Drone captures (PaVE video, navdata) into one "
+        "recording. Their content says what they are. Each source begins at "
         "0 of its "
         "own clock; SOURCE@SECONDS shifts it by that much.",
     )
@@ -159,23 +162,33 @@ class _Source:
             yield structs.replace(datum, stamp=moved)
 
     def _own(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
-        path = self.path
-        try:
-            with path.open("rb") as file:
-                head = file.read(8)
-        except OSError as why:
-            raise BadInput(f"{path}: {why.strerror or why}") from why
-        if head.startswith(px4_ulog.MAGIC):
-            return iter(px4_ulog.read(path))
-        if head.startswith(dataflash.MAGIC):
-            return iter(dataflash.read(path))
-        if head.startswith(ardrone_capture.NAVDATA_MAGIC):
-            return iter(ardrone_capture.samples(path))
-        if path.suffix.lower() == ".csv":
+        path, kind = self.path, kind_of(self.path)
+        reader = _READERS.get(kind)
+        if reader is not None:
+            return iter(reader(path, self._tell))
+        if kind is FileKind.TABLE:
             return iter(video.attitudes(path))
-        if head.startswith(b"PaVE") or path.suffix.lower() == ".pave":
+        if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
-        return video.frames(path, size)
+        if kind is FileKind.OTHER:
+            return video.frames(path, size)
+        raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
+
+    def _tell(self, text: str) -> None:
+        sys.stderr.write(f"decklander: {self.path}: {text}\n")
+
+
+_READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
+    FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read, FileKind.NAVDATA: ardrone_capture.samples,
+}  # fmt: skip
+_INSTEAD = {
+    FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
+    FileKind.PARAMETERS: "give it to `decklander doctor`",
+    FileKind.RECORDING: "it is imported already",
+    FileKind.ROS_BAG: "export its topics as a table of attitudes and a video",
+    FileKind.DATABASE: "export its topics as a table of attitudes and a video",
+    FileKind.TEXT: "of text, tables with the header time_s,roll_deg,pitch_deg are imported",
+}
 
 
 def _source(text: str) -> _Source:

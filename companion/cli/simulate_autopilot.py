@@ -17,7 +17,7 @@ from companion.base import event_loop
 from companion.base.observer import Observer
 from companion.cli.kept_flight import keeping
 from companion.cli.progress import ProgressObserver
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.campaign.overrides import Overridable

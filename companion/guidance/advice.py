@@ -15,6 +15,7 @@ _SHIP = "Check the ship's reports and their link (docs/rendezvous.md)."
 
 _BY_CAUSE: dict[ReasonCause, str] = {
     _C.MOTORS_CUT: "Look where the drone is; decklander fly reset once it is safe.",
+    _C.TAKEN_OVER: "Choose the velocity mode again, or begin again, to land with guidance (decklander doctor LOG).",
     _C.VEHICLE_STANDS: "If nobody landed it, look at the battery and the autopilot's own failsafes.",
     _C.NO_OWN_PLACE: "Give the drone a view of the sky, or fly it over the pad by hand.",
     _C.NO_OWN_HEADING: "Calibrate the compass away from steel, or fly the drone over the pad by hand.",
@@ -43,6 +44,10 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.OFF_DECK: _SEA,
     _C.DRIFTED: "Wait for less wind, or turn the ship's bow into it.",
     _C.PAST_DECK: "Look where the drone is and take over by hand: the height over the deck is wrong.",
+    _C.ROSE_AGAINST: "A sensor lies or the wind lifts it: take over by hand, and look at accelerometer and range sensor.",
+    _C.SANK_AGAINST: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
+    _C.ANSWERS_LATE: "Look at the link to the vehicle and at the load of the computer (decklander doctor).",
+    _C.STARVED: "End other programs on the drone's computer; see that it is cool and has power.",
     _C.NOT_CLIMBING: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
     _C.ERROR: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
     _C.ERROR_AHEAD: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
@@ -68,8 +73,10 @@ _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.IMU_FROZEN: "Land by hand and reboot the autopilot: its sensor is dead.",
     _A.ATTITUDE_FROZEN: "Land by hand and reboot the autopilot: its attitude is dead.",
     _A.STAMPS: _CLOCK,
+    _A.APART: "Wait: the filter starts again by itself; if it comes back, land by hand and calibrate accelerometer and gyro.",
     _A.ELSEWHERE: "Look whether there is a second pad; begin again to land on the one that is seen.",
     _A.RANGE: "Check focal length and pad size; look for something under the range sensor.",
+    _A.DECK: "Land by hand: the accelerometer may lie (decklander doctor).",
     _A.HEIGHT: "Check focal length and pad size; a gust into the barometer passes.",
 }
 _BY_FRAMES: dict[Verdict, str] = {

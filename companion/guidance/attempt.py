@@ -11,6 +11,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 SIGHT_HOLDS_S = 5.0
 """Unbroken sight for this long resets the time without sight, seconds."""
+STARVED_S, _STARVED_MOST_S = 0.25, 2.0
+"""Gap between two guidance cycles in which a vehicle has flown blindly on, and how much of it a try may have, seconds."""
 _GAP_MAX_S = 1.0
 """Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
 
@@ -32,6 +34,8 @@ class Attempt(Struct, frozen=True):
     """Time at the gate, all visits together."""
     with_sight_s: float = 0.0
     """Time of unbroken sight, seconds."""
+    starved_s: float = 0.0
+    """Time in gaps between guidance cycles, seconds: of a computer that is too slow, or that stood still."""
 
     def seen(self, now: MonoNs, since_last_s: float) -> Attempt:
         """Add one guidance cycle with sight of the pad."""
@@ -56,6 +60,10 @@ class Attempt(Struct, frozen=True):
         """Add one guidance cycle at the gate."""
         return replace(self, at_gate_s=self.at_gate_s + _counted_s(since_last_s))
 
+    def cycle(self, since_last_s: float) -> Attempt:
+        """Add one guidance cycle as late as it comes."""
+        return self if since_last_s <= STARVED_S else replace(self, starved_s=self.starved_s + since_last_s)
+
     def lost(self) -> Attempt:
         """Add one loss of sight."""
         return replace(self, losses=self.losses + 1)
@@ -74,6 +82,8 @@ class Attempt(Struct, frozen=True):
             return Reason(ReasonCause.TRY_TIME, seconds_between(self.began, now), options.try_s)
         if self.losses > options.losses_max:
             return Reason(ReasonCause.LOSSES, float(self.losses), float(options.losses_max))
+        if self.starved_s > _STARVED_MOST_S:
+            return Reason(ReasonCause.STARVED, self.starved_s, _STARVED_MOST_S)
         if self.blind_descent_m > options.blind_descent_max_m:
             return Reason(ReasonCause.BLIND_DESCENT, self.blind_descent_m, options.blind_descent_max_m)
         return None

@@ -1,8 +1,11 @@
-"""Contact with the deck as an event: an upward push that no rotor gives. Height never makes one.
+"""Contact with the deck: an upward push that no rotor gives, and the vote of all that can tell of one.
 
 A deck that is met at v m/s takes away v m/s of velocity within some hundredths of a second; rotors need tenths. So the specific
 force upward beyond its own recent mean is summed over short times, and the sum is the velocity that something took away.
-Blind on the deck a filter's height drifts, and a drone that believed it would fly again: that is why height has no say here.
+An accelerometer that repeats itself feels nothing, and one with spikes feels decks in the air. So a push is one witness among
+several (`votes`): being held up, the vertical speed, the range, and the height that sight and deck forecast lead to. A healthy
+witness decides alone unless another contradicts it; one in doubt needs a second. Height alone never makes a contact while a
+healthy accelerometer is silent: blind on the deck a filter's height drifts.
 """
 
 import math
@@ -11,6 +14,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.guidance.controller import Impact
+from companion.guidance.situation import GuidanceCycle
+from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -24,6 +29,29 @@ WITHIN_S = 0.08
 """Longest time over which one push is summed, s."""
 QUIET_S = 0.3
 """Time after a contact in which its own rebounds make no further event, s."""
+FROZEN_S = 0.15
+"""Time for which the upward force repeats one value, to the last bit, after which the accelerometer feels nothing, s."""
+MOST_M_S = 1.2
+"""Velocity that no landing's contact takes away at its first push, m/s: more is a spike of the sensor."""
+_AGAIN_S = 3.0
+"""Time after a push within which another one is in doubt, s."""
+
+ENOUGH = 1.0
+"""Votes that are a contact."""
+NEAR_M = 0.12
+"""Height of the feet up to which a push may be the deck, m; doubtful above."""
+_REACHED_M, _BENEATH_M, _WRONG_M = 0.05, -0.08, -0.3
+"""Heights of the feet at which the deck is reached, beneath which nothing can be, and beneath which the height is wrong, m."""
+SIGMA_MOST_M = 0.15
+"""Standard deviation of the height beyond which it tells nothing, m."""
+_FRESH_S = 0.3
+"""Age of a sighting up to which it contradicts a push, s."""
+_STILL_M_S = 0.15
+"""Vertical speed against the deck that is none, m/s; the commit asks for more than twice as much."""
+_ORDERED_S, _AFTER_S = 0.3, 0.1
+"""Time in the commit, and after a push, before standing still is told from not having begun to move, s."""
+_RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
+"""Range beyond the feet's own up to which the deck is there, and from which on it is not, m."""
 
 
 class ContactWatch(Struct, frozen=True):
@@ -38,25 +66,84 @@ class ContactWatch(Struct, frozen=True):
     """Velocity that it has taken away so far, m/s."""
     peak_m_s2: float = 0.0
     newest: Impact | None = None
+    up_m_s2: float = math.nan
+    """The newest upward specific force."""
+    same_since: MonoNs | None = None
+    """Since when it has been the same to the last bit."""
+
+    @property
+    def feels(self) -> bool:
+        """Whether the accelerometer is alive: no live one repeats a value for long in flight."""
+        if self.at is None or self.same_since is None:
+            return True
+        return seconds_between(self.same_since, self.at) < FROZEN_S
 
 
 def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     """Return the memory after one IMU sample; `newest` is the newest contact."""
     now, up, before = imu.stamp.measured_at, -imu.f_body.item(2), watch.at
     dt = 0.0 if before is None else seconds_between(before, now)
+    same = (watch.same_since or before) if up == watch.up_m_s2 else None
+    fresh = ContactWatch(now, up, newest=watch.newest, up_m_s2=up, same_since=same)
     if not 0.0 < dt <= MEAN_S:
-        return ContactWatch(now, up, newest=watch.newest)
+        return fresh
     push = up - watch.mean_m_s2
     if push <= LEAST_M_S2:
-        mean = watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push
-        return ContactWatch(now, mean, newest=watch.newest)
+        return replace(fresh, mean_m_s2=watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push)
     # The mean waits while something pushes: it stands for flight.
     since = now if watch.since is None else watch.since
     if seconds_between(since, now) > WITHIN_S:
         # A push that lasts is no contact: the weight or the sensor changed.
-        return ContactWatch(now, up, newest=watch.newest)
-    watch = replace(watch, at=now, since=since, taken_m_s=watch.taken_m_s + push * dt, peak_m_s2=max(watch.peak_m_s2, push))
-    quiet = watch.newest is None or seconds_between(watch.newest.at, now) > QUIET_S
-    if watch.taken_m_s >= LEAST_M_S and quiet:
-        return replace(watch, newest=Impact(now, "accelerometer", watch.peak_m_s2))
+        return fresh
+    taken, peak = watch.taken_m_s + push * dt, max(watch.peak_m_s2, push)
+    watch = replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
+    last_s = math.inf if watch.newest is None else seconds_between(watch.newest.at, now)
+    if taken >= LEAST_M_S and last_s > QUIET_S:
+        return replace(watch, newest=Impact(now, "accelerometer", peak, doubtful=taken > MOST_M_S or last_s <= _AGAIN_S))
     return watch
+
+
+def feet_m(s: GuidanceCycle, cone: ConeOptions) -> float | None:
+    """Return the height of the feet over the deck by sight and what was reckoned since, m; None if it tells nothing."""
+    estimate = s.estimate
+    if estimate is None or not estimate.consistent or _sigma_m(s) > SIGMA_MOST_M:
+        return None
+    height_m = estimate.height_m - cone.feet_below_m
+    return height_m if height_m >= _WRONG_M else None
+
+
+def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: float) -> float:
+    """Return the votes for a contact in the commit; `ENOUGH` or more are one.
+
+    Args:
+        felt: what was felt in this commit; None if nothing was.
+        ordered_s: time for which the descent to the deck has been ordered.
+    """
+    count = _of_impact(felt, feels=s.feels)
+    feet, estimate = feet_m(s, cone), s.estimate
+    if feet is not None and estimate is not None:
+        if feet <= _BENEATH_M:
+            count += 1.0
+        elif feet <= _REACHED_M:
+            count += 0.5
+        elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= _FRESH_S:
+            count -= 0.5
+        moved_s = math.inf if felt is None else seconds_between(felt.at, s.at)
+        if abs(estimate.v_pad_level.item(2)) < _STILL_M_S and ordered_s >= _ORDERED_S and moved_s >= _AFTER_S:
+            count += 0.5
+    if s.range_m is not None:
+        over_m = s.range_m - cone.feet_below_m
+        count += 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
+    return count
+
+
+def _of_impact(felt: Impact | None, *, feels: bool) -> float:
+    """Return the votes of what was felt; a healthy accelerometer that feels nothing votes against a contact."""
+    if felt is None:
+        return -0.5 if feels else 0.0
+    in_doubt = felt.by == "accelerometer" and (felt.doubtful or not feels)
+    return 0.5 if in_doubt else 1.0
+
+
+def _sigma_m(s: GuidanceCycle) -> float:
+    return math.inf if s.estimate is None else math.sqrt(max(0.0, s.estimate.cov.item(2, 2)))

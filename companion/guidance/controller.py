@@ -36,6 +36,8 @@ class Impact(Struct, frozen=True):
     """The step of the acceleration; nan if something else said so."""
     held_m_s: float = math.nan
     """How much faster upward than commanded it goes; nan if something else said so."""
+    doubtful: bool = False
+    """Whether it may be a spike of the sensor: harder than any landing, or one of several in a row."""
 
 
 class Knowledge(Struct, frozen=True):

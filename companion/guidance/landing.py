@@ -5,10 +5,12 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from msgspec.structs import replace
+
 from companion.base.mission import GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import held_up, steer, vessel_track
+from companion.guidance import held_up, limits, steer, vessel_track
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
@@ -27,7 +29,17 @@ from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, BodyVelocity, GeoFix, GimbalAttitude, Imu, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    BodyVelocity,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+    VesselReport,
+)
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
 
@@ -36,6 +48,10 @@ FORECAST_S = 0.2
 _LEAN_TIME_S = 3.0
 """Time constant of the mean lean, s: shorter than a gust front, longer than a correction."""
 _NIS_WEIGHT = 0.1
+_IMPOSSIBLE_S = 1.0
+"""Time for which an impossible motion of the deck stands against the estimate, s."""
+_RANGE_S = 0.2
+"""Age up to which a range tells of a contact, s."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -91,7 +107,10 @@ class LandingGuidance:
         self._heard: MonoNs | None = None
         """When the newest sample of the vehicle itself was received."""
         self._contact = ContactWatch()
+        self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
+        self._impossible: MonoNs | None = None
+        """When the deck was last believed to move as none does."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
@@ -153,8 +172,9 @@ class LandingGuidance:
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
                     before, self._contact = self._contact.newest, watched(self._contact, sample)
-                    if self._contact.newest is not before:
-                        self._impact = self._contact.newest
+                    if self._contact.newest is not None and self._contact.newest is not before:
+                        # By our own clock: a stamp that lies would put the contact before the commit.
+                        self._impact = replace(self._contact.newest, at=received_at)
             elif type(sample) is Attitude:
                 lean = reported_lean(sample.R_ned_body)
                 self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
@@ -162,6 +182,8 @@ class LandingGuidance:
                 self._attitude = sample
             elif type(sample) is VehicleStatus:
                 self._on_status(sample)
+            elif type(sample) is Range:
+                self._range = sample
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
@@ -194,6 +216,15 @@ class LandingGuidance:
             self._response.on_take_off()
         self._changes += changes
 
+    def judge(self, now: MonoNs, deck: DeckMotion | None) -> None:
+        """Judge in each guidance cycle how the deck is believed to move."""
+        if limits.impossible_deck(deck):
+            self._impossible = now
+
+    def deck_impossible(self, now: MonoNs) -> bool:
+        """Return whether the deck is believed to move as none does, now or within the last second."""
+        return self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S
+
     def knowledge(
         self,
         now: MonoNs,
@@ -204,6 +235,9 @@ class LandingGuidance:
         """Return what guidance knows at an instant, by the steering path's estimate, motions and forecast."""
         body, deck = motion
         self._deck_down_m_s = None if deck is None else float(deck.v_level[2])
+        if self.deck_impossible(now):
+            self._forecast = None
+            return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
@@ -222,7 +256,12 @@ class LandingGuidance:
             place = vessel_track.position(self._vessel_track, now)
         self._vessel = place
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
-        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place, silent_s)
+        near = self._range
+        range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
+        s = GuidanceCycle(
+            now, knowledge, battery, lean, self._quality, self._frames, place, silent_s, self._contact.feels,
+            self._response.late_s, range_m,
+        )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         target = aim if isinstance(aim, Target) else None

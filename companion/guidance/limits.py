@@ -11,10 +11,27 @@ from companion.guidance.controller import Knowledge
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.time import MonoNs, seconds_between
 
 _MOTORS_STOP_S = 0.2
 """Time in contact after which a vehicle's own landing stops the motors, s."""
+
+_DECK_M_S, _DECK_M_S2, _DECK_RAD_S = 3.0, 3.0, math.radians(40.0)
+"""Vertical speed and acceleration of a pad, m/s and m/s^2, and rate of a deck's tilt, rad/s, that no vessel reaches.
+
+Over the shipped vessels (configs/vessels) on the seas of the shipped scenarios the largest standard deviations are 0.73 m/s and
+0.50 m/s^2 (supply ship, sea state 6) and 3.1 deg/s (ferry in 0.3 m waves): three of them, with a third again for the speed, twice
+for the acceleration, and room for a deck that rolls by 12 degrees in 3 s (25 deg/s).
+"""
+_DECK_SIGMAS = 2.0
+"""Standard deviations that a motion of the deck has to be beyond them."""
+_FRICTION = 0.5
+"""Friction between feet and deck, of its weight; wet steel has less, rubber more."""
+_COMMIT_SPEED = 1.5
+"""Speed against the deck that ends a commit while it can, over the gate's limit: feet that meet the deck faster slide."""
+ON_PAD = 1.4
+"""Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
 Comparison = tuple[ReasonCause, float | None, float]
 """The name of a limit, what is measured, and the limit."""
@@ -70,6 +87,27 @@ def gate(
     return _first(comparisons)
 
 
+def impossible_deck(deck: DeckMotion | None) -> bool:
+    """Return whether the deck is believed to move as none does, beyond the uncertainty of its motion: something lies."""
+    if deck is None:
+        return False
+    excess = (
+        (deck.v_level.item(2), deck.cov_level.item(2, 2), _DECK_M_S),
+        (deck.a_level.item(2), deck.cov_level.item(5, 5), _DECK_M_S2),
+        (deck.roll_rate_rad_s, deck.cov_tilt.item(2, 2), _DECK_RAD_S),
+        (deck.pitch_rate_rad_s, deck.cov_tilt.item(3, 3), _DECK_RAD_S),
+    )
+    return any(abs(x) - _DECK_SIGMAS * math.sqrt(max(0.0, var)) > most for x, var, most in excess)
+
+
+def stop_m(estimate: RelativeState) -> float:
+    """Return the distance from the pad's centre at which a vehicle that touches the deck now comes to stand, m."""
+    x, y, _ = estimate.d_body_pad_level.tolist()
+    vx, vy, _ = estimate.v_pad_level.tolist()
+    slides_s = math.hypot(vx, vy) / (2.0 * _FRICTION * G_M_S2)
+    return math.hypot(x + slides_s * vx, y + slides_s * vy)
+
+
 def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
     """Return whether the sightings are as recent and as consistent as the gate asks."""
     return _first(_of_the_sightings(now, estimate, quality, limits)) is None
@@ -85,10 +123,16 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     """Return the limit that ends a commit, or None."""
     turns = estimate.height_m > no_return_m(knowledge, cone)
     tilt_deg = math.degrees(knowledge.deck.tilt_rad) if turns and knowledge.deck is not None else None
+    # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
+    beside = (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m)
+    lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
+    v = estimate.v_pad_level
+    speed = math.hypot(v[0], v[1]) if turns else None
     return _first(
         [
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
-            (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m),
+            beside if turns else lands,
+            (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
             # What was within the limit at the gate may lean a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]

@@ -2,8 +2,9 @@
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, Event, StateChange
+from companion.base.mission import ENDED, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
 from companion.guidance.situation import GuidanceCycle
@@ -15,6 +16,9 @@ from estimator.contracts.time import MonoNs
 
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
+
+_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
+"""States whose orders the height is compared with."""
 
 Transitions = tuple[StateChange, ...]
 
@@ -34,6 +38,9 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_grou
         changes.append(change)
         p = moved
     p, wanted = aim(p, s, o, over_ground=over_ground)
+    if p.in_sight and p.state in _ORDERS:
+        rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
+        p = replace(p, course=p.course.ordered(rate))
     return p, wanted, tuple(changes)
 
 
@@ -52,6 +59,11 @@ def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Pr
             return replace(p, stood=True), ()
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
+    # A report from before the order to begin tells of the flight before.
+    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
+        return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+    if status.taken is None and p.state is State.TAKEN and not p.stood:
+        return _taken(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
     next_one = p.state in ENDED

@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import structs
 
-from companion.base.mission import FLOWN, REFUSALS, Event, FlightOutcome, State
+from companion.base.mission import AGAIN, FLOWN, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.controller import Controller, Knowledge
@@ -134,7 +134,7 @@ class Pilot:
     @property
     def may_try_again(self) -> bool:
         """Whether `begin` resumes the flight although it has an outcome."""
-        return self.outcome in REFUSALS
+        return self.outcome in AGAIN
 
     def begin(self) -> None:
         """Start the approach for the operator, or resume it after a pause.
@@ -171,12 +171,16 @@ class Pilot:
         self.estimation.retune(min_confidence=min_confidence, max_delay_s=max_delay_s)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
-        """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""
+        """Return the estimate to steer by, marked inconsistent where it must not be.
+
+        That is while nobody has agreed to land on the pad it refers to, and while the deck is believed to move as none does.
+        """
         believed = self.believed(now)
-        if believed is None or self.state is not State.ANOTHER_PAD:
-            return believed
-        alerts = (*(alert for alert in believed.alerts if alert is not IntegrityAlert.ELSEWHERE), IntegrityAlert.ELSEWHERE)
-        return structs.replace(believed, consistent=False, alerts=alerts)
+        if believed is None:
+            return None
+        if self.state is State.ANOTHER_PAD:
+            believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
+        return _alerted(believed, IntegrityAlert.DECK) if self.landing.deck_impossible(now) else believed
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -279,8 +283,9 @@ class Pilot:
         self.operator.tick(now)
         believed = self.all_believed(now)
         steering = self.estimation.path
-        belief = next((b for b in believed if b.path == steering), None)
-        chosen = self.operator.choose(now, self.landing.command(self._knowledge(now, belief)), belief)
+        knowledge = self._knowledge(now, next((b for b in believed if b.path == steering), None))
+        belief = knowledge.relative
+        chosen = self.operator.choose(now, self.landing.command(knowledge), belief)
         response = self.landing.on_command(now, chosen.command)
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
@@ -290,9 +295,19 @@ class Pilot:
         return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
 
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
-        return self.landing.knowledge(now, relative, self.motion(now), self.forecast)
+        body, deck = self.motion(now)
+        self.landing.judge(now, deck)
+        if self.landing.deck_impossible(now):
+            relative, deck = None if relative is None else _alerted(relative, IntegrityAlert.DECK), None
+        return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 
     def _why(self, belief: RelativeState | None) -> str:
-        """Return the machine's reason and the estimate's alerts as text."""
-        alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
+        """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
+        alerts = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
+
+
+def _alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:
+    """Return the estimate with an alert, which makes it inconsistent."""
+    alerts = (*(other for other in belief.alerts if other is not alert), alert)
+    return structs.replace(belief, consistent=False, alerts=alerts)

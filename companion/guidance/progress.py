@@ -11,6 +11,7 @@ from companion.base.mission import FLOWN, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
+from companion.guidance.held_course import HeldCourse
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 
@@ -40,9 +41,17 @@ class Progress(Struct, frozen=True, eq=False):
     """This flight has gone for the deck by our order."""
 
     attempt: Attempt = field(default_factory=Attempt)
+    asked_at: MonoNs | None = None
+    """Time of the order to land; None before it. What the machine does by itself asks for no other landing."""
     landing_began: MonoNs | None = None
     """Time of the first sight of the pad since the landing was asked for; None before it."""
     go_arounds: int = 0
+    bounces: int = 0
+    """Number of times that it left the deck again after a contact, or touched it in a go-around."""
+    reckoned: MonoNs | None = None
+    """Time of a contact that nothing felt; None of one that was felt."""
+    course: HeldCourse = HeldCourse()
+    """The height against what was ordered."""
     questions: int = 0
     seen: MonoNs | None = None
     """Time of the newest estimate that was fit to steer by."""
@@ -98,23 +107,33 @@ def entered(p: Progress, change: StateChange) -> Progress:
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:
-            p = replace(_fresh(p), stood=False, ordered=False, go_arounds=0, questions=0, landing_began=None)
+            p = _asked(replace(_fresh(p), stood=False, ordered=False), change.at)
         case Event.BEGIN:
             p = _fresh(p)
             if change.reason.cause is not ReasonCause.AUTOMATIC:
-                p = replace(p, go_arounds=0, questions=0, landing_began=None)
+                p = _asked(p, change.at)
+            elif p.asked_at is None:
+                p = replace(p, asked_at=change.at)
+        case Event.CONTACT:
+            felt = change.reason.cause is not ReasonCause.REACHED
+            again = change.source is State.GO_AROUND
+            p = replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)
         case Event.NO_CONDITIONS:
             p = replace(p, refusing=True)
         case Event.CLEAR:
             climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
-            p = replace(p, attempt=p.attempt.again(), seen_height_m=max(p.seen_height_m, climbed_to_m), was_silent=False)
+            higher_m = max(p.seen_height_m, climbed_to_m)
+            p = replace(p, attempt=p.attempt.again(), seen_height_m=higher_m, was_silent=False, course=HeldCourse())
         case _:
             pass
     match change.target:
         case State.GO_AROUND:
-            p = replace(p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None)
+            touched = change.reason.cause is ReasonCause.OFF_DECK
+            p = replace(
+                p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None, bounces=p.bounces + touched, course=HeldCourse()
+            )
         case State.COMMIT | State.DOWN:
             p = replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
@@ -126,9 +145,14 @@ def entered(p: Progress, change: StateChange) -> Progress:
     return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
 
 
+def _asked(p: Progress, at: MonoNs) -> Progress:
+    """Return the memory after an order of a person, or the take-off that stands for one: all budgets begin again."""
+    return replace(p, asked_at=at, go_arounds=0, questions=0, landing_began=None, bounces=0, reckoned=None)
+
+
 def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
     return replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
-        heading=HeadingMemory(), turned=None, newest_track=None, was_silent=False,
+        heading=HeadingMemory(), turned=None, newest_track=None, was_silent=False, course=HeldCourse(),
     )  # fmt: skip

@@ -4,7 +4,8 @@ Every second or two the newest `_WINDOW_S` of asked and reported tilt are fitted
 is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and by
 more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
 nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in
-use stays.
+use stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the
+loop swings about the pad and never comes to the gate.
 
 No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
 own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
@@ -30,7 +31,9 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 CONTRADICTION_S = 0.04
 """A difference of the delay up to this is none, s: the margins stand it."""
 DELAY_MAX_S = 0.4
-"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it. A fit beyond it counts for nothing."""
+"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
+_SURELY = 2.0
+"""Standard deviations that a delay has to be beyond it."""
 _WINDOW_S = 12.0
 _EACH_S, _EACH_KNOWN_S = 1.0, 2.0
 """Time between two fits, and the same while the response is known and not doubted, s."""
@@ -59,6 +62,10 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     """The newest fit."""
     doubt: ResponseInUse | None = None
     """What the newest fit says against the response in use."""
+    late_s: float | None = None
+    """The delay, where it is too long to fly with, s; None otherwise."""
+    late_doubt: bool = False
+    """Whether the newest fit says so."""
     asked: tuple[tuple[float, float, float], ...] = ()
     reported: tuple[tuple[float, float, float], ...] = ()
     """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
@@ -84,7 +91,9 @@ def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
 
 def landed(watch: ResponseWatch) -> ResponseWatch:
     """Return the memory for another flight: what is known stays, the courses begin again."""
-    return structs.replace(watch, doubt=None, asked=(), reported=(), asked_before=None, reported_before=None)
+    return structs.replace(
+        watch, doubt=None, asked=(), reported=(), asked_before=None, reported_before=None, late_s=None, late_doubt=False
+    )
 
 
 def reported(watch: ResponseWatch, stamp: Stamp, lean: tuple[float, float]) -> ResponseWatch:
@@ -122,7 +131,9 @@ def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> Respo
     fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS)
     if fit is None:
         return watch
-    watch = structs.replace(watch, fit=fit)
+    delay_s = fit.response.delay_s
+    late = delay_s - _SURELY * fit.delay_sigma_s > DELAY_MAX_S and _explains(watch.given, course, fit)
+    watch = structs.replace(watch, fit=fit, late_doubt=late, late_s=delay_s if late and watch.late_doubt else None)
     says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(watch.given, course, fit) else watch.in_use
     if says is watch.in_use:
         return structs.replace(watch, doubt=None)
@@ -151,11 +162,14 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
 
 
 def _trusted(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
+    """Whether the fit is one to fly by."""
+    return 0.0 < fit.response.delay_s <= DELAY_MAX_S and _explains(given, course, fit)
+
+
+def _explains(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
     """Whether the fit's model is the vehicle's: it flies what is asked as its file says, only later, and little beside it."""
     of = fit.response
-    if not fit.fitted.settled:
-        return False
-    if not 0.0 < of.delay_s <= DELAY_MAX_S or abs(fit.gain - 1.0) > _GAIN_OFF:
+    if not fit.fitted.settled or abs(fit.gain - 1.0) > _GAIN_OFF:
         return False
     if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:
         return False
@@ -203,6 +217,11 @@ class ResponseIdentifier:
     def in_use(self) -> ResponseInUse | None:
         """The response to fly by; None if it is not identified."""
         return self._watch.in_use if self._on else None
+
+    @property
+    def late_s(self) -> float | None:
+        """How late the vehicle answers, s, where it is too late to fly by; None otherwise."""
+        return self._watch.late_s if self._on else None
 
     def on_attitude(self, stamp: Stamp, lean_m_s2: tuple[float, float]) -> None:
         """Take a reported tilt, as an acceleration forward and right."""

@@ -54,6 +54,12 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """The ship's place by reports, or why it is not known; None where the drone does not fly to it."""
     silent_s: float = 0.0
     """Time since the newest sample of the vehicle: while it is silent, nobody knows that it obeys."""
+    feels: bool = True
+    """Whether the accelerometer is alive, so that its silence tells that nothing was touched."""
+    late_s: float | None = None
+    """How late the vehicle answers, where that is too late to be flown; None otherwise."""
+    range_m: float | None = None
+    """The newest range to the surface below; None without a fresh one."""
 
     @property
     def place(self) -> VesselPosition | None:

@@ -12,7 +12,7 @@ from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import climbs_from_question
+from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -80,6 +80,8 @@ def climbing(command: Command, climb_m_s: float) -> Command:
 Aim = Target | Command | None
 """Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
 
+_LIFT_M = 0.3
+"""Height of the feet below which a go-around only climbs, m."""
 _HOLD_SPEED_M_S = 0.5
 _AWAY_M_S = 5.0
 """Largest rate against the deck with which the drone goes up before a deck that will rise faster than it can climb: no limit."""
@@ -93,7 +95,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     """
     if p.state in GROUND:
         return p, None
-    if not p.begun:
+    if not p.begun or p.state is State.TAKEN:
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
     estimate = s.estimate
@@ -108,7 +110,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
         case State.PRESS | State.DOWN:
             # The thesis' way ends in the air; every other one comes here by a contact.
-            return p, Land(on_deck=o.mission != "thesis")
+            return p, Land(on_deck=o.mission != "thesis" and _felt(p, s, o))
         case State.RENDEZVOUS if s.place is not None:
             return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.SEARCH if s.place is not None:
@@ -118,6 +120,14 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
             return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
     return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
+
+
+def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether the deck was felt and no sight tells otherwise: only then do the motors stop by force."""
+    felt = s.knowledge.impact
+    if p.reckoned is not None and (felt is None or felt.at < p.reckoned):
+        return False
+    return p.bounces < BOUNCES_MOST or off_deck(p, s, o) is None
 
 
 def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
@@ -149,9 +159,17 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     """Climb from the pad on the side where nothing stands."""
     rate = -o.tries.climb_m_s
     estimate = usable(s, o.tries, o.stale_after_s)
-    if estimate is None or (p.track is not None and estimate.track != p.track):
+    fastest = max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
+    old = estimate is not None and estimate.age_s(s.at) > o.tries.climb_after_s
+    if estimate is None or old or (p.track is not None and estimate.track != p.track):
         rising = 0.0 if over_ground else rising_m_s(s.knowledge)
-        return p, without_estimate(o.tries.climb_m_s + rising, over_ground=over_ground)
+        begun_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+        lifts = p.entered_height_m - o.cone.feet_below_m + begun_s * fastest < _LIFT_M
+        return p, without_estimate(max(fastest if lifts else 0.0, o.tries.climb_m_s + rising), over_ground=over_ground)
+    if estimate.height_m - o.cone.feet_below_m < _LIFT_M:
+        # Where it is over the deck, and with the deck: feet that are dragged along it before they leave it turn the vehicle over.
+        here = np.array([*estimate.d_body_pad_level[:2], o.tries.safe_height_m])
+        return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])

@@ -8,11 +8,13 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, Event, State
 from companion.base.reason import CONDITIONS, Reason, ReasonCause
-from companion.guidance import cone, heading, limits, rendezvous
+from companion.guidance import cone, contact, heading, limits, rendezvous
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact
+from companion.guidance.held_course import LASTS_S, HeldCourse
 from companion.guidance.held_up import HELD_S
 from companion.guidance.progress import Progress
+from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
@@ -41,6 +43,16 @@ _FRESH_S = 0.2
 """Age of a sighting up to which it tells that the drone has left the deck, s."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
+BOUNCES_MOST = 2
+"""Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
+_TOUCHES_MOST = 4
+"""Number of bounces after which a contact in a go-around is none to press on."""
+_AT_DECK_M = 0.1
+"""Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
+_TILTS_FAR = 3.0
+"""Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
+_FASTEST_M_S = 1.0
+"""Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
 """Time for which a cause of the shut gate stands before the operator, s."""
 _LEAN_SETTLES_S = 6.0
@@ -63,6 +75,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return p
     if p.state is State.RENDEZVOUS:
         p = replace(p, on_way=s.at)
+    p = replace(p, attempt=p.attempt.cycle(since_last_s))
     if p.state in _CHARGED:
         p = replace(p, attempt=_CHARGED[p.state](p.attempt, since_last_s))
     if s.place is not None:
@@ -85,6 +98,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if p.state is State.COMMIT:
         low = estimate.height_m <= limits.no_return_m(s.knowledge, o.cone)
         p = replace(p, no_return_until=after(s.at, o.cone.no_return_s) if low else None)
+    p = replace(p, course=_course(p, s, estimate))
     turning, turned = heading.watch(p.heading, estimate)
     return _judged(
         replace(
@@ -96,6 +110,15 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         s,
         o,
     )  # fmt: skip
+
+
+def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
+    """Return the height against what was ordered, after a cycle with sight."""
+    if p.course.sign < 0 and not p.in_sight:
+        return HeldCourse(p.course.sign).at_height(s.at, estimate.height_m, explained=False)
+    deck, fastest = s.knowledge.deck, s.knowledge.climb_max_m_s or _FASTEST_M_S
+    away = deck is not None and p.course.sign * deck.v_level.item(2) > fastest
+    return p.course.at_height(s.at, estimate.height_m, explained=away)
 
 
 def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
@@ -153,10 +176,30 @@ def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float
 
 def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     felt = s.knowledge.impact
-    if p.state is State.COMMIT and felt is not None and p.since is not None and felt.at >= p.since and _at_the_deck(felt, s, o):
+    if felt is not None and (p.since is None or felt.at < p.since or not _at_the_deck(felt, s, o)):
+        felt = None
+    feet_m = contact.feet_m(s, o.cone)
+    if p.state is State.COMMIT and p.since is not None:
+        votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
+        if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
+            yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
+    if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
     if p.state is State.PRESS and in_state_s >= o.cone.press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
+
+
+def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
+    """Return whether the commit has come to the deck when its sight is too old: a climb from there is worse than to press on."""
+    too_old = s.estimate is not None and s.estimate.age_s(s.at) > o.limits.commit_sighting_age_s
+    return too_old and feet_m is not None and feet_m <= _AT_DECK_M and _stands_on_pad(s, o, feet_m)
+
+
+def _stands_on_pad(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
+    """Return whether a vehicle whose feet touch the deck now comes to stand on the pad."""
+    if s.estimate is None or feet_m is None or feet_m > contact.NEAR_M:
+        return False
+    return limits.stop_m(s.estimate) <= limits.ON_PAD * o.limits.commit_error_m
 
 
 def _at_the_deck(felt: Impact, s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -174,13 +217,15 @@ def _of_contact(felt: Impact) -> Reason:
 
 
 def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield what ends the flight's tries: the wind at once, the battery before the first try, the rest before the next."""
+    """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
     if slow and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
+    if s.late_s is not None:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:
@@ -201,15 +246,16 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     match p.state:
         case State.COMMIT:
-            return None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
+            ends = None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
+            return ends or _against(p, s)
         case State.DOWN if o.mission == "thesis":
             return _lease(p, s, o)
         case State.PRESS | State.DOWN:
-            return _off_deck(p, s, o)
+            return None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:
             if o.tries.heading == "align" and p.turned is not None:
                 return p.turned
-            if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at)) is not None:
+            if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
@@ -225,7 +271,23 @@ def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
     return Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s) if spent_s > o.tries.landing_s else None
 
 
-def _off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+def _against(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return that the height goes against what is ordered, or None."""
+    if not p.in_sight or s.estimate is None or (against_m := p.course.against_m(s.at, s.estimate.height_m)) is None:
+        return None
+    return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
+
+
+def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that the pad was not seen within the time since the order, all ways to the ship and searches together."""
+    if p.asked_at is None or p.landing_began is not None:
+        return None
+    limit_s = o.tries.search_s + (o.rendezvous.time_s if o.rendezvous.enabled else 0.0)
+    spent_s = seconds_between(p.asked_at, s.at)
+    return Reason(ReasonCause.NOT_FOUND, spent_s, limit_s) if spent_s > limit_s else None
+
+
+def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
@@ -255,6 +317,8 @@ def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
     tries = o.tries
+    if p.state in (State.SEARCH, State.RENDEZVOUS) and (over := _landing_over(p, s, o) or _search_over(p, s, o)) is not None:
+        yield Event.TIMEOUT, over
     if p.state in (State.HOLD_BLIND, State.SEARCH):
         limit_s, cause = (
             (tries.give_up_after_s, ReasonCause.NOT_FOUND_AGAIN)
@@ -269,6 +333,8 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         to_climb_m = max(0.0, tries.safe_height_m - p.entered_height_m)
         limit_s = _CLIMB_PATIENCE * to_climb_m / tries.climb_m_s + _CLIMB_PATIENCE_S
         cause = ReasonCause.NOT_CLIMBING
+        if (sinks := _against(p, s)) is not None:
+            yield Event.TIMEOUT, sinks
     else:
         limit_s, cause = _TIME_OF[p.state](o)
     spent_s = _SPENT[p.state](p.attempt) if p.state in _SPENT else in_state_s
@@ -356,7 +422,10 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if blocked is not None:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)
-        return replace(p, blocked=blocked, good_since=None)
+        tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
+        # A deck that leans this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+        refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
+        return replace(p, blocked=blocked, good_since=None, refusing=refusing)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)
 
 
@@ -398,4 +467,4 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
     """Return whether the drone is still on its way up to the safe height while the operator is asked."""
     climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
-    return climbed_m < o.tries.safe_height_m - p.entered_height_m
+    return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

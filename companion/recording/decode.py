@@ -60,7 +60,7 @@ def sample(of: rec.SampleRecord) -> Sample:
             v = None if of.v_ned is None else _vector(of.v_ned)
             return GeoFix(t, cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
         case rec.StatusRecord():
-            return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok)
+            return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok, of.taken)
 
 
 def stamp(of: rec.StampRecord) -> Stamp:
@@ -145,6 +145,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         tuple((d.name, d.value) for d in of.details),
         of.track,
         tuple(_alert_named(name) for name in of.alerts),
+        tuple(of.lost),
     )
 
 
@@ -215,8 +216,10 @@ def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:
 def transition(of: rec.TransitionRecord) -> StateChange:
     """Return a recorded change of the mission's state. Raises ValueError if a name is not known."""
     try:
-        detail: IntegrityAlert | Verdict | None = None
-        if of.detail is not None:
+        detail: IntegrityAlert | Verdict | str | None = None
+        if of.cause == ReasonCause.TAKEN_OVER.name:
+            detail = of.detail
+        elif of.detail is not None:
             detail = Verdict[of.detail] if of.detail in Verdict.__members__ else IntegrityAlert[of.detail]
         reason = Reason(ReasonCause[of.cause], of.measured, of.limit, detail)
         return StateChange(MonoNs(of.at_ns), State[of.source], Event[of.event], State[of.target], reason)

@@ -69,7 +69,7 @@ def sample(of: Sample) -> rec.SampleRecord:
                 None if of.v_ned is None else of.v_ned.tolist(),
             )
         case VehicleStatus():
-            return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction)
+            return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken)
 
 
 def stamp(of: Stamp) -> rec.StampRecord:
@@ -142,6 +142,7 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
         of.yaw_rad,
         of.track,
         [alert.name.lower() for alert in of.alerts],
+        list(of.lost),
     )
 
 
@@ -203,7 +204,7 @@ def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
 def transition(of: StateChange) -> rec.TransitionRecord:
     """Return the record of a change of the mission's state."""
     why = of.reason
-    detail = None if why.detail is None else why.detail.name
+    detail = why.detail if why.detail is None or isinstance(why.detail, str) else why.detail.name
     measured, limit = (x if x is None or math.isfinite(x) else None for x in (why.measured, why.limit))
     return rec.TransitionRecord(
         int(of.at), of.source.name, of.event.name, of.target.name, why.cause.name, measured, limit, detail, why.text

@@ -107,6 +107,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     link_ok: bool
     flying: bool | None = None
     battery_fraction: float | None = None
+    taken: str | None = None
+    """Who has taken the vehicle from the service."""
 
 
 class Pose6Record(Struct, frozen=True):
@@ -198,6 +200,8 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     """Number of the tracked pad; it increases at each jump of the position that motion does not explain."""
     alerts: list[str] = []
     """Names of the checks that doubted the estimate."""
+    lost: list[str] = []
+    """Sensors that the estimate does without, and what each does, in words."""
 
 
 class FusionRecord(Struct, frozen=True, omit_defaults=True):

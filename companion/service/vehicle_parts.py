@@ -25,7 +25,8 @@ from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, SentenceListener, listening
+from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
+from drivers.nmea.source import SentenceSource, sentences_from
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
@@ -102,12 +103,12 @@ class SentencesPart(NullObserver):
         self._reports = reports
         self._clock = clock
         self._reader = NmeaReader(options.mmsi, options.nmea_simulated)
-        self._listener: SentenceListener | None = None
+        self._source = SentenceSource(options.nmea_from, self._take)
         self._told: set[str] = set()
 
     def counted(self) -> Mapping[str, float]:
         """Return the counters for health: sentences taken by kind, and refused ones by reason."""
-        refused = {**self._reader.refused, **({} if self._listener is None else self._listener.refused)}
+        refused = self._reader.refused + self._source.refused
         out = {f"taken_{kind}": float(n) for kind, n in self._reader.taken.items()}
         return out | {f"refused_{why}": float(n) for why, n in refused.items()}
 
@@ -115,18 +116,18 @@ class SentencesPart(NullObserver):
         """Listen until cancelled.
 
         Raises:
-            Recoverable: the socket cannot be opened or broke.
+            Recoverable: they cannot be listened to, or no longer.
         """
-        address = self._options.address()
-        async with listening(address, self._options.nmea_from, self._clock, self._take) as listener:
-            self._listener = listener
-            log.info("listening for the ship's sentences on %s:%d", *address)
-            await listener.lost
+        endpoint = self._options.endpoint()
+        async with sentences_from(endpoint, self._source, self._clock) as wire:
+            log.info("listening for the ship's sentences on %s", self._options.nmea)
+            await wire.broken()
 
-    def _take(self, datagram: bytes, received_at: MonoNs) -> None:
-        for sample in self._reader.samples(datagram, received_at):
+    def _take(self, lines: bytes, received_at: MonoNs) -> None:
+        for sample in self._reader.samples(lines, received_at):
             self._reports.offer(sample)
-        for why in self._reader.refused.keys() - self._told - {"other_sentence"}:
+        refused = self._reader.refused + self._source.refused
+        for why in refused.keys() - self._told - {"other_sentence", "wrong_sender"}:
             self._told.add(why)
             reason = REFUSED_FOR.get(why, why.replace("_", " "))
             log.warning("a sentence of the ship was refused (%s); the next ones are counted only", reason)

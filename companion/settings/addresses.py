@@ -3,6 +3,15 @@
 import ipaddress
 
 
+def is_address(host: str) -> bool:
+    """Return whether `host` is an address, and no name."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
 def on_loopback(host: str) -> bool:
     """Return whether only this machine can reach `host`. A name other than localhost may mean any address."""
     try:

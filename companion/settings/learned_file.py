@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from companion.settings.load import SHIPPED
+from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput
 from estimator.vision.learned.second_opinion import SecondOpinion
 
@@ -26,9 +27,10 @@ def second_opinion(file: str, what: str) -> SecondOpinion:
         else (f"name a file that is there, or leave {what} empty for the shipped network")
     )
     try:
-        size = path.stat().st_size
-        if size > _LARGEST_BYTES:
-            raise BadInput(f"{what}: {path} has {size} bytes, a network for a second opinion at most {_LARGEST_BYTES}")
+        found = path.stat()
+        if found.st_size > _LARGEST_BYTES:
+            raise BadInput(f"{what}: {path} has {found.st_size} bytes, a network for a second opinion at most {_LARGEST_BYTES}")
+        refuse_special(path, f"{what}: {path}", _LARGEST_BYTES)
         return SecondOpinion(path.read_bytes(), f"{what}: {path}")
     except OSError as why:
         raise BadInput(f"{what}: {path}: {why.strerror or why}: {cure}") from why

@@ -8,6 +8,7 @@
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -17,9 +18,11 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
+from companion.settings.camera_file import foreign_camera
 from companion.settings.effect import refuse_moved, with_moved, without_retired
 from companion.settings.expert import in_file, joined
 from companion.settings.model import PadSettings, Settings
+from companion.settings.plain_file import LARGEST_BYTES, refuse_special
 from companion.settings.response import Response, response_from_mapping
 from companion.settings.secret_files import CREDENTIAL
 from drivers.ardrone.options import ArDroneOptions
@@ -32,9 +35,13 @@ from estimator.vision.pad_rules import check_for_detection
 
 __all__ = [
     "Settings", "body_camera", "camera_model", "complete", "find_file", "from_file", "from_mapping", "load", "pad_model",
-    "read_toml", "response_model", "shipped", "shipped_response",
+    "read_camera", "read_toml", "response_model", "shipped", "shipped_response",
 ]  # fmt: skip
 
+_DEEP_PARTS = 50
+_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
+"""A dotted key with so many parts is none of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
@@ -172,7 +179,18 @@ def camera_model(settings: Settings) -> Camera:
         BadInput: the file is missing or has a fault.
     """
     path = find_file(settings.camera.file, "cameras", Path(), "camera.file")
-    return Camera.from_mapping(read_toml(path), str(path))
+    return read_camera(path)
+
+
+def read_camera(path: Path) -> Camera:
+    """Return the camera of our own file, or of one of ROS, OpenCV or Kalibr.
+
+    Raises:
+        BadInput: it cannot be read, is none of them, or has a fault.
+    """
+    text = read_text(path)
+    foreign = foreign_camera(text, path)
+    return Camera.from_mapping(toml_of(text, path) if foreign is None else foreign, str(path))
 
 
 def body_camera(settings: Settings) -> Camera:
@@ -252,10 +270,15 @@ def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
-        BadInput: the file cannot be read.
+        BadInput: the file cannot be read, is a device or a pipe, or is larger than any settings.
     """
+    refuse_special(path, str(path))
     try:
-        return path.read_bytes().decode("utf-8")
+        with path.open("rb") as file:  # files of the kernel say that they are empty, and are not
+            content = file.read(LARGEST_BYTES + 1)
+        if len(content) > LARGEST_BYTES:
+            raise BadInput(f"{path}: more than {LARGEST_BYTES} bytes")
+        return content.decode("utf-8")
     except OSError as why:
         raise unusable(str(path), why) from why
     except UnicodeDecodeError as why:
@@ -268,6 +291,8 @@ def toml_of(text: str, path: Path) -> dict[str, Any]:
     Raises:
         BadInput: it is not TOML; the text names the path.
     """
+    if _DEEP_KEY.search(text) is not None:
+        raise BadInput(f"{path}: not valid TOML: a key of more than {_DEEP_PARTS} parts")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError

@@ -15,9 +15,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range, or two that do not go together.
     """
 
-    intercept_speed_m_s: Annotated[
-        float, number("largest speed with which it flies over the pad", "m/s", 0.1, 10.0, public=True)
-    ] = 1.5
+    intercept_speed_m_s: Annotated[float, number("largest speed with which it flies over the pad", "m/s", 0.1, 10.0)] = 1.5
     descent_rate_m_s: Annotated[float, number("rate against the deck on the cone's axis", "m/s", 0.05, 3.0, public=True)] = 0.7
     slope: Annotated[
         float,
@@ -110,7 +108,7 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: Annotated[
         float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0, public=True)
     ] = 12.0
-    wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0, public=True)] = 15.0
+    wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0)] = 15.0
     battery: Annotated[
         float,
         number(

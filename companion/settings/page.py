@@ -37,6 +37,15 @@ class PageSettings(Struct, frozen=True, forbid_unknown_fields=True):
         str, text("file with the page's own TLS certificate (PEM), and the chain that issued it", 4096, shortest=0, public=True)
     ] = ""
     key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0, public=True)] = ""
+    hosts: Annotated[
+        str,
+        text(
+            "further names by which browsers reach the page, separated by commas; addresses, localhost and this computer's own "
+            "name are known",
+            1000,
+            shortest=0,
+        ),
+    ] = ""
     viewers_max: Annotated[int, number("browsers that may watch at a time", "1", 1, 16)] = 4
     picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
     picture_codec: Annotated[

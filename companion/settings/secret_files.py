@@ -10,6 +10,7 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
+from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput, unusable
 
 log = logging.getLogger(__name__)
@@ -113,6 +114,7 @@ def token(reference: str, part: str, name: str, environment: Mapping[str, str] =
 
 def _content(path: Path) -> bytes:
     """Return at most as many bytes as a secret can have: a setting may name any file, also one without an end."""
+    refuse_special(path, str(path))
     with path.open("rb") as file:
         return file.read(_LONGEST)
 

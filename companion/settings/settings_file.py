@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.settings.load import SHIPPED
+from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput, in_words, unusable
 
 BEFORE = ".before"
@@ -26,6 +27,7 @@ class SettingsFile:
         Raises:
             BadInput: it cannot be read, or is not UTF-8.
         """
+        refuse_special(self.path, str(self.path))
         try:
             content = self.path.read_bytes()
             return content.decode(), _revision(content)

@@ -5,6 +5,7 @@ import ssl
 from companion.settings import secret_files
 from companion.settings.mqtt import MqttSettings
 from companion.settings.page import PageSettings
+from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput
 
 
@@ -17,6 +18,8 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
     if settings.transport != "tls":
         return None
     ca = secret_files.find(settings.ca_file, "mqtt")
+    if ca is not None:
+        refuse_special(ca, f"mqtt.ca_file: {ca}")
     try:
         context = ssl.create_default_context(cafile=None if ca is None else str(ca))
         context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -24,6 +27,8 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
         raise BadInput(f"mqtt.ca_file: {ca}: {_reason(why)}") from why
     certificate, key = secret_files.find(settings.certificate_file, "mqtt"), secret_files.find(settings.key_file, "mqtt")
     if certificate is not None and key is not None:
+        refuse_special(certificate, f"mqtt.certificate_file: {certificate}")
+        refuse_special(key, f"mqtt.key_file: {key}")
         try:
             context.load_cert_chain(certificate, key, password=_no_passphrase)
         except (OSError, ValueError) as why:
@@ -42,6 +47,9 @@ def server_context(settings: PageSettings) -> ssl.SSLContext | None:
     certificate = secret_files.find(settings.certificate_file, "page.certificate_file")
     key = secret_files.find(settings.key_file, "page.key_file")
     assert certificate is not None
+    assert key is not None
+    refuse_special(certificate, f"page.certificate_file: {certificate}")
+    refuse_special(key, f"page.key_file: {key}")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:

@@ -6,6 +6,8 @@ from typing import Annotated
 from msgspec import Struct
 
 from companion.settings.rendezvous import ReportLimits
+from drivers.endpoint import Endpoint, parse_endpoint
+from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 
 
@@ -19,9 +21,9 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea: Annotated[
         str,
         text(
-            "ADDRESS:PORT of this computer on which sentences of NMEA 0183 and AIS arrive by UDP, as 127.0.0.1:10110; empty for "
-            "none",
-            64,
+            "where sentences of NMEA 0183 and AIS come from: ADDRESS:PORT of this computer for UDP, as 127.0.0.1:10110; "
+            "tcp://HOST:PORT to connect to; serial:///dev/NAME:BAUD; empty for none",
+            256,
             shortest=0,
             public=True,
         ),
@@ -29,7 +31,8 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea_from: Annotated[
         str,
         text(
-            "the address that they must come from; empty for the first that is heard, until it is silent for 30 s",
+            "by UDP: the address that they must come from, whatever the port; empty for the first that is heard, until it is "
+            "silent for 30 s",
             64,
             shortest=0,
             public=True,
@@ -48,24 +51,38 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.nmea:
-            self.address()
+            found = self.endpoint()
+            if self.nmea_from and found.scheme != "udpin":
+                raise ValueError(f"nmea_from names the sender of sentences by UDP, and nmea is {self.nmea!r}")
         if self.nmea_from:
             ipaddress.ip_address(self.nmea_from)
         if (self.nmea_from or self.mmsi) and not self.nmea:
             raise ValueError("nmea_from and mmsi belong to nmea, which is empty")
 
-    def address(self) -> tuple[str, int]:
-        """Return the address and port on which sentences arrive.
+    def endpoint(self) -> Endpoint:
+        """Return the way by which sentences arrive.
 
         Raises:
             ValueError: `nmea` is none.
         """
-        host, _, port = self.nmea.rpartition(":")
-        try:
-            ipaddress.ip_address(host.strip("[]"))
-            number_of = int(port)
-        except ValueError:
-            raise ValueError(f"nmea must be ADDRESS:PORT with a numeric address, found {self.nmea!r}") from None
-        if not 1 <= number_of <= 65535:
-            raise ValueError(f"nmea: the port must lie in 1 to 65535, found {number_of}")
-        return host.strip("[]"), number_of
+        if "://" not in self.nmea:
+            return _parsed(f"udpin://{self.nmea}")
+        found = _parsed(self.nmea)
+        if found.scheme not in ("tcp", "serial"):
+            raise ValueError(f"nmea: write ADDRESS:PORT for sentences by UDP, found {self.nmea!r}")
+        return found
+
+
+def _parsed(url: str) -> Endpoint:
+    try:
+        found = parse_endpoint(url)
+        if found.scheme == "udpin":
+            ipaddress.ip_address(found.host)
+    except (BadInput, ValueError):
+        raise ValueError(
+            f"nmea must be ADDRESS:PORT with a numeric address, tcp://HOST:PORT or serial:///dev/NAME:BAUD, found "
+            f"{url.removeprefix('udpin://')!r}"
+        ) from None
+    if not found.port >= 1 or (found.scheme != "serial" and found.port > 65535):
+        raise ValueError(f"nmea: the port must lie in 1 to 65535, found {found.port}")
+    return found

@@ -1,14 +1,16 @@
 """Read captures of an AR.Drone's own streams: video as received over TCP (PaVE), and concatenated navdata datagrams."""
 
 import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.pave import PaveParser
+from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler, time_us
 from drivers.ardrone.video import VideoDecoder
-from drivers.imports.stamps import FRAME_DELAY_S, stamp
+from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample
 
@@ -16,6 +18,8 @@ NAVDATA_MAGIC = b"\x88\x77\x66\x55"
 _NAVDATA_WRAP_US = 2048 * 1_000_000
 _NAVDATA_PERIOD_S = 0.005
 """The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
+_IN_WORDS = {Refusal.BAD_CHECKSUM: "their checksum is wrong", Refusal.TOO_SHORT: "they are cut short"}
+_PAUSE_MS, _FRAME_MS = 600_000, 33
 _CHECKSUM_TAG = 0xFFFF
 _OPTION = struct.Struct("<HH")
 
@@ -27,44 +31,60 @@ def frames(path: Path) -> Iterator[Frame]:
         BadInput: the file cannot be read, or no frame in it decodes.
     """
     parser, decoder = PaveParser(), VideoDecoder()
-    first_ms: int | None = None
-    given = 0
+    last_ms: int | None = None
+    at_ms = given = 0
     for unit in parser.feed(_bytes(path)):
         image = decoder.newest([unit])
         if image is None:
             continue
-        first_ms = unit.header.timestamp_ms if first_ms is None else first_ms
+        step_ms = 0 if last_ms is None else (unit.header.timestamp_ms - last_ms) % (1 << 32)
+        last_ms = unit.header.timestamp_ms
+        # Its clock begins again with the drone: the next frame comes a frame later.
+        at_ms += step_ms if step_ms <= _PAUSE_MS else _FRAME_MS
         given += 1
-        at_ns = ((unit.header.timestamp_ms - first_ms) % (1 << 32)) * 1_000_000
-        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, image.px, coded=True)
+        yield Frame(stamp(at_ms * 1_000_000, FRAME_DELAY_S), unit.header.frame_number, image.px, coded=True)
     if not given:
         raise BadInput(f"{path}: no frame in it decodes")
 
 
-def samples(path: Path) -> list[Sample]:
+def samples(path: Path, tell: Tell = quiet) -> list[Sample]:
     """Return the samples of a navdata capture, at the drone's own time.
 
     Raises:
         BadInput: the file cannot be read, or no datagram in it is whole.
     """
-    sampler, out, whole = NavdataSampler(AS_REPORTED), list[Sample](), 0
-    newest_us: int | None = None
-    at_ns = 0
+    whole: list[Navdata] = []
+    refused: Counter[Refusal] = Counter()
     for datagram in datagrams(_bytes(path)):
         navdata = decode(datagram)
-        if not isinstance(navdata, Navdata):
-            continue
-        whole += 1
-        us = time_us(navdata)
-        if us is not None:
-            if newest_us is not None:
-                at_ns += ((us - newest_us) % _NAVDATA_WRAP_US) * 1000
-            newest_us = us
-        elif whole > 1:
-            at_ns += round(_NAVDATA_PERIOD_S * 1e9)
-        out += sampler.samples(navdata, stamp(at_ns))
+        if isinstance(navdata, Navdata):
+            whole.append(navdata)
+        else:
+            refused[navdata] += 1
+    said = ", ".join(f"{n} datagrams are refused: {_IN_WORDS.get(why, why.name.lower())}" for why, n in refused.most_common())
     if not whole:
-        raise BadInput(f"{path}: no whole navdata datagram in it")
+        raise BadInput(f"{path}: no whole navdata datagram in it{f'; {said}' if said else ''}")
+    if refused:
+        tell(said)
+    sampler, out = NavdataSampler(AS_REPORTED), list[Sample]()
+    for navdata, at_ns in zip(whole, timeline(_unwrapped(whole), tell), strict=True):
+        if at_ns is not None:
+            out += sampler.samples(navdata, stamp(at_ns))
+    return sorted(out, key=lambda s: s.stamp.received_at)
+
+
+def _unwrapped(navdata: Sequence[Navdata]) -> list[int]:
+    """Return the drone's time of each datagram without its wraps, us; one without a time follows the one before."""
+    out: list[int] = []
+    newest_us: int | None = None
+    for one in navdata:
+        us, before = time_us(one), out[-1] if out else 0
+        if us is None:
+            out.append(before + round(_NAVDATA_PERIOD_S * 1e6) if out else 0)
+            continue
+        half = _NAVDATA_WRAP_US // 2
+        out.append(before + (us - newest_us + half) % _NAVDATA_WRAP_US - half if newest_us is not None else before)
+        newest_us = us
     return out
 
 

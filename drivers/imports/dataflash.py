@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 import re
 import traceback
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from pymavlink import DFReader
 
 from drivers.imports.log_history import (
@@ -25,27 +27,30 @@ from drivers.imports.log_history import (
     LoggedMoment,
     LogHistory,
 )
-from drivers.imports.stamps import attitude, in_level, stamp
+from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
 MAGIC = b"\xa3\x95"
+TEXT_HEAD = 4096
+_DOWN = 25
+"""The orientation of a rangefinder that looks down (MAV_SENSOR_ROTATION_PITCH_270)."""
 _VELOCITIES = ("XKF1", "NKF1", "EKF1")
 """The velocity messages, the newest generation of the filter first; the first core of the first one in the log is used."""
 _LANDED, _NOT_LANDED = (17, 18), 28
 """The values of LogEvent for "land complete maybe" and "land complete", and for "not landed"."""
 
 
-def read(path: Path) -> list[Sample]:
-    """Return all samples in order; values that are not finite are left out.
+def read(path: Path, tell: Tell = quiet) -> list[Sample]:
+    """Return all samples in order; values that are not finite are left out, and ranges of a sensor that does not look down.
 
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or holds neither IMU nor attitude.
     """
     log = open_log(path)
     try:
-        samples = _Reader(log).samples()
+        samples = _Reader(log).samples(tell)
     except Exception as why:
         log.give_up(why)
         raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
@@ -55,7 +60,7 @@ def read(path: Path) -> list[Sample]:
     return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
-def open_log(path: Path) -> DataflashLog:
+def open_log(path: Path) -> DataflashLog | TextLog:
     """Open a log; `close` it, or `give_up` after an error.
 
     Raises:
@@ -63,15 +68,48 @@ def open_log(path: Path) -> DataflashLog:
     """
     try:
         with path.open("rb") as file:
-            binary = file.read(2) == MAGIC
-        log = DataflashLog(str(path)) if binary else None
+            head = file.read(TEXT_HEAD)
+        log = DataflashLog(str(path)) if head[:2] == MAGIC else TextLog(str(path)) if is_text(head) else None
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pymavlink lets any error of its parser through
         raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
     if log is None:
-        raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
+        raise BadInput(f"{path}: not a dataflash log")
     return log
+
+
+def is_text(head: bytes) -> bool:
+    """Return whether a file begins as the text form of a log, as ground stations write it."""
+    return any(re.match(rb"FMT, ?\d+, ?\d+, ?\w+", line) for line in head.splitlines()[:20])
+
+
+class TextLog(DFReader.DFReader_text):  # type: ignore[misc]
+    """A reader of the text form."""
+
+    def __init__(self, filename: str) -> None:
+        try:
+            super().__init__(filename)
+        except BaseException as why:
+            self.give_up(why)
+            raise
+
+    def give_up(self, why: BaseException) -> None:
+        """Close the file after an error whose stack frames still refer to it."""
+        _give_up(self, why)
+
+    def close(self) -> None:
+        """Close the file, which pymavlink leaves open."""
+        for name in ("data_map", "filehandle"):
+            if (opened := getattr(self, name, None)) is not None:
+                opened.close()
+
+
+def _give_up(log: Any, why: BaseException) -> None:
+    traceback.clear_frames(why.__traceback__)
+    for name in ("filehandle", "data_map"):
+        if (opened := getattr(log, name, None)) is not None:
+            opened.close()
 
 
 class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
@@ -86,10 +124,7 @@ class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
 
     def give_up(self, why: BaseException) -> None:
         """Close the file after an error whose stack frames still refer to it."""
-        traceback.clear_frames(why.__traceback__)
-        for name in ("filehandle", "data_map"):
-            if (opened := getattr(self, name, None)) is not None:
-                opened.close()
+        _give_up(self, why)
 
     def _parse_next(self) -> Any:
         before = self.offset
@@ -102,8 +137,6 @@ class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
 class _Reader:
     def __init__(self, log: Any) -> None:
         self._log = log
-        self._first_us: int | None = None
-        self._now_ns = 0
         self._yaw_rad: float | None = None
         self._velocity_of: str | None = None
         self._makers: dict[str, Callable[[Any, int], Sample | None]] = {
@@ -115,20 +148,28 @@ class _Reader:
             **dict.fromkeys(_VELOCITIES, self._velocity),
         }
 
-    def samples(self) -> list[Sample]:
-        out: list[Sample] = []
+    def samples(self, tell: Tell) -> list[Sample]:
+        stamps_us: list[int] = []
+        made: list[tuple[int, str, Sample]] = []
         while (message := self._log.recv_match(type=list(self._makers))) is not None:
             at_us = time_us(message)
             if at_us is not None:
-                self._first_us = at_us if self._first_us is None else self._first_us
-                self._now_ns = max(0, at_us - self._first_us) * 1000
+                stamps_us.append(at_us)
+            elif not stamps_us:
+                continue
             try:
-                sample = self._makers[message.get_type()](message, self._now_ns)
+                sample = self._makers[message.get_type()](message, 0)
             except (AttributeError, TypeError, ValueError):  # a field is missing, is text, or has a value that no sensor gives
                 continue
             if sample is not None:
-                out.append(sample)
-        return out
+                made.append((len(stamps_us) - 1, _sensor(message), sample))
+        times = timeline(stamps_us, tell)
+        counts = Counter(sensor for _, sensor, sample in made if type(sample) is Range)
+        lower = None if not counts else max(counts, key=lambda sensor: counts[sensor])
+        if len(counts) > 1:
+            tell(f"{len(counts)} rangefinders look down: the height is that of number {lower}, which gave most")
+        kept = ((times[i], s) for i, sensor, s in made if type(s) is not Range or sensor == lower)
+        return [structs.replace(s, stamp=stamp(at)) for at, s in kept if at is not None]
 
     def _imu(self, m: Any, at: int) -> Sample | None:
         if getattr(m, "I", 0) != 0:
@@ -159,7 +200,9 @@ class _Reader:
 
     def _range(self, m: Any, at: int) -> Sample | None:
         distance = float(getattr(m, "Dist", getattr(m, "Dist1", math.nan)))
-        good = getattr(m, "Stat", 4) == 4 and getattr(m, "Instance", 0) == 0
+        # Logs from before there were several tell no orientation: the first was the one that looks down.
+        down = getattr(m, "Orient", _DOWN if getattr(m, "Instance", 0) == 0 else None) == _DOWN
+        good = getattr(m, "Stat", 4) == 4 and down
         return Range(stamp(at), distance, 0.05) if good and math.isfinite(distance) and distance > 0 else None
 
     def _event(self, m: Any, at: int) -> Sample | None:
@@ -167,6 +210,10 @@ class _Reader:
             return None
         flying = m.Id == _NOT_LANDED
         return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
+
+
+def _sensor(m: Any) -> str:
+    return str(getattr(m, "Instance", getattr(m, "I", 0)))
 
 
 def time_us(m: Any) -> int | None:
@@ -193,23 +240,28 @@ _VEHICLE = re.compile(r"(?:APM:|Ardu)?(Copter|Plane|Rover|Sub|Tracker|Blimp)\s+V
 _TEXTS_MAX = 1000
 
 
-def read_history(path: Path) -> AutopilotLog:
+def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     """Return what the log says besides its samples.
 
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or is damaged before its first parameter.
     """
     log = open_log(path)
-    reader = _HistoryReader()
+    reader, messages = _HistoryReader(), list[Any]()
     try:
         while (message := log.recv_match(type=list(reader.makers))) is not None:
-            reader.take(message)
+            messages.append(message)
     except Exception as why:  # pymavlink lets any error of its parser through
         log.give_up(why)
-        if not reader.parameters:
+        if not any(message.get_type() == "PARM" for message in messages):
             raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
+        tell(f"it is damaged and was read up to there: {why}")
     else:
         log.close()
+    timed = [(time_us(message), message) for message in messages]
+    times = iter(timeline([at for at, _ in timed if at is not None], tell))
+    for at_us, message in timed:
+        reader.take(message, None if at_us is None else next(times), lost=at_us is not None)
     if not reader.parameters:
         raise BadInput(f"{path}: holds no parameters (no PARM message)")
     return reader.log()
@@ -223,7 +275,6 @@ class _HistoryReader:
         self._text_times_s: list[float] = []
         self._vehicle: str | None = None
         self._firmware: tuple[int, int, int] | None = None
-        self._first_us: int | None = None
         self._now_s = 0.0
         self._armed: bool | None = None
         self._failsafes: list[LoggedMoment] = []
@@ -239,12 +290,15 @@ class _HistoryReader:
             "PL": self._target, **dict.fromkeys(_ESTIMATORS, self._estimator),
         }  # fmt: skip
 
-    def take(self, message: Any) -> None:
-        """Take one message; one whose fields are missing or are text is left out."""
-        at_us = time_us(message)
-        if at_us is not None:
-            self._first_us = at_us if self._first_us is None else self._first_us
-            self._now_s = max(self._now_s, 1e-6 * (at_us - self._first_us))
+    def take(self, message: Any, at_ns: int | None, *, lost: bool) -> None:
+        """Take one message; one whose fields are missing or are text is left out, and one without a time that has a stamp.
+
+        Parameters and texts are taken with any stamp.
+        """
+        if at_ns is not None:
+            self._now_s = max(self._now_s, 1e-9 * at_ns)
+        elif lost and message.get_type() not in ("PARM", "MSG"):
+            return
         try:
             self.makers[message.get_type()](message)
         except (AttributeError, TypeError, ValueError, OverflowError):

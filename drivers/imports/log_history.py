@@ -54,6 +54,8 @@ class LogHistory(Struct, frozen=True):
     """How often the autopilot's precision landing lost its target while armed."""
     dropouts_s: float = 0.0
     """Time that the log lost, seconds."""
+    notes: tuple[str, ...] = ()
+    """What its reader left out, and where its clock stepped."""
 
 
 class AutopilotLog(Struct, frozen=True):

@@ -3,8 +3,12 @@
 Source: the topics' definitions in PX4 v1.7 to v1.16: SI, FRD body, NED world, Hamilton quaternion from body to world.
 """
 
+import contextlib
+import io
 import math
-from collections.abc import Callable, Iterator
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +26,7 @@ from drivers.imports.log_history import (
     LoggedMoment,
     LogHistory,
 )
-from drivers.imports.stamps import attitude, in_level, stamp
+from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
@@ -32,40 +36,121 @@ _TOPICS = (
     "sensor_combined", "vehicle_attitude", "vehicle_local_position", "distance_sensor", "vehicle_air_data",
     "vehicle_land_detected",
 )  # fmt: skip
+_DOWN = 25
+"""The orientation of a distance_sensor that looks down (ROTATION_DOWNWARD_FACING)."""
 _SIGMA_V_M_S = 0.3
 """The standard deviation of the velocity that is assumed if the log gives none."""
 
 
-def read(path: Path) -> list[Sample]:
-    """Return all samples in order; values that are not finite are left out.
+def read(path: Path, tell: Tell = quiet) -> list[Sample]:
+    """Return all samples in order; values that are not finite are left out, and ranges of a sensor that does not look down.
 
     Raises:
         BadInput: the file cannot be read, is no ULog, or holds neither IMU nor attitude.
     """
-    log = open_ulog(path, _TOPICS)
-    topics = {data.name: data.data for data in reversed(log.data_list)}
+    log = open_ulog(path, _TOPICS, tell)
+    topics = {data.name: data.data for data in reversed(log.data_list) if data.name != "distance_sensor"}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
     try:
-        return _samples(topics)
+        if (ranges := _looking_down([data.data for data in log.data_list if data.name == "distance_sensor"], tell)) is not None:
+            topics["distance_sensor"] = ranges
+        return _samples(topics, int(log.start_timestamp), tell)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
         raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
 
 
-def open_ulog(path: Path, topics: tuple[str, ...]) -> Any:
-    """Return the parsed log, a `pyulog.ULog`, with these topics.
+def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
+    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and told.
 
     Raises:
         BadInput: the file cannot be read or is no ULog.
     """
     try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            return ULog(_Bounded(file, size), message_name_filter_list=list(topics))
+        data = path.read_bytes()
+        whole = without_damage(data, tell) if data.startswith(MAGIC) else data
+        # pyulog prints what it meets to standard output, which belongs to results.
+        with contextlib.redirect_stdout(io.StringIO()):
+            return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pyulog lets any error of its parser through
         raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
+
+
+_KINDS = frozenset(b"BFIMPQARDLCSO")
+_HEAD, _MESSAGE = 16, struct.Struct("<HB")
+_IN_ORDER = 3
+"""So many messages in a row, as they have to be, end the search for the next one behind damage."""
+
+
+def without_damage(data: bytes, tell: Tell) -> bytes:
+    """Return a log without the bytes in it that are no messages, as a card that fails leaves them.
+
+    A data message has to be of a topic that was subscribed to, and as long as all of that topic.
+    """
+    sizes: dict[int, int | None] = {}
+    out, at, good = bytearray(data[:_HEAD]), _HEAD, _HEAD
+    while at < len(data):
+        end = _end_of_message(data, at, sizes)
+        if end is None:
+            out += data[good:at]
+            good = _next_message(data, at + 1, sizes)
+            if good == len(data):
+                tell(f"damaged: {good - at} bytes at its end (from byte {at}) are no message, or cut short, and were left out")
+            else:
+                tell(f"damaged: {good - at} bytes from byte {at} on are none of a log and were left out")
+            at = good
+            continue
+        _note(data, at, sizes)
+        at = end
+    return bytes(out + data[good:at])
+
+
+def _end_of_message(data: bytes, at: int, sizes: Mapping[int, int | None]) -> int | None:
+    """Return where a message ends; None if there is none."""
+    if at + _MESSAGE.size > len(data):
+        return None
+    size, kind = _MESSAGE.unpack_from(data, at)
+    end: int = at + _MESSAGE.size + size
+    if kind not in _KINDS or end > len(data) or size == 0:
+        return None
+    if kind == ord("D"):
+        number = int.from_bytes(data[at + 3 : at + 5], "little")
+        if number not in sizes or sizes[number] not in (None, size):
+            return None
+    return end
+
+
+def _note(data: bytes, at: int, sizes: dict[int, int | None]) -> None:
+    size, kind = _MESSAGE.unpack_from(data, at)
+    if kind == ord("A") and size >= 3:
+        sizes[int.from_bytes(data[at + 4 : at + 6], "little")] = None
+    elif kind == ord("D"):
+        sizes[int.from_bytes(data[at + 3 : at + 5], "little")] = size
+
+
+def _next_message(data: bytes, at: int, sizes: Mapping[int, int | None]) -> int:
+    """Return where messages go on behind damage, the end of the data if they do not."""
+    for begin in range(at, len(data) - _MESSAGE.size):
+        end: int | None = begin
+        for _ in range(_IN_ORDER):
+            end = None if end is None else end if end == len(data) else _end_of_message(data, end, sizes)
+        if end is not None:
+            return begin
+    return len(data)
+
+
+def _looking_down(sensors: Sequence[dict[str, Any]], tell: Tell) -> dict[str, Any] | None:
+    """Return the rangefinder that looks down; of several the one with most usable readings, None without one."""
+    down = [d for d in sensors if len(d["timestamp"]) and ("orientation" not in d or int(d["orientation"][0]) == _DOWN)]
+    if len(down) > 1:
+        tell(f"{len(down)} rangefinders look down: the height is that of the one which gave most")
+    return max(down, key=_usable, default=None)
+
+
+def _usable(sensor: dict[str, Any]) -> int:
+    return sum(_range(sensor, i, 0) is not None for i in range(len(sensor["timestamp"])))
 
 
 class _Bounded:
@@ -85,8 +170,10 @@ class _Bounded:
         return getattr(self._file, name)
 
 
-def _samples(topics: dict[str, dict[str, Any]]) -> list[Sample]:
-    first_us = min(int(data["timestamp"][0]) for data in topics.values() if len(data["timestamp"]))
+def _samples(topics: dict[str, dict[str, Any]], began_us: int, tell: Tell) -> list[Sample]:
+    firsts = [int(data["timestamp"][0]) for data in topics.values() if len(data["timestamp"])]
+    # What was published before logging began is written, too, at the instant of its publication.
+    first_us = min((t for t in firsts if t >= began_us), default=min(firsts))
     yaw = _yaw(topics.get("vehicle_attitude"))
     makers: dict[str, Callable[[dict[str, Any], int, int], Sample | None]] = {
         "sensor_combined": _imu,
@@ -96,13 +183,25 @@ def _samples(topics: dict[str, dict[str, Any]]) -> list[Sample]:
         "vehicle_air_data": _baro,
         "vehicle_land_detected": _status,
     }
-    samples = [s for name, data in topics.items() for s in _all(data, first_us, makers[name])]
+    samples = [s for name, data in topics.items() for s in _all(data, first_us, makers[name], partial(_of, tell, name))]
     return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
-def _all(data: dict[str, Any], first_us: int, make: Callable[[dict[str, Any], int, int], Sample | None]) -> Iterator[Sample]:
-    for i, at_us in enumerate(data["timestamp"]):
-        sample = make(data, i, (int(at_us) - first_us) * 1000)
+def _of(tell: Tell, name: str, text: str) -> None:
+    tell(f"{name}: {text}")
+
+
+def _all(
+    data: dict[str, Any], first_us: int, make: Callable[[dict[str, Any], int, int], Sample | None], tell: Tell
+) -> Iterator[Sample]:
+    stamps_us = [int(at_us) for at_us in data["timestamp"]]
+    of_log = [i for i, at_us in enumerate(stamps_us) if at_us >= first_us]
+    if not of_log:
+        return
+    times = timeline([stamps_us[i] for i in of_log], tell)
+    begin_ns = (stamps_us[of_log[0]] - first_us) * 1000
+    for i, at_ns in zip(of_log, times, strict=True):
+        sample = None if at_ns is None else make(data, i, begin_ns + at_ns)
         if sample is not None:
             yield sample
 
@@ -185,13 +284,13 @@ _WITH_S = 3.0
 Topic = dict[str, Any]
 
 
-def read_history(path: Path) -> AutopilotLog:
+def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     """Return what the log says besides its samples.
 
     Raises:
         BadInput: the file cannot be read, is no ULog, or holds no parameters.
     """
-    log = open_ulog(path, _HISTORY_TOPICS)
+    log = open_ulog(path, _HISTORY_TOPICS, tell)
     try:
         return _autopilot_log(path, log)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
@@ -210,7 +309,7 @@ def _autopilot_log(path: Path, log: Any) -> AutopilotLog:
     topics: dict[str, Topic] = {}
     for data in log.data_list:
         if len(data.data["timestamp"]) and data.multi_id == 0:
-            topics.setdefault(data.name, data.data)
+            topics.setdefault(data.name, _since(int(log.start_timestamp), data.data))
     history = _history(log, topics)
     states = topics.get("vehicle_status", {}).get("nav_state", ())
     precision = any(int(state) == _PRECLAND for state in states)
@@ -222,6 +321,13 @@ def _autopilot_log(path: Path, log: Any) -> AutopilotLog:
     return AutopilotLog("PX4", None, _firmware(log), parameters, texts, events, history, times_s, defaults, precision)
 
 
+def _since(began_us: int, topic: Topic) -> Topic:
+    """Return a topic with what was published before the log began at its begin, and without absurd stamps."""
+    at = np.maximum(np.asarray(topic["timestamp"], dtype=np.int64), began_us)
+    kept = np.array([t is not None for t in timeline(at.tolist())], dtype=bool)
+    return {name: (at if name == "timestamp" else np.asarray(values))[kept] for name, values in topic.items()}
+
+
 def _firmware(log: Any) -> tuple[int, int, int] | None:
     packed = log.msg_info_dict.get("ver_sw_release")
     return (packed >> 24 & 0xFF, packed >> 16 & 0xFF, packed >> 8 & 0xFF) if isinstance(packed, int) else None
@@ -229,8 +335,10 @@ def _firmware(log: Any) -> tuple[int, int, int] | None:
 
 def _history(log: Any, topics: dict[str, Topic]) -> LogHistory:
     begin_us, end_us = int(log.start_timestamp), int(log.last_timestamp)
-    first = min((int(t["timestamp"][0]) for t in topics.values()), default=begin_us)
-    begin_us = min(begin_us, first) if begin_us else first
+    instants = [t["timestamp"] for t in topics.values() if len(t["timestamp"])]
+    if instants:
+        end_us = max(int(at[-1]) for at in instants)
+        begin_us = begin_us or min(int(at[0]) for at in instants)
     end_s = max(end_us - begin_us, 0) * 1e-6
     status = topics.get("vehicle_status")
     armed = _Armed(status)

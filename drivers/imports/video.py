@@ -23,6 +23,10 @@ from estimator.contracts.samples import Frame, Sample
 HEADER = ("time_s", "roll_deg", "pitch_deg")
 
 
+_PAUSE_S = 600.0
+"""A video that goes on after a longer pause was not paused."""
+
+
 def attitudes(path: Path) -> list[Sample]:
     """Return the attitudes in order of time.
 
@@ -71,7 +75,8 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
     with container:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
-        first_s: float | None = None
+        last_s: float | None = None
+        elapsed_s = 0.0
         number, coded, timed = 0, predicts_frames(container), has_times(container)
         rate_hz = float(container.streams.video[0].average_rate or 0.0) or 25.0
         try:
@@ -80,9 +85,12 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
                 if image.is_corrupt:
                     continue
                 time_s = float(image.time) if timed and image.time is not None else number / rate_hz
-                first_s = time_s if first_s is None else first_s
+                step_s = 0.0 if last_s is None else time_s - last_s
+                # The times of cut and joined videos begin again or leap: the next frame comes a frame later.
+                elapsed_s += step_s if 0.0 <= step_s <= _PAUSE_S else 1.0 / rate_hz
+                last_s = time_s
                 px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-                yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px, coded=coded)
+                yield Frame(stamp(round(elapsed_s * 1e9), FRAME_DELAY_S), number, px, coded=coded)
         except FFmpegError as why:
             if number == 0:
                 raise BadInput(f"{path}: no frame of it decodes: {why}") from why

@@ -14,7 +14,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from drivers.mavlink.endpoint import Address
+from drivers.endpoint import Address
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
 

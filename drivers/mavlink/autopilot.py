@@ -13,7 +13,7 @@ import math
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -25,11 +25,22 @@ from drivers.mavlink.dialect import Message, TimeSyncV2
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
+from drivers.mavlink.origins import Origins
+from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
+from drivers.mavlink.roster import Bound, Doubt, Roster
 from drivers.mavlink.samples import LocalPosition, MavlinkSampler
-from drivers.mavlink.setpoint_streamer import SetpointStreamer
+from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
-from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
+from drivers.mavlink.vehicle import (
+    VELOCITY_MODE,
+    Condition,
+    Identity,
+    Stack,
+    Version,
+    is_autopilot,
+    stack_of,
+    version_of,
+)
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.running_beside import running_beside
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
@@ -61,6 +72,18 @@ def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
+_WARNING = 4
+"""MAV_SEVERITY_WARNING; what is graver has a lower number."""
+_BEFORE_S, _AFTER_S = 5.0, 2.0
+"""Time before and after the vehicle was taken in which the autopilot's texts are about it, s: PX4 waits 5 s in Hold."""
+_AGAIN_S = 5.0
+"""The shortest time between two rounds of requests, whatever the autopilot does."""
+_REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
+"""Requests for streams and parameters a second, and at once."""
+_DOUBT_S, _DOUBT_AGAIN_S = 0.2, 60.0
+"""Interval at which it is judged who is who; the shortest time between two log lines about one doubt."""
+_LOGGED_MAX = 64
+_LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
 
 
 @dataclass(slots=True)
@@ -77,7 +100,12 @@ class _Known:
     source: Source
     """The link and the peer that its messages come from; a message with its ids from elsewhere is not accepted as its own."""
     received_at: MonoNs
+    origins: Origins = field(default_factory=Origins)
     lost: bool = False
+    version: Version | None = None
+    """Its firmware and hardware, once it told them."""
+    released_at: MonoNs | None = None
+    """When the vehicle was taken from this program; None while nobody has it."""
 
 
 class Autopilot:
@@ -94,6 +122,16 @@ class Autopilot:
         self._listeners: list[Callable[[ReceivedMessage], None]] = []
         self._boots = 0
         self._knocked: MonoNs | None = None
+        self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
+        self._requested: MonoNs | None = None
+        """When everything was requested last."""
+        self._request_due = False
+        self._version = VersionRequest()
+        self._roster = Roster(options)
+        self._judged: MonoNs | None = None
+        self._logged: dict[str, MonoNs] = {}
+        self.doubts: tuple[Doubt, ...] = ()
+        """What is doubtful about who is the autopilot, and who we are."""
         self._reopened = list(links.opened)
         self.links = links
         self.frames: Latest[Frame] = Latest()
@@ -116,9 +154,19 @@ class Autopilot:
         return None if self._known is None else self._known.identity
 
     @property
+    def version(self) -> Version | None:
+        """The firmware and hardware of the autopilot; None while they are not known."""
+        return None if self._known is None else self._known.version
+
+    @property
     def connected(self) -> bool:
         """Whether the autopilot sent a message lately."""
         return self._known is not None and not self._known.lost
+
+    @property
+    def unclear(self) -> str | None:
+        """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
+        return next((str(doubt) for doubt in self.doubts if doubt.blocks), None)
 
     @property
     def condition(self) -> Condition:
@@ -169,12 +217,14 @@ class Autopilot:
         """Take the newest command; it is flown as `SetpointStreamer` says.
 
         Raises:
-            Recoverable: the link was closed, or no autopilot is connected.
+            Recoverable: the link was closed, no autopilot is connected, or it is not clear who is the autopilot.
         """
         if not self._open:
             raise Recoverable("the link to the autopilot is closed")
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
+        if (unclear := self.unclear) is not None:
+            raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
             # The autopilot's velocities are over the ground, as a lean's are.
@@ -190,6 +240,7 @@ class Autopilot:
         """Allow a vehicle that a person took over to be taken back, because the operator starts."""
         if self._known is not None:
             self._known.streamer.engage()
+            self._tell_hand(self._known, self._clock.now())
 
     def send(self, message: Message) -> bool:
         """Send a message to the autopilot if one is known; return whether it was sent."""
@@ -215,7 +266,9 @@ class Autopilot:
     async def _read(self) -> None:
         async for received in self.links.received:
             if (received.system, received.component) == self.links.identity:
-                continue  # our own, routed back
+                if not self.links.sent_by_us(received):  # else it was routed back
+                    self._roster.on_namesake(received.received_at)
+                continue
             for handler in (self._on_message, *self._listeners):
                 self.links.contained.run(received.place, received.source_text, partial(handler, received))
 
@@ -225,8 +278,8 @@ class Autopilot:
             answer = answer_to(message, self._clock.now(), (received.system, received.component), self.links.identity)
             if answer is not None:
                 self.links.send(answer, received.source)
-        if name == "HEARTBEAT" and self._chosen(received):
-            self._meet(received, stack_of(message))
+        if name == "HEARTBEAT" and is_autopilot(message, received.component):
+            self._on_heartbeat(received)
         known = self._known
         if known is None or received.system != known.identity.system or received.component != known.identity.component:
             if self._o.vessel_id == received.system and known is not None and received.access_level >= AccessLevel.REPORTER:
@@ -234,79 +287,152 @@ class Autopilot:
             return
         if received.source != known.source:
             return  # the same message by another path, or another sender that uses its ids
-        known.received_at = received.received_at
+        for one in known.origins.sort(message, received.received_at):
+            self._on_own_message(known, one, received.received_at)
+
+    def _on_own_message(self, known: _Known, message: Message, received_at: MonoNs) -> None:
+        """Process a message that is the autopilot's own."""
+        name, sender = message.get_type(), known.identity.address
+        if known.lost:
+            known.lost = False
+            self._roster.uids.clear()
+            self._request_due = True
+            _log.info("autopilot: heard again, asking for its streams")
+        known.received_at = received_at
         self.counts[name] += 1
-        if name == "TIMESYNC":
-            known.sync.on_message(message, received.received_at)
+        if name == "HEARTBEAT":
+            self._roster.on_own_heartbeat(message)
+        elif name == "TIMESYNC":
+            known.sync.on_message(message, received_at)
         elif name == "STATUSTEXT":
-            for severity, text in self._joined.on_message(message, (received.system, received.component)):
-                self.texts.append((received.received_at, severity, text))
+            for severity, text in self._joined.on_message(message, sender):
+                self.texts.append((received_at, severity, text))
+            self._tell_hand(known, received_at)
         elif name == "EVENT":
             self.events.append(int(message.id))
-        known.streams.on_message(message, received.received_at)
+        elif name == "AUTOPILOT_VERSION":
+            self._on_version(known, message)
+        known.streams.on_message(message, received_at)
         known.parameters.on_message(message)
         if name == "PARAM_VALUE":
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
-        self._offer(known.sampler.samples(message, received.received_at))
+        self._offer(known.sampler.samples(message, received_at))
         known.streamer.on_condition(known.sampler.condition)
+        self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
             known.streamer.on_position(float(position.p_body_ned[2]))
-            known.streamer.on_velocity(position.v_body_ned, received.received_at)
+            known.streamer.on_velocity(position.v_body_ned, received_at)
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
+
+    def _tell_hand(self, known: _Known, now: MonoNs) -> None:
+        """Say in the vehicle's status who has taken it, as soon as that or the autopilot's word for it changes."""
+        taken = self._taken(known, now)
+        if taken != known.sampler.taken:
+            known.sampler.taken = taken
+            self._offer([known.sampler.status(now, link_ok=True)])
+
+    def _taken(self, known: _Known, now: MonoNs) -> str | None:
+        """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
+        if known.streamer.hand is not Hand.RELEASED:
+            known.released_at = None
+            return None
+        known.released_at = known.released_at or now
+        about = [
+            (severity, at, text)
+            for at, severity, text in self.texts
+            if severity <= _WARNING and -_BEFORE_S <= seconds_between(known.released_at, at) <= _AFTER_S
+        ]
+        stack, mode = known.identity.stack.value, known.sampler.condition.mode
+        if known.streamer.refused:
+            why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
+        else:
+            why = f"{stack} took the vehicle" if about else "the vehicle was taken over"
+        words = min(about, key=lambda one: (one[0], -one[1]))[2] if about else ""
+        return f"{why}: {words} (mode {mode})" if words else f"{why}: mode {mode}"
+
+    def _on_version(self, known: _Known, message: Message) -> None:
+        before, known.version = known.version, version_of(message)
+        self._version.answered = True
+        self._roster.note_uid(known.version.uid, self._clock.now())
+        if known.version != before:
+            _log.info("autopilot: system %d has %s", known.identity.system, known.version)
 
     def _offer(self, samples: list[Sample]) -> None:
         for sample in samples:
             self.samples.offer(sample)
 
-    def _chosen(self, received: ReceivedMessage) -> bool:
-        if not is_autopilot(received.message, received.component) or received.system == self._o.vessel_id:
-            return False
-        known = self._known
-        if known is not None:
-            # The autopilot is accepted on the source of its last message, and elsewhere once that source has been silent.
-            return (received.system, received.component) == known.identity.address and (
-                received.source == known.source or known.lost
-            )
-        return self._o.system_id in (0, received.system)
-
-    def _meet(self, received: ReceivedMessage, stack: Stack) -> None:
-        self.links.bind_autopilot(received)
-        known = self._known
-        if known is None or known.identity.stack is not stack:
-            identity = Identity(received.system, received.component, stack, int(received.message.type))
-            sync = TimeSync(self._o.timesync)
-            clock = BootClock(sync)
-            sampler = MavlinkSampler(stack, clock, self._o.samples)
-            parameters = Parameters(stack, self._wanted_of(stack))
-            streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o)
-            self._known = _Known(
-                identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at
-            )
-            self.links.identify(received.system, self._o.component_id)
-            self._boots = 0
-            self.connects += 1
-            _log.info("autopilot: %s, system %d, on %s", stack.value, received.system, self.links.all[received.link].endpoint)
-        elif known.lost:
-            if received.source != known.source:
+    def _on_heartbeat(self, received: ReceivedMessage) -> None:
+        """Take its sender as the autopilot where it is the one that is meant, or where the autopilot comes from elsewhere now."""
+        self._roster.on_heartbeat(received)
+        known, now = self._known, received.received_at
+        if received.system == self._o.vessel_id or not self._roster.chosen(received.system, self._bound(now), now):
+            return
+        if known is None or received.system != known.identity.system or known.identity.stack is not stack_of(received.message):
+            self._meet(received)
+        elif received.source != known.source:
+            if known.lost:
                 _log.warning("autopilot: heard again from elsewhere: %s", received.source_text)
-            known.lost, known.source = False, received.source
-            self._restart_requests(known)
+                self.links.bind_autopilot(received)
+                known.source, known.origins = received.source, Origins()
+            else:
+                self._roster.on_elsewhere(received)
+
+    def _bound(self, now: MonoNs) -> Bound | None:
+        known = self._known
+        if known is None:
+            return None
+        return Bound(
+            known.identity.system,
+            seconds_between(known.received_at, now),
+            known.lost,
+            known.streamer.hand not in _LEFT_ALONE,
+            known.origins.several(now),
+        )
+
+    def _meet(self, received: ReceivedMessage) -> None:
+        """Take the sender of a HEARTBEAT as the autopilot."""
+        before, stack = self._known, stack_of(received.message)
+        self.links.bind_autopilot(received)
+        identity = Identity(received.system, received.component, stack, int(received.message.type))
+        sync = TimeSync(self._o.timesync)
+        clock = BootClock(sync)
+        sampler = MavlinkSampler(stack, clock, self._o.samples)
+        parameters = Parameters(stack, self._wanted_of(stack))
+        streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o)
+        self._known = _Known(identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at)
+        self.links.identify(received.system, self._o.component_id)
+        self._boots = 0
+        self._version = VersionRequest()
+        self._roster.uids.clear()
+        self.connects += 1
+        where = self.links.all[received.link].endpoint
+        _log.info("autopilot: %s, system %d, on %s", stack.value, received.system, where)
+        if before is not None and before.identity.system != received.system:
+            why = "is silent" if before.lost else "does not fly"
+            _log.warning(
+                "autopilot: system %d is taken in place of system %d, which %s; vehicle.system_id chooses one for good",
+                received.system,
+                before.identity.system,
+                why,
+            )
 
     def _wanted_of(self, stack: Stack) -> tuple[str, ...]:
         return (*DELAY_PARAMETERS.get(stack, ()), *self._wanted)
 
-    def _restart_requests(self, known: _Known) -> None:
+    def _restart_requests(self, known: _Known, now: MonoNs) -> None:
+        self._request_due, self._requested = False, now
         self.connects += 1
         known.streams.restart()
         known.parameters.request(self._wanted_of(known.identity.stack))
-        _log.info("autopilot: heard again, asking for its streams")
+        self._version = VersionRequest()
 
     async def _tick(self) -> None:
         while True:
             await self._clock.sleep(self._o.command_period_s)
             known, now = self._known, self._clock.now()
+            self._judge(now)
             if known is not None:
                 self._period(known, now)
             elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
@@ -314,7 +440,30 @@ class Autopilot:
                 self._knocked = now
                 self.links.send(TimeSyncV2(0, now))
 
+    def _judge(self, now: MonoNs) -> None:
+        """Judge who is who, and log each doubt when it begins and when it is over."""
+        if self._judged is not None and seconds_between(self._judged, now) < _DOUBT_S:
+            return
+        self._judged = now
+        bound, before = self._bound(now), self.doubts
+        if bound is not None and bound.commanded:
+            self._roster.commanded(bound.system)
+        self.doubts = self._roster.doubts(bound, self.links.identity, now)
+        for doubt in self.doubts:
+            last = self._logged.get(doubt.what)
+            if doubt not in before and (last is None or seconds_between(last, now) >= _DOUBT_AGAIN_S):
+                if len(self._logged) > _LOGGED_MAX:
+                    self._logged.clear()
+                self._logged[doubt.what] = now
+                _log.warning("MAVLink: %s", doubt)
+        if any(doubt.blocks for doubt in before) and self.unclear is None:
+            _log.info("autopilot: it is clear again who is meant")
+        if len(self._roster.uids) > 1 and self._version.done(now):
+            self._version = VersionRequest()  # whether both are still there
+
     def _period(self, known: _Known, now: MonoNs) -> None:
+        for message in known.origins.due(now):
+            self._on_own_message(known, message, now)
         if not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
@@ -322,24 +471,29 @@ class Autopilot:
         if known.lost:
             return
         link = known.source[0]
-        opened = self.links.opened[link]
-        if known.clock.restarts != self._boots or opened != self._reopened[link]:
-            reopened = self.connects > 0 and self._reopened[link] > 0
-            self._boots, self._reopened[link] = known.clock.restarts, opened
-            if reopened:
-                self._restart_requests(known)
+        opened, boots = self.links.opened[link], known.clock.restarts + known.origins.changes
+        if boots != self._boots or opened != self._reopened[link]:
+            self._request_due |= self.connects > 0 and self._reopened[link] > 0
+            self._boots, self._reopened[link] = boots, opened
+        if self._request_due and (self._requested is None or seconds_between(self._requested, now) >= _AGAIN_S):
+            self._restart_requests(known, now)
         target = known.identity.address
-        for message in (
-            *known.streamer.period(now),
-            *known.sync.due(now, target),
-            *known.streams.due(now, target),
-            *known.parameters.due(now, target),
-        ):
+        if self.unclear is None:
+            self._send_all(known, known.streamer.period(now))
+        self._send_all(known, known.sync.due(now, target))
+        for request in (known.streams.due, known.parameters.due, self._version.due):
+            if self._requests.allows(now):
+                messages = request(now, target)
+                self._requests.spend(len(messages))
+                self._send_all(known, messages)
+
+    def _send_all(self, known: _Known, messages: Sequence[Message]) -> None:
+        for message in messages:
             self.links.send(message, known.source)
 
     def _close(self) -> None:
         self._open = False
-        if self._known is not None and not self._known.lost:
+        if self._known is not None and not self._known.lost and self.unclear is None:
             for message in self._known.streamer.leave(self._clock.now()):
                 self.links.send(message, self._known.source)
         closed = Recoverable("the link to the autopilot is closed")

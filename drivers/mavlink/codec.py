@@ -5,12 +5,14 @@ field says, and so loses the intact frames behind it. Here the search goes on wi
 signatures are the dialect's.
 """
 
+import hashlib
 import struct
 from collections import Counter
 from dataclasses import dataclass, field
 
 from drivers.mavlink.dialect import Message, mav, unfit_field
 from drivers.mavlink.signing import Signing
+from drivers.mavlink.signing_times import TICKS_PER_S
 
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
@@ -47,6 +49,10 @@ class CodecCounters:
     """Times the search for a frame had to go on with the next byte."""
     refused_signature: int = 0
     """Messages that were unsigned, wrongly signed or out of date although a key is set."""
+    refused_time: int = 0
+    """Those among them that were signed with our key, at a time that is refused: long past, or not later than one before."""
+    behind_s: float = 0.0
+    """Time by which the newest of those lay behind ours, s."""
     packed: Counter[str] = field(default_factory=Counter)
     """Messages sent, by name."""
 
@@ -155,6 +161,7 @@ class Codec:
                     signing.stream_timestamps[stream] = newest
             if signing.badsig_count + signing.reject_count > refused_before or "signature" in str(why).lower():
                 self.counters.refused_signature += 1
+                self._note_refused_time(frame)
                 self.counters.old_version += frame[0] == _V1
                 return True, None
             self.counters.damaged += 1
@@ -171,6 +178,15 @@ class Codec:
             self._signing.times.bound()
         self._count(message, frame[0])
         return True, message
+
+    def _note_refused_time(self, frame: bytearray) -> None:
+        """Count a refused message that has the right signature: then its time is what was refused."""
+        if self._signing is None or frame[0] != _V2 or not frame[2] & _SIGNED:
+            return
+        if hashlib.sha256(self._signing.key.secret + frame[:-6]).digest()[:6] != frame[-6:]:
+            return
+        self.counters.refused_time += 1
+        self.counters.behind_s = (self._signing.times.now - int.from_bytes(frame[-12:-6], "little")) / TICKS_PER_S
 
     def _count(self, message: Message, marker: int) -> None:
         self.counters.messages += 1

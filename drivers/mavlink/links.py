@@ -14,24 +14,28 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, TypeVar
 
+from drivers.endpoint import Address, Endpoint
 from drivers.mailbox import Line
 from drivers.mavlink.access import Access, AccessLevel, NamedSenders, Source
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
 from drivers.mavlink.dialect import Message
-from drivers.mavlink.endpoint import Address, Endpoint
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing
-from drivers.mavlink.wires import Wire, open_wire
 from drivers.reconnect import BackOff, reconnect
 from drivers.running_beside import running_beside
+from drivers.wires import SILENT_S, Wire, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
+_NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
+"""Messages of which only the newest is worth sending over a line that is slow."""
+_ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0
 
@@ -104,16 +108,23 @@ class LinkCounters:
     unknown_senders: int = 0
     """Messages of senders that were not asked for."""
     restarts: int = 0
+    wire: WireCounts = field(default_factory=WireCounts)
     codecs: list[CodecCounters] = field(default_factory=list)
 
     def total(self, name: str) -> int:
-        """Sum of one of `CodecCounters` over the peers: messages, lost, unknown, damaged, old_version, refused_signature."""
+        """Sum of one of `CodecCounters` over the peers, as messages, lost, unknown, damaged, old_version, refused_signature."""
         return sum(getattr(codec, name) for codec in self.codecs)
+
+    @property
+    def behind_s(self) -> float:
+        """The time by which the newest message that was refused for its time lay behind ours, s."""
+        return max((codec.behind_s for codec in self.codecs if codec.refused_time), default=0.0)
 
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
-        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature")
+        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature", "refused_time")
         own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders")}
+        own |= {"late": self.wire.late, "refused_datagrams": self.wire.refused}
         return own | {name: self.total(name) for name in names}
 
 
@@ -194,17 +205,23 @@ class Link:
             for address, peer in self._peers.items():
                 if only is not None and only[1] != address:
                     continue
-                try:
-                    data = peer.codec.pack(message, component)
-                except Unfit as why:
-                    self._links.refuse(why)
-                    return False
-                if self._wire.send(data, address):
-                    self.counters.bytes_out += len(data)
-                    went = True
-                    self._links.notify_tap(self._clock.now(), self.endpoint, "out", data, message)
+                pack = partial(self._pack, peer.codec, message, component)
+                name = message.get_type()
+                went |= self._wire.send(pack, address, name if name in _NEWEST_ONLY else "")
         self.counters.dropped += not went
         return went
+
+    def _pack(self, codec: Codec, message: Message, component: int | None) -> bytes:
+        """Return the bytes of a message that goes now; empty if a value of it does not fit the wire."""
+        try:
+            data = codec.pack(message, component)
+        except Unfit as why:
+            self._links.refuse(why)
+            return b""
+        self.counters.bytes_out += len(data)
+        self._links.note_sent(message)
+        self._links.notify_tap(self._clock.now(), self.endpoint, "out", data, message)
+        return data
 
     def admit(self, address: Address | None, received_at: MonoNs) -> None:
         """Send to this peer from now on."""
@@ -225,7 +242,8 @@ class Link:
     async def reconnect(self) -> None:
         """Open the link, and open it again whenever it broke. It never returns."""
         first_s, longest_s = self._o.limits.restart_first_s, self._o.limits.restart_most_s
-        back_off = BackOff(first_s, longest_s, healthy_after_s=longest_s)
+        # A connection that opens and stays silent is no recovery.
+        back_off = BackOff(first_s, longest_s, healthy_after_s=max(longest_s, SILENT_S + 2.0 if self._asked_for else 0.0))
         await reconnect(f"MAVLink {self.endpoint}", self._run, back_off, self._clock, self._failed, (Recoverable,))
 
     def _failed(self, why: BaseException) -> None:
@@ -237,7 +255,7 @@ class Link:
             peer.codec.identify(system, component)
 
     async def _run(self) -> None:
-        async with open_wire(self._o.endpoint, self._clock, self._received) as wire:
+        async with open_wire(self._o.endpoint, self._clock, self._received, self.counters.wire) as wire:
             self._wire, self.down = wire, None
             if self._asked_for:
                 peer = self._peers.setdefault(None, _Peer(self._codec(), self._clock.now()))
@@ -316,6 +334,7 @@ class Link:
         gone = [c for c in self.counters.codecs if id(c) not in alive]
         total = CodecCounters()
         for one in gone:
+            total.behind_s = one.behind_s
             for name in ("messages", "old_version", "lost", "unknown", "damaged", "refused_signature"):
                 setattr(total, name, getattr(total, name) + getattr(one, name))
             total.packed.update(one.packed)
@@ -336,6 +355,9 @@ class Links:
         self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: NamedSenders
     ) -> None:
         self.access = Access(access)
+        self._clock = clock
+        self._sent: dict[tuple[int, int], MonoNs] = {}
+        """When a message of each number and sequence number was sent last."""
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
@@ -359,6 +381,15 @@ class Links:
         if why.field not in self.unfit:
             _log.error("MAVLink: not sent: %s", why)
         self.unfit[why.field] += 1
+
+    def note_sent(self, message: Message) -> None:
+        """Note a message that goes, so that it is known when a router sends it back."""
+        self._sent[message.get_msgId(), message.get_seq()] = self._clock.now()
+
+    def sent_by_us(self, received: ReceivedMessage) -> bool:
+        """Return whether a message with our own ids is one that was sent here lately and came back."""
+        at = self._sent.get((received.message.get_msgId(), received.message.get_seq()))
+        return at is not None and seconds_between(at, received.received_at) < _ECHO_S
 
     def identify(self, system: int, component: int) -> None:
         """Send as another system and component from now on."""

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import check_ranges, choice, number, text
 
@@ -76,6 +76,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
             "empty for $STATE_DIRECTORY/mavlink-signing-time, or memory alone without that",
             4096,
             shortest=0,
+            public=True,
         ),
     ] = ""
 

@@ -53,6 +53,8 @@ def wire_value(stack: Stack, value: float, kind: int) -> float:
 
 
 COMMON_RATES_HZ = {
+    # The mode and the armed state: who takes the vehicle is told within one of these, and not within a second.
+    "HEARTBEAT": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 1.0,
     "ATTITUDE_QUATERNION": 100.0,
@@ -165,6 +167,55 @@ class Streams:
             # A message that has nothing to send (no lidar is fitted) must not be requested all the time.
             stream.result, stream.tries = None, min(stream.tries, self._tries - 1)
             stream.received_at = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
+
+
+class RateLimit:
+    """A bound on requests over time, whatever is asked for and however often a peer seems to be new.
+
+    Args:
+        rate_hz: the requests a second.
+        most: the requests at once, after a pause.
+    """
+
+    def __init__(self, rate_hz: float, most: int) -> None:
+        self._rate_hz, self._most = rate_hz, most
+        self._left = float(most)
+        self._filled: MonoNs | None = None
+
+    def allows(self, now: MonoNs) -> bool:
+        """Return whether requests may be sent now."""
+        if self._filled is not None:
+            self._left = min(self._most, self._left + self._rate_hz * seconds_between(self._filled, now))
+        self._filled = now
+        return self._left >= 1.0
+
+    def spend(self, requests: int) -> None:
+        """Note requests that were sent."""
+        self._left -= requests
+
+
+class VersionRequest:
+    """Request AUTOPILOT_VERSION, a few times until it is answered: it has the unique id of the hardware."""
+
+    _TRIES, _RETRY_S, _AGAIN_S = 4, 2.0, 3.0
+
+    def __init__(self) -> None:
+        self.answered = False
+        self._tries = 0
+        self._asked: MonoNs | None = None
+
+    def done(self, now: MonoNs) -> bool:
+        """Return whether it was answered some time ago."""
+        return self.answered and self._asked is not None and seconds_between(self._asked, now) >= self._AGAIN_S
+
+    def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
+        """Return the request to send now as a list of at most one message."""
+        waits = self._asked is not None and seconds_between(self._asked, now) < self._RETRY_S
+        if self.answered or waits or self._tries >= self._TRIES:
+            return []
+        self._asked, self._tries = now, self._tries + 1
+        number = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        return [mav.MAVLink_command_long_message(*target, mav.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0)]
 
 
 class Parameters:

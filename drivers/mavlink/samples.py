@@ -67,6 +67,8 @@ class MavlinkSampler:
         self.inertial_delay_s = 0.0
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.condition = Condition()
+        self.taken: str | None = None
+        """Who has taken the vehicle from this program, for the vehicle's status; None while nobody has."""
         self.attitude: Attitude | None = None
         """The newest attitude sample."""
         self.positions: deque[LocalPosition] = deque(maxlen=64)
@@ -162,7 +164,7 @@ class MavlinkSampler:
         c = self.condition
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")
-        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok)
+        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken)
 
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition

@@ -133,6 +133,8 @@ class SetpointStreamer:
         self._condition = Condition()
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
+        self.refused = False
+        """Whether the hand was released because the velocity mode was refused, and not because another was chosen."""
         self.blind_periods = 0
         """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0
@@ -220,7 +222,7 @@ class SetpointStreamer:
         )
         if self._taking_off is not None:
             if self._taking_off.flew and not in_mode:
-                self._taking_off, self.hand = None, Hand.RELEASED
+                self._taking_off, self.hand, self.refused = None, Hand.RELEASED, False
             return
         if condition.flying is False and self.hand not in (Hand.IDLE, Hand.STANDING):
             landing = self.hand in (Hand.LANDING, Hand.HOLDING)
@@ -233,7 +235,7 @@ class SetpointStreamer:
         elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
             self.hand = Hand.OURS
         elif taken_over:
-            self.hand = Hand.RELEASED
+            self.hand, self.refused = Hand.RELEASED, False
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""
@@ -307,7 +309,7 @@ class SetpointStreamer:
             if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._may_ask(now):
                 out.append(set_mode(self._id.stack, self._id.address, self._mode))
             elif self._asks >= self._o.request_tries and seconds_between(self._asked or now, now) >= self._o.request_period_s:
-                self.hand = Hand.RELEASED
+                self.hand, self.refused = Hand.RELEASED, True
         return out
 
     def _held(self, now: MonoNs) -> Velocity:

@@ -101,6 +101,28 @@ class Identity:
         return self.system, self.component
 
 
+@dataclass(frozen=True, slots=True)
+class Version:
+    """The firmware and the hardware of an autopilot."""
+
+    firmware: tuple[int, int, int]
+    capabilities: int
+    """MAV_PROTOCOL_CAPABILITY bits."""
+    uid: int
+    """The unique id of the hardware; 0 where it tells none."""
+
+    def __str__(self) -> str:
+        hardware = f"hardware {self.uid:x}" if self.uid else "hardware without an id"
+        return f"firmware {'.'.join(map(str, self.firmware))}, {hardware}, capabilities {self.capabilities:#x}"
+
+
+def version_of(m: Message) -> Version:
+    """Return what an AUTOPILOT_VERSION says; ArduPilot has the longer of the two ids only."""
+    number = int(m.flight_sw_version)
+    uid = int.from_bytes(bytes(getattr(m, "uid2", ())), "big") or int(m.uid)
+    return Version((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF), int(m.capabilities), uid)
+
+
 def is_autopilot(heartbeat: Message, component: int) -> bool:
     """Return whether a HEARTBEAT comes from an autopilot of a vehicle that can hover, not from a station, a gimbal or a ship."""
     return component == mav.MAV_COMP_ID_AUTOPILOT1 and heartbeat.autopilot != 8 and heartbeat.type in MULTICOPTERS

@@ -1,1 +1,1 @@
-"""A ship's own sentences: NMEA 0183 of her GNSS and compass, and AIS, by UDP."""
+"""A ship's own sentences: NMEA 0183 of her GNSS and compass, and AIS."""

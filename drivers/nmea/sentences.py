@@ -1,19 +1,15 @@
-"""Sentences of NMEA 0183 (RMC, GGA, VTG, HDT) and AIS (VDM, VDO of one ship) to samples, and the UDP socket on which they arrive.
+"""Sentences of NMEA 0183 (RMC, GGA, VTG, HDT) and AIS (VDM, VDO of one ship) to samples.
 
 pynmea2 and pyais take the sentences apart. Every sentence needs its checksum, every number is checked before it is used, and
-what is not taken is counted by its reason. Nothing on the wire raises. Whoever speaks first is listened to until silent; others
-are counted.
+what is not taken is counted by its reason. Nothing on the wire raises.
 
 Source: NMEA 0183 version 4.11; ITU-R M.1371-5, annex 8, tables 48 and 70 (position reports of classes A and B).
 """
 
-import asyncio
 import datetime
-import logging
 import math
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,11 +17,9 @@ import pyais
 import pynmea2
 
 from drivers.clock_map import ClockMap, ClockMapOptions
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 KNOT_M_S = 1852.0 / 3600.0
 DATAGRAM_MAX = 65_535
@@ -301,71 +295,3 @@ def _moving(stamp: Stamp, v: np.ndarray[tuple[int], np.dtype[np.float64]] | None
     if v is None:
         return []
     return [VesselReport(stamp, v, COV_SPEED, None, None)]
-
-
-log = logging.getLogger(__name__)
-
-HELD_S = 30.0
-"""Silence after which another sender is listened to, unless the settings name one."""
-
-
-class SentenceListener(asyncio.DatagramProtocol):
-    """Passes each datagram of the ship's sender on, with the instant at which it arrived.
-
-    Args:
-        sender: the address that datagrams must come from; empty for the first that is heard.
-    """
-
-    def __init__(self, sender: str, clock: Clock, received: Callable[[bytes, MonoNs], None]) -> None:
-        self._sender = sender
-        self._clock = clock
-        self._received = received
-        self._held: tuple[tuple[str, int], MonoNs] | None = None
-        self.refused: Counter[str] = Counter()
-        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        now, source = self._clock.now(), (addr[0], addr[1])
-        if self._sender and source[0] != self._sender:
-            self._refuse(source, self._sender)
-            return
-        held = self._held
-        if held is not None and held[0] != source and seconds_between(held[1], now) <= HELD_S:
-            self._refuse(source, "{}:{}".format(*held[0]))
-            return
-        self._held = (source, now)
-        self._received(data, now)
-
-    def _refuse(self, source: tuple[str, int], listened_to: str) -> None:
-        if not self.refused["wrong_sender"]:
-            log.warning(
-                "sentences from %s:%d are refused, those from %s are taken; the next ones are counted only", *source, listened_to
-            )
-        self.refused["wrong_sender"] += 1
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if not self.lost.done():
-            self.lost.set_exception(Recoverable(f"the socket for sentences is closed: {exc}"))
-
-
-@asynccontextmanager
-async def listening(
-    address: tuple[str, int], sender: str, clock: Clock, received: Callable[[bytes, MonoNs], None]
-) -> AsyncIterator[SentenceListener]:
-    """Open the socket, and close it on leaving.
-
-    Raises:
-        Recoverable: the address is not of this machine, or another program has it.
-    """
-    loop = asyncio.get_running_loop()
-    try:
-        transport, protocol = await loop.create_datagram_endpoint(
-            lambda: SentenceListener(sender, clock, received), local_addr=address
-        )
-    except OSError as why:
-        raise Recoverable(f"vessel.nmea {address[0]}:{address[1]}: {why.strerror or why}") from why
-    try:
-        yield protocol
-    finally:
-        protocol.lost.cancel()
-        transport.close()

@@ -68,9 +68,11 @@ class IntegrityAlert(Enum):
     IMU_FROZEN = "the IMU repeats its readings"
     ATTITUDE_FROZEN = "the attitude repeats its readings"
     STAMPS = "the stamps of the frames do not hold"
+    APART = "the estimate and what the camera sees move apart"
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"
     HEIGHT = "the barometer contradicts the camera"
+    DECK = "the deck is believed to move as no deck does"
 
 
 class Feature(Struct, frozen=True, eq=False):
@@ -187,6 +189,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     """Number of the tracked pad; it increases when the track is given up for a position that no motion explains."""
     alerts: tuple[IntegrityAlert, ...] = field(default=())
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
+    lost: tuple[str, ...] = field(default=())
+    """Sensors that this belief does without because they lie, and what each does, in words."""
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
@@ -204,14 +208,16 @@ class RelativeState(Struct, frozen=True, eq=False):
         x, y, _ = self.d_body_pad_level.tolist()
         return math.hypot(x, y)
 
-    def marked(self, track: int, alerts: tuple[IntegrityAlert, ...], details: Sequence[tuple[str, float]]) -> RelativeState:
+    def marked(
+        self, track: int, alerts: tuple[IntegrityAlert, ...], lost: tuple[str, ...], details: Sequence[tuple[str, float]]
+    ) -> RelativeState:
         """Return the estimate with what the guard says of it; with alerts it is not consistent.
 
         It is a copy, not a construction: the arrays were checked when this estimate was made.
         """
         made = copy(self)
-        changed = (("track", track), ("alerts", alerts), ("details", details), ("consistent", self.consistent and not alerts))
-        for name, value in changed:
+        changed = (("track", track), ("alerts", alerts), ("lost", lost), ("details", details))
+        for name, value in (*changed, ("consistent", self.consistent and not alerts)):
             force_setattr(made, name, value)
         return made
 

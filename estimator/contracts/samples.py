@@ -94,6 +94,10 @@ class Imu(Struct, frozen=True, eq=False):
     """Angular rate, (3,) rad/s."""
     f_body: F64
     """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
+    gyro_lost_s: float = 0.0
+    """Time up to this sample, s, in which the gyro measured nothing, and `w_body` is what else is known. 0 if it measures."""
+    accel_lost_s: float = 0.0
+    """The same for the accelerometer; `f_body` is not used then."""
 
     def __post_init__(self) -> None:
         w_body, f_body = self.w_body, self.f_body
@@ -270,6 +274,8 @@ class VehicleStatus(Struct, frozen=True):
     battery_fraction: float | None
     emergency: bool
     link_ok: bool
+    taken: str | None = None
+    """Who has taken the vehicle from this service, with the vehicle's own words for it, for people; None while nobody has."""
 
 
 Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus

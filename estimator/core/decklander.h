@@ -163,8 +163,9 @@ typedef struct {
     dl_innovation_excesses excesses;
 } dl_belief;
 
+/* Half of a sample may be no measurement: for how long before it, s, nothing was measured by the gyro, the accelerometer. */
 typedef struct {
-    double w_body[3], f_body[3];
+    double w_body[3], f_body[3], gyro_lost_s, accel_lost_s;
 } dl_imu;
 
 typedef struct {

@@ -56,6 +56,11 @@ def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
     return record
 
 
+def _of_imu(event: Imu) -> bytes:
+    lost = _HALVES.pack(event.gyro_lost_s, event.accel_lost_s)
+    return b"".join([_HEAD.pack(abi.DL_IMU, event.stamp.measured_at), event.w_body.tobytes(), event.f_body.tobytes(), lost, _PAD])
+
+
 def _of_range(event: Range) -> bytes:
     return _record(abi.DL_RANGE, event, distance=(event.range_m, event.sigma_m))
 
@@ -102,8 +107,11 @@ def _sighting(s: Sighting) -> Any:
 
 _HEAD = struct.Struct("2q")
 """The numbers of an event before its sample."""
+_HALVES = struct.Struct("2d")
+_PAD = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof("dl_imu"))
+"""What is left of an event after an IMU sample."""
 _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
-    Imu: _of_arrays(abi.DL_IMU, "dl_imu"),
+    Imu: _of_imu,
     Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
     BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
     Range: _of_range,

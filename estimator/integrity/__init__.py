@@ -10,7 +10,7 @@ The functions are pure. Freshness concerns the content and not the packet: a fra
 content is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, fused
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, judged
 from estimator.integrity.options import IntegrityOptions
 
-__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "excludes", "fused"]
+__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "excludes", "judged"]

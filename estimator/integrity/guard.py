@@ -10,13 +10,26 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, GimbalAttitude, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    Frame,
+    GeoFix,
+    GimbalAttitude,
+    Imu,
+    Range,
+    Sample,
+    VehicleStatus,
+)
 from estimator.contracts.time import MonoNs
-from estimator.integrity import clock, frames, heading, heights, sensors, tracks, view
+from estimator.integrity import arbiter, clock, frames, heading, heights, inertial, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
+_ABOVE_M = 0.3
+"""Height above the body from which on no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
@@ -33,8 +46,22 @@ class IntegrityGuard(Struct, frozen=True):
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
     heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
     heading: heading.HeadingWatch = field(default_factory=heading.HeadingWatch)
+    inertial: inertial.Inertial = field(default_factory=inertial.Inertial)
+    arbiter: arbiter.Arbiter = field(default_factory=arbiter.Arbiter)
+    overruled: int = 0
+    """How often the arbiter has had the filter started again."""
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
+
+    @property
+    def restarts(self) -> int:
+        """How often the filter had to be started again: what it believed was made with a sensor that lies."""
+        return self.inertial.named + self.overruled
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The sensors that the estimate does without, in words."""
+        return self.inertial.lost
 
 
 def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGuard, list[Sample | Verdict]]:
@@ -42,13 +69,14 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
 
     Returns:
         The new guard; and for each sample either what may go to the estimator, or the verdict that refuses it. What may go is the
-        sample itself, except for an attitude whose heading the gyro contradicts: it has the heading that the gyro holds.
+        sample itself, except for an attitude whose heading the gyro contradicts: it has the heading that the gyro holds; and for
+        an IMU sample of which a half is lost: it has what else is known in its place.
     """
     # There are hundreds of samples a second, so what changes is kept in the open until the last of them.
     o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
     watch = clock.ClockWatch(guard.clock.now, guard.clock.rival, delays)
     step_s, settle_s = o.sample_delay_step_max_s, o.sample_delay_settle_s
-    turn, against, flying = guard.heading, guard.heights, guard.flying
+    turn, against, halves, flying = guard.heading, guard.heights, guard.inertial, guard.flying
     admitted: list[Sample | Verdict] = []
     for sample in samples:
         kind, stamp = type(sample), sample.stamp
@@ -72,15 +100,30 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
             seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
             if verdict is None:
                 if type(sample) is Imu:
-                    turn = heading.turned(turn, sample)
+                    halves, left = inertial.felt(halves, sample, o, flying)
+                    if left is None:
+                        verdict = Verdict.FROZEN
+                    else:
+                        sample = left
+                        turn = heading.turned(turn, sample)
                 elif type(sample) is Attitude:
+                    lying = halves.gyro_fault
+                    halves = inertial.levelled(halves, sample, flying)
+                    if halves.gyro_fault is not None and lying is None:
+                        turn = heading.HeadingWatch()
                     turn, sample = heading.steadied(turn, sample, o)
                 elif type(sample) is Range:
                     against = heights.ranged(against, sample, o)
                 elif type(sample) is Baro:
                     against = heights.weighed(against, sample, o)
+                    halves = inertial.weighed(halves, sample)
+                elif type(sample) is BodyVelocity:
+                    halves = inertial.moved(halves, sample)
         admitted.append(sample if verdict is None else verdict)
-    return IntegrityGuard(o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, flying), admitted
+    after = IntegrityGuard(
+        o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, halves, guard.arbiter, guard.overruled, flying
+    )
+    return after, admitted
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
@@ -99,9 +142,12 @@ def admit_sighting(
         belief: the steering estimate at its exposure, before the sighting.
 
     Returns:
-        The new guard, and TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another pad), or None.
+        The new guard, and IMPOSSIBLE (a pad above), TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another
+        pad), or None.
     """
     o = guard.options
+    if sighting.d_body_pad_level.item(2) < -_ABOVE_M:
+        return guard, Verdict.IMPOSSIBLE
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
         # In flight nothing tells a slower link from stamps that have begun to lie.
@@ -115,8 +161,17 @@ def admit_sighting(
         if guard.view.frozen:
             return guard, Verdict.FROZEN
     expected = None if belief is None else _expected(belief, sighting, attitude)
-    following, explained = tracks.associate(guard.tracks, _place(sighting, attitude), expected, o)
-    return replace(guard, tracks=following), None if explained else Verdict.ELSEWHERE
+    place = _place(sighting, attitude)
+    following, explained = tracks.associate(guard.tracks, place, expected, o)
+    if not (explained or guard.arbiter.explains(place)):
+        return replace(guard, tracks=following), Verdict.ELSEWHERE
+    seen = arbiter.follow(guard.arbiter, place)
+    if belief is not None and expected is not None and seen.t == place.t and not seen.misses:
+        v = _fixed(belief.v_pad_level, attitude)
+        seen = arbiter.compare(seen, expected.d, v, tuple(belief.cov.diagonal()[:6].tolist()))
+    if explained:
+        guard = replace(guard, tracks=following)
+    return replace(guard, arbiter=seen), None
 
 
 def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> bool:
@@ -125,9 +180,17 @@ def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> 
     return tracks.is_apart(_expected(belief, sighting, None), _place(sighting, None), o)
 
 
-def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) -> IntegrityGuard:
-    """Record that the steering estimator fused a sighting that had passed."""
-    guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))
+def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None, is_fused: bool) -> IntegrityGuard:
+    """Record whether the steering estimator fused a sighting that had passed."""
+    place = _place(sighting, attitude)
+    seen = arbiter.judged(guard.arbiter, place.t, is_fused)
+    felt = guard.inertial if attitude is None else inertial.sighted(guard.inertial, place.t, place.d, sighting.yaw_rad)
+    guard = replace(guard, arbiter=seen, inertial=felt)
+    if seen.overrules:
+        guard = replace(guard, overruled=guard.overruled + 1, arbiter=arbiter.cleared(seen))
+    if not is_fused:
+        return guard
+    guard = replace(guard, tracks=tracks.fused(guard.tracks, place))
     if attitude is None:
         return guard
     return replace(guard, heights=heights.sighted(guard.heights, sighting, attitude.R_ned_body))
@@ -146,6 +209,8 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
             found.append(alert)
     if guard.clock.off("Sighting"):
         found.append(IntegrityAlert.STAMPS)
+    if guard.arbiter.apart(now):
+        found.append(IntegrityAlert.APART)
     if guard.tracks.disputed(now):
         found.append(IntegrityAlert.ELSEWHERE)
     if guard.heights.contradicted:

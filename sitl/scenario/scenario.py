@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.settings.load import SHIPPED, pad_of_file, read_toml, shipped
+from companion.settings.load import SHIPPED, pad_of_file, read_camera, read_toml, shipped
 from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
@@ -307,7 +307,7 @@ def camera_model(scenario: Scenario) -> Camera:
         BadInput: the file is missing or has a fault.
     """
     path = _find(scenario.camera.file, "cameras", Path(), "camera.file")
-    return Camera.from_mapping(read_toml(path), str(path))
+    return read_camera(path)
 
 
 def with_ardrone1(scenario: Scenario) -> Scenario:

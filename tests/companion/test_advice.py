@@ -2,16 +2,22 @@
 
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import Event, State, StateChange
+from companion.base.observer import Decision
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.advice import advice
+from companion.parts.mqtt.encode import Changes
+from companion.recording import decode, encode
 from estimator.contracts.estimates import IntegrityAlert, Verdict
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import Stamp
+from tests.companion.mission_flights import ns
 
 NO_FAULT = {
     ReasonCause.VEHICLE_FLIES, ReasonCause.OPERATOR, ReasonCause.AUTOMATIC, ReasonCause.PAD_SEEN, ReasonCause.ARRIVED,
     ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.REPORTED,
     ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_AWAY,
-    ReasonCause.VESSEL_NEAR,
+    ReasonCause.VESSEL_NEAR, ReasonCause.REACHED, ReasonCause.GIVEN_BACK,
 }  # fmt: skip
 BY_DETAIL = {ReasonCause.ALERT, ReasonCause.FRAMES}
 
@@ -35,3 +41,13 @@ def test_details_have_an_advice_of_their_own() -> None:
 def test_where_the_drone_waits_for_a_person_that_is_said(state: State) -> None:
     assert advice(state, Reason(ReasonCause.WIND)).endswith("It hovers until you begin again or land it.")
     assert "hovers" not in advice(State.GO_AROUND, Reason(ReasonCause.WIND))
+
+
+def test_the_vehicle_s_own_words_reach_mqtt_and_a_recording_and_come_back() -> None:
+    words = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
+    taken = StateChange(ns(1.0), State.DESCEND, Event.TAKEN, State.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=words))
+    assert decode.transition(encode.transition(taken)) == taken
+    (event,) = Changes().decision(Decision(ns(1.0), State.TAKEN.value, None, None, transitions=(taken,)))
+    assert (event.text, event.data["detail"]) == (f"taken over: {words}", words)
+    status = VehicleStatus(Stamp(ns(1.0), ns(1.0), 0.0, "arrival"), True, "auto.loiter", 0.5, False, True, words)
+    assert decode.sample(encode.sample(status)) == status

@@ -49,6 +49,8 @@ def test_climbing_gives_no_height_back() -> None:
         (Attempt(began=ns(99)), Reason(ReasonCause.TRY_TIME, 61.0, 60.0)),
         (Attempt(losses=3), None),
         (Attempt(losses=3).lost(), Reason(ReasonCause.LOSSES, 4.0, 3.0)),
+        (Attempt().cycle(0.25).cycle(1.0).cycle(1.0), None),
+        (Attempt().cycle(1.0).cycle(1.5), Reason(ReasonCause.STARVED, 2.5, 2.0)),
         (Attempt(blind_descent_m=0.5), None),
         (Attempt(blind_descent_m=0.5).descended(0.25), Reason(ReasonCause.BLIND_DESCENT, 0.75, 0.5)),
     ],

@@ -159,6 +159,56 @@ def test_of_a_video_only_still_and_new_views_are_taken(tmp_path: Path) -> None:
     assert collection.repeated == 11
 
 
+def board_images(print_px: np.ndarray, size_m: tuple[float, float], count: int = 12) -> list[np.ndarray]:
+    """Look at a printed board from as many poses by a pinhole camera of 400x300 px, fx 320."""
+    rng, (h, w) = np.random.default_rng(3), print_px.shape
+    K = np.array([[320.0, 0, 199.5], [0, 320.0, 149.5], [0, 0, 1]])
+    corners = np.array([(0, 0), (size_m[0], 0), size_m, (0, size_m[1])], float) - np.array(size_m) / 2
+    out = []
+    for _ in range(count):
+        R = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3) * (1, 1, 0.3))[0]
+        xyz = np.c_[corners, np.zeros(4)] @ R.T + (rng.uniform(-0.04, 0.04), rng.uniform(-0.03, 0.03), rng.uniform(0.3, 0.4))
+        uv = (xyz @ K.T)[:, :2] / xyz[:, 2:]
+        flat = np.array([(-0.5, -0.5), (w - 0.5, -0.5), (w - 0.5, h - 0.5), (-0.5, h - 0.5)], np.float32)
+        H = cv2.getPerspectiveTransform(flat, (4 * (uv + 0.5) - 0.5).astype(np.float32))
+        big = cv2.warpPerspective(print_px, H, (1600, 1200), flags=cv2.INTER_AREA, borderValue=110)
+        out.append(cv2.resize(big, (400, 300), interpolation=cv2.INTER_AREA))
+    return out
+
+
+def old_charuco() -> np.ndarray:
+    """The board as OpenCV drew it before 4.6."""
+    board = cv2.aruco.CharucoBoard((7, 10), 0.025, 0.018, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250))
+    board.setLegacyPattern(True)
+    return cv2.copyMakeBorder(board.generateImage((700, 1000)), 50, 50, 50, 50, cv2.BORDER_CONSTANT, value=255)
+
+
+def square_chessboard() -> np.ndarray:
+    squares = np.kron((np.indices((8, 8)).sum(0) % 2).astype(np.uint8) * 255, np.ones((100, 100), np.uint8))
+    return cv2.copyMakeBorder(squares, 100, 100, 100, 100, cv2.BORDER_CONSTANT, value=255)
+
+
+@pytest.mark.parametrize(
+    ("board", "print_px", "size_m"),
+    [(CHARUCO, old_charuco(), (0.2, 0.275)), (Board("chessboard", 8, 8), square_chessboard(), (0.25, 0.25))],
+)
+def test_old_and_square_boards_measure_the_focal_length(board: Board, print_px: np.ndarray, size_m: tuple[float, float]) -> None:
+    collection = Collection(board, moving=False)
+    for n, px in enumerate(board_images(print_px, size_m)):
+        collection.add(str(n), px)
+    solution = solve(collection.views, board, (400, 300), STRAIGHT.T_body_cam)
+    assert len(collection.views) >= 10
+    assert solution.camera.fx == pytest.approx(320.0, rel=0.01)
+    assert solution.rms_px < 0.3
+
+
+def test_a_mirrored_board_is_named() -> None:
+    collection = Collection(CHARUCO, moving=False)
+    for n, px in enumerate(board_images(old_charuco(), (0.2, 0.275), 3)):
+        assert collection.add(str(n), np.ascontiguousarray(px[:, ::-1])) is None
+    assert collection.mirrored == 3
+
+
 async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "live.mkv"
     with av.open(str(path), "w") as out:
@@ -186,7 +236,6 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
     [
         (["--squares", "7by10"], "--squares"),
         (["--marker-mm", "24.9"], "markers must be"),
-        (["--board", "chessboard", "--squares", "7x9"], "has no up"),
         (["--rpy-deg", "0,0"], "--rpy-deg"),
         (["--out", "none/such/camera.toml"], "--out"),
         (["--device", "cam"], "either images and videos, or --device"),

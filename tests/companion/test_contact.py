@@ -5,10 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.contact import ContactWatch, watched
-from companion.guidance.controller import Impact
+from companion.guidance.contact import ENOUGH, ContactWatch, votes, watched
+from companion.guidance.controller import Impact, Knowledge
+from companion.guidance.situation import GuidanceCycle
+from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.mission_flights import estimate, ns
 
 STEP_S = 0.005
 
@@ -78,7 +81,7 @@ def felt(watch: ContactWatch, ms: float, up: float) -> ContactWatch:
 def test_a_memory_begins_with_nothing_and_the_mean_with_the_first_sample() -> None:
     nothing = ContactWatch()
     assert nothing == ContactWatch(None, 0.0, None, 0.0, 0.0, None)
-    assert felt(nothing, 7.0, 9.0) == ContactWatch(MonoNs(7_000_000), 9.0)
+    assert felt(nothing, 7.0, 9.0) == ContactWatch(MonoNs(7_000_000), 9.0, up_m_s2=9.0)
 
 
 @pytest.mark.parametrize(("gap_ms", "begins"), [(-1, True), (0, True), (1, False), (150, False), (150.1, True)])
@@ -126,3 +129,63 @@ def test_a_contact_s_rebounds_are_none_for_three_tenths(after_ms: float, told: b
         watch = felt(watch, ms, 9.0)
     watch = felt(watch, 10.0 + after_ms, 30.0)
     assert (watch.newest is not first) is told
+
+
+def test_an_accelerometer_that_repeats_itself_feels_nothing_and_a_live_one_does() -> None:
+    live = ContactWatch()
+    for k in range(200):
+        live = felt(live, 5.0 * k, 9.8 + 0.01 * (k % 3))
+        assert live.feels
+    dead = live
+    for k in range(200, 231):
+        dead = felt(dead, 5.0 * k, 9.8)
+    assert not dead.feels
+    assert felt(dead, 1160.0, 9.81).feels
+
+
+def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
+    first = felt(ContactWatch(), 0.0, 9.0)
+    spike = felt(first, 5.0, 309.0).newest
+    assert spike is not None
+    assert spike.doubtful, "no landing takes 1.5 m/s away at once"
+    watch = felt(felt(first, 10.0, 30.0), 20.0, 9.0)
+    assert watch.newest is not None
+    assert not watch.newest.doubtful
+    for ms in range(120, 1000, 100):
+        watch = felt(watch, float(ms), 9.0)
+    again = felt(watch, 930.0, 30.0).newest
+    assert again is not watch.newest
+    assert again is not None
+    assert again.doubtful
+
+
+FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerometer", 300.0, doubtful=True)
+
+
+@pytest.mark.parametrize(
+    ("feet_m", "down_m_s", "felt_by", "more", "contact"),
+    [
+        (0.02, 0.4, FIRM, {}, True), (0.1, 0.4, FIRM, {}, True), (0.2, 0.4, FIRM, {}, False), (0.2, 0.0, FIRM, {}, True),
+        (0.2, 0.4, FAINT, {}, False), (0.08, 0.4, FAINT, {}, False), (0.02, 0.4, FAINT, {}, True),
+        (0.02, 0.4, FIRM, {"feels": False}, True), (0.1, 0.4, FIRM, {"feels": False}, False),
+        (-0.04, 0.0, None, {}, False), (-0.1, 0.4, None, {}, False), (-0.1, 0.0, None, {}, True), (-0.4, 0.0, None, {}, False),
+        (-0.1, 0.4, None, {"feels": False}, True), (0.02, 0.4, None, {"feels": False}, False),
+        (0.02, 0.0, None, {"feels": False}, True), (0.02, 0.4, None, {"feels": False, "range_m": 0.1}, True),
+        (0.1, 0.4, FIRM, {"range_m": 0.5}, False), (0.02, 0.4, FIRM, {"range_m": 0.5}, True),
+        (0.2, 0.4, Impact(ns(9.9), "velocity", held_m_s=0.5), {"range_m": 0.1}, True),
+    ],
+)  # fmt: skip
+def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(
+    feet_m: float, down_m_s: float, felt_by: Impact | None, more: dict[str, object], contact: bool
+) -> None:
+    cone = ConeOptions()
+    seen = estimate(10.0, (0.0, 0.0, feet_m + cone.feet_below_m), (0.0, 0.0, -down_m_s))
+    s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen, impact=felt_by), **more)
+    assert (votes(s, felt_by, cone, 1.0) >= ENOUGH) is contact
+
+
+def test_what_is_not_known_has_no_vote() -> None:
+    cone = ConeOptions()
+    for seen in (None, estimate(10.0, (0.0, 0.0, 1.0), consistent=False), estimate(10.0, (0.0, 0.0, 1.0), sigma=0.2)):
+        s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen))
+        assert (votes(s, FIRM, cone, 1.0), votes(s, FAINT, cone, 1.0), votes(s, None, cone, 1.0)) == (1.0, 0.5, -0.5)

@@ -157,7 +157,7 @@ def test_the_unit_starts_again_after_everything_else() -> None:
 
 async def test_a_port_in_use_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     from drivers.clock import SystemClock
-    from drivers.mavlink.endpoint import parse_endpoint
+    from drivers.endpoint import parse_endpoint
     from drivers.mavlink.links import LinkOptions, open_links
     from drivers.mavlink.options import LinkLimits
 

@@ -175,7 +175,8 @@ def test_it_is_a_contact_after_a_quarter_of_a_second(held_ms: float, found: bool
         (0.05, 0.0, "velocity", State.PRESS),
         (0.28, 0.0, "velocity", State.COMMIT),
         (0.05, 0.6, "velocity", State.COMMIT),
-        (0.28, 0.0, "accelerometer", State.PRESS),
+        (0.28, 0.1, "accelerometer", State.PRESS),
+        (0.28, 0.0, "accelerometer", State.COMMIT),
     ],
 )
 def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(

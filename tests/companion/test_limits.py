@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, Knowledge
-from companion.guidance.limits import InputQuality, commit, gate, no_return_m, sigma_m
+from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, sigma_m, stop_m
 from companion.settings.mission import ConeOptions, LandingLimits
-from estimator.contracts.motion import DeckMotion
+from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns
 from tests.companion.test_clearance import forecast, swell
@@ -145,3 +145,33 @@ def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: flo
     for off_m in (-0.01, 0.01):
         found = in_commit({"d": (0.0, 0.0, height_m + off_m)}, tilted(2.6), longer_s)
         assert (found is not None and found.cause is ReasonCause.DECK_TILT) is (off_m > 0.0)
+
+
+def moving(down_m_s: float = 0.0, a_m_s2: float = 0.0, rate_deg_s: float = 0.0, sigma: float = 0.0) -> DeckMotion:
+    v, a = np.array([9.0, 0.0, down_m_s]), np.array([9.0, 0.0, a_m_s2])
+    return DeckMotion(ns(NOW), v, a, sigma**2 * np.eye(6), 0.0, 0.0, math.radians(rate_deg_s), 0.0, np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize(
+    ("deck", "impossible"),
+    [
+        (moving(2.9, 2.9, 39.0), False), (moving(-3.1), True), (moving(3.1), True), (moving(0.0, 3.1), True),
+        (moving(rate_deg_s=-41.0), True), (moving(4.0, sigma=0.6), False), (moving(4.0, sigma=0.4), True), (None, False),
+    ],
+)  # fmt: skip
+def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotion | None, impossible: bool) -> None:
+    assert impossible_deck(deck) is impossible
+
+
+def test_feet_that_slide_come_to_stand_farther_on() -> None:
+    """From v they slide v^2 / (2 0.5 g): the body goes against the pad's velocity relative to it."""
+    assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (1.0, 0.0, 0.0))) == pytest.approx(0.1 + 1.0 / G_M_S2)
+    assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (-1.0, 0.0, 0.0))) == pytest.approx(abs(0.1 - 1.0 / G_M_S2))
+    assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))
+
+
+@pytest.mark.parametrize(("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.1, 0.9, False)])
+def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
+    seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
+    found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen), LIMITS, CONE)
+    assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends

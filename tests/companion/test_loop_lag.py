@@ -104,3 +104,16 @@ def test_a_recorded_flight_says_in_its_report_how_late_the_loop_was(tmp_path: Pa
         kept.on_decision(Decision(health.now(), "search", None, None))
     facts = dict(log_of(open_recording([tmp_path / "flight.mcap"]), "one").facts)
     assert facts["event loop"] == "late by at most 300 ms, 99.9 % within 2.1 ms, held longer than 0.2 s 1 times"
+
+
+async def test_a_wall_clock_that_is_set_is_told_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead, real = [0.0], time.time
+    monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
+    watching, *_ = watch()
+    task = asyncio.create_task(watching.run())
+    await asyncio.sleep(0.05)
+    ahead[0] = 200 * 86400.0
+    await asyncio.sleep(0.1)
+    task.cancel()
+    told = [m for m in caplog.messages if "wall clock" in m]
+    assert told == ["the wall clock was set by +17280000.0 s: the flight does not go by it"]

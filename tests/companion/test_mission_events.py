@@ -7,12 +7,13 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, Event, State
+from companion.base.mission import FLOWN, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact, Knowledge
+from companion.guidance.held_course import HeldCourse
 from companion.guidance.mission import TABLES
-from companion.guidance.progress import Progress
+from companion.guidance.progress import Progress, entered
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.watch import events, fit_in
 from companion.settings.guidance import GuidanceOptions
@@ -316,3 +317,67 @@ def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_d
     assert found(0.45, guided(cone={"gate_height_m": 0.5})) is None, "as high as the commit begins a vehicle may stand"
     assert of(Event.LIMIT, p, cycle()) is None
     assert TABLES["cone"][state][Event.LIMIT] is State.GO_AROUND
+
+
+# Contacts of which no accelerometer tells, and those of a go-around
+
+
+@pytest.mark.parametrize(
+    ("height_m", "age_s", "off_m", "pressed"),
+    [(0.14, 1.52, 0.1, True), (0.14, 1.49, 0.1, False), (0.15, 1.52, 0.1, False), (0.14, 1.52, 0.36, False)],
+)
+def test_over_the_deck_with_a_sight_that_is_too_old_it_presses_on(
+    height_m: float, age_s: float, off_m: float, pressed: bool
+) -> None:
+    """A PX4 stood on the pad at night, felt nothing yet, and took off again: its sight was 1.52 s old."""
+    found = happens(memory(State.COMMIT), cycle(seen((off_m, 0.0, height_m), v=(0.0, 0.0, -0.4), age=age_s)))
+    assert (bool(found) and found[0][0] is Event.CONTACT) is pressed
+    assert not pressed or figures(found[0][1]) == (ReasonCause.REACHED, pytest.approx(height_m - 0.045), None)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "off_m", "speed_m_s", "ago_s", "bounces", "pressed"),
+    [
+        (0.1, 0.1, 0.0, 0.5, 0, True), (0.17, 0.1, 0.0, 0.5, 0, False), (0.1, 0.36, 0.0, 0.5, 0, False),
+        (0.1, 0.26, 1.0, 0.5, 0, False), (0.1, 0.24, 1.0, 0.5, 0, True), (0.1, 0.1, 0.0, 1.1, 0, False),
+        (0.1, 0.1, 0.0, 0.5, 4, False),
+    ],
+)  # fmt: skip
+def test_a_contact_after_the_order_to_go_around_ends_in_the_press_where_it_is_on_the_pad(
+    height_m: float, off_m: float, speed_m_s: float, ago_s: float, bounces: int, pressed: bool
+) -> None:
+    """It slides on by 0.1 m from 1 m/s; a rim of the pad remains."""
+    s = cycle(seen((off_m, 0.0, height_m), v=(speed_m_s, 0.0, 0.0)), impact=struck("accelerometer", ago_s))
+    found = figures(of(Event.CONTACT, memory(State.GO_AROUND, bounces=bounces), s))
+    assert found == ((ReasonCause.FELT, 4.0, None) if pressed else None)
+
+
+def test_after_the_second_bounce_it_stays_down() -> None:
+    off = cycle(seen((0.0, 0.0, 0.6)))
+    for bounces, ends in ((0, True), (1, True), (2, False)):
+        p = memory(State.PRESS, bounces=bounces)
+        assert (of(Event.LIMIT, p, off) is not None) is ends
+    p = entered(
+        memory(State.PRESS), StateChange(ns(NOW), State.PRESS, Event.LIMIT, State.GO_AROUND, Reason(ReasonCause.OFF_DECK))
+    )
+    assert p.bounces == 1
+
+
+# Against the orders
+
+
+def test_two_seconds_against_the_order_end_a_try() -> None:
+    down = HeldCourse(1, 1.0, ns(NOW - 2.0))
+    for height_m, course, ends in ((1.3, down, True), (1.29, down, False), (1.3, replace(down, at=ns(NOW - 1.9)), False)):
+        found = figures(of(Event.LIMIT, memory(State.DESCEND, course=course), cycle(seen((0.0, 0.0, height_m)))))
+        assert found == ((ReasonCause.ROSE_AGAINST, pytest.approx(height_m - 1.0), 2.0) if ends else None)
+    up = memory(State.GO_AROUND, course=replace(down, sign=-1), fault=WHY, go_arounds=1)
+    assert figures(of(Event.TIMEOUT, up, cycle(seen((0.0, 0.0, 0.6))))) == (ReasonCause.SANK_AGAINST, pytest.approx(0.4), 2.0)
+    assert of(Event.TIMEOUT, up, cycle(seen((0.0, 0.0, 1.4)))) is None
+
+
+def test_a_vehicle_that_answers_too_late_ends_the_flight() -> None:
+    for state in (State.SEARCH, State.DESCEND, State.GATE):
+        found = figures(of(Event.NO_CONDITIONS, memory(state), cycle(seen(), late_s=0.44)))
+        assert found == (ReasonCause.ANSWERS_LATE, 0.44, 0.4)
+        assert TABLES["cone"][state][Event.NO_CONDITIONS] in (State.GO_AROUND, State.REFUSED)

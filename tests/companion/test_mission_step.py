@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, Event, State
+from companion.base.mission import ENDED, FLOWN, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance import mission_step as module
 from companion.guidance.controller import Knowledge
@@ -11,6 +11,7 @@ from companion.guidance.mission_step import Transitions, mission_step, ordered, 
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Hover
 from tests.companion.mission_flights import estimate, ns, status
 
 OPTIONS = GuidanceOptions()
@@ -90,3 +91,21 @@ def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytes
     p, _, changes = mission_step(in_state(State.DESCEND), cycle, OPTIONS, over_ground=False)
     assert [change.target for change in changes] == [State.INTERCEPT, State.DESCEND] * 2
     assert p.state is State.DESCEND
+
+
+def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> None:
+    """A failsafe ended a landing while the report said that the pad was not found."""
+    words = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
+    taken = replace(status(3.0, flying=True), taken=words)
+    for state in sorted(FLOWN, key=str):
+        p, changes = reported(replace(in_state(state), begun=True, asked_at=ns(1.0)), taken, OPTIONS)
+        assert (p.state, p.begun, changes[0].reason.text) == (State.TAKEN, True, words)
+    cycle = GuidanceCycle(ns(3.1), Knowledge(ns(3.1), estimate(3.1, (0.0, 0.0, 2.0))))
+    still, aim, _ = mission_step(p, cycle, OPTIONS, over_ground=True)
+    assert (still.state, aim) == (State.TAKEN, Hover())
+    assert reported(p, taken, OPTIONS) == (p, ())
+    back, changes = reported(p, status(4.0, flying=True), OPTIONS)
+    assert (back.state, changes[0].reason.cause) == (State.SEARCH, ReasonCause.GIVEN_BACK)
+    assert reported(replace(back, asked_at=ns(3.0)), taken, OPTIONS)[1] == (), "a report from before the order"
+    for state in (State.READY, State.PAUSED):
+        assert reported(in_state(state), taken, OPTIONS)[1] == ()

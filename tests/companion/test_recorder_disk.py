@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.observer import Decision
 from companion.parts.recorder.recorder import Recorder, RecorderState
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording import mcap_file
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.recorder import RecorderOptions
 from estimator.contracts.samples import Imu
+from estimator.contracts.time import MonoNs
 from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of, wait_for
 from tests.support.descriptors import no_descriptors
 
@@ -75,7 +77,9 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
 
 
-def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path: Path, disk: Disk) -> None:
+def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
         recorder.on_sample(imu(0.0))
@@ -92,8 +96,14 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
         assert spent_s < 60.0, "one call that waited for this disk would not have come back"
         assert recorder.dropped["imu"] + recorder.dropped["detection"] == 1100 - 50
         assert recorder.dropped["frame"] + 3 >= 5 - 1
+        monkeypatch.setattr("companion.parts.recorder.recorder._HANGS_S", 0.0)
+        recorder.on_decision(Decision(MonoNs(2_000_000_000), "search", None, None))
+        recorder.on_decision(Decision(MonoNs(3_500_000_000), "search", None, None))
+        assert [m for m in caplog.messages if "has taken nothing" in m] == [caplog.messages[0]], "it is told once"
         disk.moving.set()
-        wait_for(lambda: recorder._queue.empty())
+        wait_for(lambda: recorder._queue.empty() and recorder._busy_since_s is None)
+        recorder.on_decision(Decision(MonoNs(5_000_000_000), "search", None, None))
+        assert "recorder: the disk takes records again; 1 were dropped" in caplog.messages
         recorder.on_frame(frame(3.0, 7))
     kept = [e for e in open_recording([tmp_path / "a.mcap"]).events() if isinstance(e, RecordedFrame)]
     assert kept[-1].record.seq == 7

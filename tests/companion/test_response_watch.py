@@ -118,6 +118,18 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
         assert watch.in_use.longer_s == pytest.approx(watch.in_use.delay_s - GIVEN.tilt.delay_s)
 
 
+@pytest.mark.parametrize(("delay_s", "too_late"), [(0.3, False), (0.38, False), (0.45, True)])
+def test_a_delay_that_nothing_can_fly_with_is_told_after_two_fits(delay_s: float, too_late: bool) -> None:
+    u = leans(3, 16.0, 0.6)
+    watch = begun(GIVEN.tilt, KNOWN_S)
+    for before, after in watched(watch, u, answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, 3)):
+        assert after.late_s is None or before.late_doubt
+        watch = after
+    assert (watch.late_s is not None) is too_late
+    assert not too_late or watch.late_s == pytest.approx(delay_s, abs=0.03)
+    assert landed(watch).late_s is None
+
+
 def course(kind: str) -> tuple[F64, F64, float]:
     u = leans(5, 16.0, 0.6)
     y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)

@@ -20,6 +20,7 @@ from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
+from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
@@ -34,7 +35,7 @@ TRIES = TryOptions()
 TICK_S = 0.05
 FAULTS = (
     "none", "camera frozen", "aside", "half aside", "no pad", "no frames", "stamps old", "imu frozen", "imu spikes",
-    "attitude frozen", "velocity frozen", "hour ahead", "range wrong", "silent",
+    "accelerometer frozen", "attitude frozen", "velocity frozen", "hour ahead", "range wrong", "silent",
 )  # fmt: skip
 
 
@@ -86,6 +87,8 @@ class Loop:
         w, f = self.noise(0.01), np.array([0, 0, -9.80665]) + self.noise(0.05)
         if fault == "imu frozen":
             w, f = self.still_imu
+        if fault == "accelerometer frozen":
+            f = self.still_imu[1]
         if fault == "imu spikes" and self.ticks % 5 == 0:
             f = np.array([0.0, 1e4, 0.0])
         self.pilot.on_sample(Imu(stamp, w, f))
@@ -232,9 +235,41 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, a
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
+def test_half_an_imu_that_is_dead_is_told_and_the_descent_goes_on_without_it() -> None:
+    loop = Loop("ekf")
+    loop.until(below(2.4, loop))
+    words = "the accelerometer repeats its readings; flying without it"
+    told = loop.until(lambda decision: words in decision.reason, "accelerometer frozen", seconds=0.4)
+    assert told.belief is not None
+    assert told.belief.consistent
+    loop.until(below(1.2, loop), "accelerometer frozen")
+
+
 @pytest.mark.parametrize("fault", ["imu spikes", "hour ahead", "velocity frozen"])
 def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> None:
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     loop.until(lambda decision: isinstance(decision.command, Land), fault)
     assert np.hypot(*loop.d[:2]) < 0.2
+
+
+def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lying accelerometer makes the filter believe in a deck that rises ever faster; the drone followed it up at 1 m/s."""
+    loop = Loop("ekf")
+    loop.until(below(2.4, loop))
+    moves = loop.pilot.motion
+    rises = DeckMotion(loop.now, np.array([0.0, 0.0, -8.0]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    monkeypatch.setattr(loop.pilot, "motion", lambda now: (moves(now)[0], rises))
+    height_m = loop.d[2]
+    for _ in range(40):
+        decision = loop.tick()
+        assert not descends(decision)
+        assert decision.belief is not None
+        assert IntegrityAlert.DECK in decision.belief.alerts
+        told = loop.pilot.belief(loop.now)
+        assert told is not None
+        assert not told.consistent
+    assert IntegrityAlert.DECK.value in decision.reason
+    assert loop.d[2] < height_m + 1.5, "it follows no such deck up"
+    monkeypatch.undo()
+    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)

@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import re
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 from msgspec import inspect
 
+from companion.cli import main as cli
 from companion.settings import whole_file
 from companion.settings.load import (
     SHIPPED,
@@ -25,6 +28,7 @@ from companion.settings.load import (
     pad_model,
     pad_of_file,
     shipped,
+    toml_of,
 )
 from companion.settings.refusal import walk
 from drivers.mavlink.options import AutopilotOptions
@@ -446,3 +450,37 @@ def test_a_pad_is_read_once_and_again_when_its_file_has_changed(tmp_path: Path) 
     file.unlink()
     with pytest.raises(BadInput, match=r"pad\.toml"):
         pad_of_file(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (MINIMAL.replace('"sim"', '"/dev/zero"'), "a device or a pipe"),
+        (MINIMAL + '[page]\nendpoint = "http"\ntoken_file = "/dev/zero"\n', "a device or a pipe"),
+        ("a" + ".a" * 50_000 + " = 1\n", "a key of more than 50 parts"),
+        ("a" + ".'a'" * 200 + " = 1\n", "a key of more than 50 parts"),
+        ("# " + "x" * 1_000_000, "such a file has at most 1000000"),
+    ],
+)
+def test_no_file_that_settings_name_is_endless_large_or_slow(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text)
+    began_s = time.process_time()
+    assert cli.main(["config", "check", str(rig)]) == 2
+    assert time.process_time() - began_s < 2.0
+    assert said in capsys.readouterr().err
+
+
+def test_a_pipe_and_a_device_are_no_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    for name in (str(tmp_path / "pipe.toml"), "/dev/zero"):
+        assert cli.main(["config", "check", name]) == 2
+        said = capsys.readouterr().err
+        assert len(said.splitlines()) == 1
+
+
+def test_long_rows_of_numbers_and_texts_with_dots_are_no_deep_keys() -> None:
+    text = f"x = [{', '.join(['0.125'] * 400)}]\ny = \"{'a.b ' * 400}\"\nz = '''\n{'One. Two. ' * 20}\n'''\n"
+    assert toml_of(text, Path("x"))["x"][-1] == 0.125

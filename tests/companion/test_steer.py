@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
-from companion.guidance.controller import Knowledge, Target
+from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.limits import InputQuality
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
@@ -139,7 +139,7 @@ def test_at_the_gate_it_flees_a_deck_that_rises_faster_than_it_climbs(swell_m_s:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.5])
-@pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (-0.1, 0.0)])
+@pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (0.35, 0.0525)])
 def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, height_m: float, aside_m: float) -> None:
     found = target(State.GO_AROUND, known((0.1, 0.1, height_m), yaw=yaw), guided(tries={"clear_side_deg": 110.0}))
     assert (found.descent_rate_m_s, found.d_body_pad_level[2]) == (-0.5, 2.0)
@@ -223,3 +223,28 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
 def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
     found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
     assert found.descent_rate_m_s == rate_m_s
+
+
+def test_a_go_around_first_lifts_where_it_is_at_the_fastest_rate() -> None:
+    """Feet that are dragged along the deck turn a vehicle over, so it moves aside from 0.3 m on."""
+    for height_m, rate, here in ((0.34, -1.0, True), (0.35, -0.5, False)):
+        fast = replace(known((0.1, 0.2, height_m)), climb_max_m_s=1.0)
+        found = target(State.GO_AROUND, fast)
+        assert found.descent_rate_m_s == rate
+        assert (found.d_body_pad_level.tolist()[:2] == [0.1, 0.2]) is here
+    blind = replace(known((0.1, 0.2, 0.1), consistent=False), climb_max_m_s=1.0)
+    for begun_s, rate in ((0.0, -1.0), (0.2, -1.0), (0.3, -0.5)):
+        for unknown in (blind, replace(known((0.1, 0.2, 0.1), age=1.51), climb_max_m_s=1.0)):
+            _, up = asked(State.GO_AROUND, unknown, entered_height_m=0.1, since=ns(NOW - begun_s))
+            assert isinstance(up, Velocity)
+            assert up.v_level[2] == rate
+
+
+def test_motors_stop_by_force_only_on_a_deck_that_was_felt() -> None:
+    high, low = known((0.0, 0.0, 0.6)), known((0.0, 0.0, 0.05))
+    struck = Impact(ns(NOW), "accelerometer", 9.0)
+    assert asked(State.DOWN, low)[1] == Land(on_deck=True)
+    assert asked(State.DOWN, low, reckoned=ns(NOW - 0.1))[1] == Land(on_deck=False)
+    assert asked(State.DOWN, replace(low, impact=struck), reckoned=ns(NOW - 0.1))[1] == Land(on_deck=True)
+    assert asked(State.DOWN, high, bounces=2, track=1)[1] == Land(on_deck=False), "it lands by the vehicle's own landing"
+    assert asked(State.DOWN, low, bounces=2, track=1)[1] == Land(on_deck=True)

@@ -35,6 +35,9 @@ _REPORT_S = 1.0
 _INTERVAL_MIN_S, _INTERVAL_MAX_S = 0.01, 2000.0
 """Shortest and longest interval of a message that is sent periodically; MESSAGE_INTERVAL cannot carry a longer one."""
 
+_HEARTBEAT_BOUNDS_S = 0.2, 2.0
+"""A component whose HEARTBEAT comes more rarely counts as lost; whoever is behind the autopilot's router may not ask for that."""
+
 Params = tuple[float, float, float, float, float, float, float]
 
 
@@ -68,9 +71,17 @@ class Offered:
         return round(interval_s * 1e6) if interval_s > 0 else -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
-        """Set a message's interval: -1 stops it, 0 sets the default. Return False if that is impossible or exceeds 2000 s."""
+        """Set a message's interval: -1 stops it, 0 sets the default.
+
+        Return False if that is impossible or exceeds 2000 s. HEARTBEAT is never stopped, nor sent more often or rarely than a
+        component may.
+        """
         if number not in self._makers or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
             return False
+        if number == mav.MAVLINK_MSG_ID_HEARTBEAT and interval_us:
+            shortest_s, longest_s = _HEARTBEAT_BOUNDS_S
+            if not shortest_s <= interval_us * 1e-6 <= longest_s:
+                return False
         default = self._defaults.get(number, 0.0)
         wanted_s = max(_INTERVAL_MIN_S, interval_us * 1e-6) if interval_us else default
         self._intervals_s[number] = 0.0 if interval_us == -1 else wanted_s

@@ -61,6 +61,7 @@ _SEVERITIES = {
         State.ANOTHER_PAD: MavSeverity.ERROR,
         State.REFUSED: MavSeverity.CRITICAL,
         State.GAVE_UP: MavSeverity.CRITICAL,
+        State.TAKEN: MavSeverity.CRITICAL,
         State.EMERGENCY: MavSeverity.CRITICAL,
     }.items()
 }
@@ -156,6 +157,7 @@ class Component(NullObserver):
         self._track = TargetTrack()
         self._computer = ComputerReader()
         self._phase = ""
+        self._lost: tuple[str, ...] = ()
         self._decided: MonoNs | None = None
         self._belief: RelativeState | None = None
         self._sick = False
@@ -197,7 +199,7 @@ class Component(NullObserver):
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         """Send a fused sighting at once instead of at the next tick."""
-        if processed.verdict is Verdict.FUSED and self._autopilot is not None:
+        if processed.verdict is Verdict.FUSED and self._autopilot is not None and self._autopilot.unclear is None:
             now = self._clock.now()
             self._update_belief(now)
             self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
@@ -208,6 +210,11 @@ class Component(NullObserver):
             self._belief = decision.belief
         if decision.response is not None and decision.response.state is ResponseState.IDENTIFIED:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
+        lost = () if decision.belief is None else decision.belief.lost
+        for text in lost:
+            if text not in self._lost:
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", decision.at)
+        self._lost = lost
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
@@ -269,7 +276,7 @@ class Component(NullObserver):
             self._send(self._parameters.due())
 
     def _tell_target(self, now: MonoNs) -> None:
-        if self._autopilot is not None and self._autopilot.connected:
+        if self._autopilot is not None and self._autopilot.connected and self._autopilot.unclear is None:
             self._update_belief(now)
             view = _View(self._autopilot)
             self._autopilot.take_ranges(not self.outputs.sends_ranges(view))

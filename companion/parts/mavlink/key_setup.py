@@ -12,9 +12,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
+from drivers.endpoint import Endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import TimeSyncV2, mav
-from drivers.mavlink.endpoint import Endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey

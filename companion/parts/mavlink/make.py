@@ -14,6 +14,7 @@ from companion.base.missing_inputs import GIMBAL
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.link_watch import LinkWatch
 from companion.parts.mavlink.operator import PilotTower
 from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.refusals import link_counters
@@ -24,6 +25,7 @@ from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
+from drivers.running_beside import running_beside
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
@@ -147,6 +149,7 @@ class AutopilotPart:
         show: ShowCamera | None = None,
     ) -> None:
         self._pilot = pilot
+        self._health = health
         self._clock = clock
         self._tap = tap
         self._show = show
@@ -193,6 +196,7 @@ class AutopilotPart:
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),
                 tending(self._gimbal, autopilot, self._clock),
+                running_beside([("link-watch", LinkWatch(autopilot, self._options.system_id, self._health, self._clock).run())]),
             ):
                 self._open = autopilot
                 try:

@@ -8,15 +8,16 @@ are counted, because aiomqtt takes any answer for success.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 import math
 import socket
 import ssl
-import threading
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import aiomqtt
@@ -28,59 +29,8 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from companion.settings import secret_files
 from companion.settings.mqtt import MqttSettings
 from companion.settings.tls import tls_context
+from drivers.resolve import Address, resolve
 from estimator.contracts.errors import Recoverable
-
-Address = tuple[Any, Any, int, str, Any]
-"""The family, kind, protocol, canonical name and address that `socket.getaddrinfo` returns."""
-
-_asking: set[str] = set()
-"""The hosts that a thread is still resolving: one thread each, however often a caller retries."""
-
-
-async def resolve(host: str, port: int, timeout_s: float) -> list[Address]:
-    """Return the addresses to connect to, the best first.
-
-    Raises:
-        Recoverable: there is no such host, or no answer came within `timeout_s`.
-    """
-    if host in _asking:
-        raise Recoverable(f"broker {host}: its address is still being asked for")
-    loop = asyncio.get_running_loop()
-    found: asyncio.Future[list[Address]] = loop.create_future()
-
-    def ask() -> None:
-        addresses: list[Address] = []
-        why = ""
-        try:
-            addresses = list(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
-        except (OSError, UnicodeError) as error:
-            why = str(getattr(error, "strerror", None) or error)
-        finally:
-            _asking.discard(host)
-        # The loop may have ended in the meantime.
-        with suppress(RuntimeError):
-            loop.call_soon_threadsafe(settle, addresses, why)
-
-    def settle(addresses: list[Address], why: str) -> None:
-        if found.done():
-            return
-        if addresses:
-            found.set_result(addresses)
-        else:
-            found.set_exception(Recoverable(f"broker {host}:{port}: {why or 'no address'}"))
-
-    _asking.add(host)
-    try:
-        threading.Thread(target=ask, name="resolve", daemon=True).start()
-    except RuntimeError as why:
-        _asking.discard(host)
-        raise Recoverable(f"broker {host}: {why}") from why
-    try:
-        async with asyncio.timeout(timeout_s):
-            return await found
-    except TimeoutError as why:
-        raise Recoverable(f"broker {host}:{port}: no answer from the resolver within {timeout_s:g} s") from why
-
 
 INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
@@ -90,6 +40,45 @@ _THREAD_S = 0.02
 _quiet = logging.getLogger("companion.parts.mqtt.paho")
 _quiet.setLevel(logging.CRITICAL)
 """This logger is silenced because aiomqtt warns once for every message that it discards, which in a flood is a second flood."""
+
+
+_ENDED = {
+    0x81: "it cannot read what was sent",
+    0x82: "it takes what was sent for an error of protocol",
+    0x83: "for a reason of its own",
+    0x87: "it does not allow this user (its access list)",
+    0x89: "it is busy",
+    0x8B: "it shuts down",
+    0x8D: "it heard nothing for the keep-alive interval",
+    0x8E: "session taken over: another program connected with the same client id; give each drone a name of its own (mqtt.drone)",
+    0x93: "it had too many unanswered messages",
+    0x95: "a packet was too large",
+    0x96: "too many messages in a short time",
+    0x97: "a quota is used up",
+    0x98: "its administrator ended it",
+    0x9C: "another server is to be used (mqtt.host)",
+    0x9D: "the server has moved (mqtt.host)",
+    0x9F: "too many connections in a short time",
+    0xA0: "the longest time of a connection is over",
+}
+"""What a broker means by the reason code with which it ends a connection. Source: MQTT 5.0, 3.14.2.1."""
+
+
+def client_id(drone: str, system: Path = Path("/")) -> str:
+    """Return the name of our client: a broker ends the older of two connections that have one name.
+
+    It is unique for each computer and drone. Cards that were copied have one machine id, so serial number and network addresses
+    of the hardware count as well.
+
+    Args:
+        system: the root of the file system.
+    """
+    digest = hashlib.sha256(b"decklander-mqtt")
+    hardware = [device.parent / "address" for device in sorted(system.glob("sys/class/net/*/device"))]
+    for path in (system / "etc/machine-id", system / "proc/device-tree/serial-number", *hardware):
+        with suppress(OSError):
+            digest.update(path.read_bytes())
+    return f"decklander-{drone}-{digest.hexdigest()[:8]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +167,8 @@ class Connection(aiomqtt.Client):
         self.refusals = 0
         """The number of publications that the broker refused."""
         self.last_refusal = ""
+        self.farewell = ""
+        """Why the broker ended the connection, as far as it said so (MQTT 5)."""
 
     async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
         """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.
@@ -291,6 +282,27 @@ class Connection(aiomqtt.Client):
             self.last_refusal = str(reason_code)
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
+    def _on_disconnect(
+        self, client: Any, userdata: Any, flags: Any, reason_code: ReasonCode, properties: Properties | None = None
+    ) -> None:
+        if flags.is_disconnect_packet_from_server and not self.farewell:
+            self.farewell = f"the broker ended the connection: {_ENDED.get(reason_code.value, str(reason_code))}"
+        super()._on_disconnect(client, userdata, flags, reason_code, properties)
+
+    @contextmanager
+    def explained(self) -> Iterator[None]:
+        """Raise the broker's own reason in place of the errors that follow from the end of the connection.
+
+        Raises:
+            Recoverable: the broker ended the connection and said why.
+        """
+        try:
+            yield
+        except* aiomqtt.MqttError as group:
+            if self.farewell:
+                raise Recoverable(self.farewell) from group
+            raise
+
 
 @asynccontextmanager
 async def connect(
@@ -301,7 +313,10 @@ async def connect(
     Raises:
         Recoverable: the broker cannot be reached, or refuses us.
     """
-    addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
+    try:
+        addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
+    except Recoverable as why:
+        raise Recoverable(f"broker {why}") from why
     connection = Connection(endpoint, identifier, will, incoming)
     connection.dial_to(addresses)
     try:

@@ -59,7 +59,7 @@ def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]
         "cause": why.cause.name.lower(),
         "measured": why.measured,
         "limit": why.limit,
-        "detail": None if why.detail is None else why.detail.name.lower(),
+        "detail": why.detail if why.detail is None or isinstance(why.detail, str) else why.detail.name.lower(),
         **place,
     }
     return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data)
@@ -203,6 +203,7 @@ def belief(of: RelativeState, decision: Decision) -> BeliefReport:
         sigma_yaw_rad=float(sigmas[6]),
         sighted_age_s=of.age_s(decision.at),
         consistent=of.consistent,
+        lost=of.lost,
     )
 
 

@@ -49,6 +49,8 @@ class BeliefReport(Struct, frozen=True, kw_only=True):
     sighted_age_s: float
     """Time since the exposure of the newest fused sighting, s."""
     consistent: bool
+    lost: tuple[str, ...] = ()
+    """Sensors that the estimate does without, and what each does."""
 
 
 class CommandReport(Struct, frozen=True, kw_only=True):

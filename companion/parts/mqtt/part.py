@@ -9,16 +9,18 @@ import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Literal, NoReturn
 
 import aiomqtt
+import msgspec
 
 from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSource
 from companion.parts.mqtt import encode as encoding
 from companion.parts.mqtt.commands import CommandHandler
-from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.parts.mqtt.outbox import Outbox
@@ -41,6 +43,11 @@ _GOODBYE_S = 0.4
 """The time for the farewell, s: the service has 2 s to end in, and its parts have 1 s of that."""
 _WATCH_PARTS_S = 0.5
 _HEALTHY_S = 10.0
+_CLOCK_SET_S = 1.0
+"""Change of the wall clock that is published at once; NTP slews less."""
+_WATCH_CLOCK_S = 2.0
+_STATUS_AGAIN_S = 60.0
+_NAMESAKE_AGAIN_S = 600.0
 
 
 class MqttPart:
@@ -74,7 +81,9 @@ class MqttPart:
         self._version = version
         self._ship = ship
         self._started = clock.now()
-        self._started_unix_s = time.time()
+        self._client_id = client_id(self._topics.drone)
+        self._namesake_at: MonoNs | None = None
+        """When another service was heard last that publishes under our drone's name."""
         self._changes = Changes()
         self._decision: Decision | None = None
         self._seen: ProcessedFrame | None = None
@@ -84,7 +93,7 @@ class MqttPart:
         self._broker_down = False
         self._stopping = False
         health.counters("mqtt", self.counts)
-        self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
+        self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": time.time()}))
 
     def on_sample(self, sample: Sample) -> None:
         if isinstance(sample, VehicleStatus):
@@ -151,9 +160,10 @@ class MqttPart:
 
     async def _connection(self) -> None:
         will = aiomqtt.Will(self._topics.status, encode(self._status("lost")), qos=1, retain=True)
-        async with connect(self._endpoint, f"decklander-{self._topics.drone}", will) as connection:
+        async with connect(self._endpoint, self._client_id, will) as connection:
             try:
-                await self._converse(connection)
+                with connection.explained():
+                    await self._converse(connection)
             except asyncio.CancelledError:
                 await self._publish_stopped(connection)
                 raise
@@ -167,7 +177,9 @@ class MqttPart:
             await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
             if self._ship is not None:
                 await connection.subscribe_to(self._topics.vessel, qos=1)
-        await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+        with suppress(Recoverable):  # who may not read it hears of no namesake
+            await connection.subscribe_to(self._topics.status, qos=0)
+        await self._publish_status(connection)
         self._counts["connections"] += 1
         self._broker_down = False
         self._health.up(BROKER)
@@ -176,6 +188,7 @@ class MqttPart:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._outbox.deliver(connection))
             group.create_task(self._take_publications(connection))
+            group.create_task(self._renew_status(connection))
             for leaf, rate_hz, newest in (
                 ("state", s.state_hz, self._newest_state),
                 ("sighting", s.sighting_hz, self._newest_sighting),
@@ -184,6 +197,40 @@ class MqttPart:
             ):
                 if rate_hz > 0:
                     group.create_task(self._publish_periodically(connection, leaf, rate_hz, newest))
+
+    async def _publish_status(self, connection: Connection) -> None:
+        await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+
+    async def _renew_status(self, connection: Connection) -> NoReturn:
+        """Publish the status again when the wall clock was set, and now and then for a broker that lost what it retained."""
+        while True:
+            began_unix_s, published = self._began_unix_s(), self._clock.now()
+            while (
+                abs(self._began_unix_s() - began_unix_s) < _CLOCK_SET_S
+                and seconds_between(published, self._clock.now()) < _STATUS_AGAIN_S
+            ):
+                await self._clock.sleep(_WATCH_CLOCK_S)
+            await self._publish_status(connection)
+
+    def _began_unix_s(self) -> float:
+        """Return the wall time of the start by the wall clock of now: a computer without a clock of its own is set late."""
+        return time.time() - seconds_between(self._started, self._clock.now())
+
+    def _hear_status(self, publication: Publication, now: MonoNs) -> None:
+        """Report another service that publishes under our drone's name: its messages and ours would be mixed up."""
+        try:
+            status = msgspec.json.decode(publication.payload, type=StatusMessage)
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            return
+        if publication.retained or status.session == self._session or not status.online:
+            return
+        self._counts["namesakes"] += 1
+        if self._namesake_at is None or seconds_between(self._namesake_at, now) > _NAMESAKE_AGAIN_S:
+            self._namesake_at = now
+            log.warning(
+                "another service publishes as drone %r over the same broker: give each drone a name of its own (mqtt.drone)",
+                self._topics.drone,
+            )
 
     async def _publish_periodically(
         self, connection: Connection, leaf: str, rate_hz: float, newest: Callable[[], Message | None]
@@ -221,6 +268,9 @@ class MqttPart:
         recent: dict[bool, deque[MonoNs]] = {False: deque(maxlen=most), True: deque(maxlen=most)}
         async for publication in connection.publications():
             now, of_ship = self._clock.now(), publication.topic == self._topics.vessel
+            if publication.topic == self._topics.status:
+                self._hear_status(publication, now)
+                continue
             before = recent[of_ship]
             if len(before) == most and seconds_between(before[0], now) < 1.0:
                 self._counts["floods"] += 1
@@ -275,6 +325,6 @@ class MqttPart:
             online=reason == "up",
             reason=reason,
             version=self._version,
-            started_unix_s=self._started_unix_s,
+            started_unix_s=self._began_unix_s(),
             started_ns=self._started,
         )

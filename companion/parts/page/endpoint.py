@@ -28,7 +28,7 @@ from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
 from companion.parts.page import recordings
-from companion.parts.page.access import HEADERS, same_origin, token_of
+from companion.parts.page.access import HEADERS, own_names, refused_origin, token_of
 from companion.parts.page.file_answer import assets, send_file
 from companion.parts.page.messages import (
     MESSAGE_MAX,
@@ -106,7 +106,7 @@ class PageEndpoint(NullObserver):
         camera = pilot.camera
         self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0
         self._video = video_quality(settings)
-        self._token = token_of(settings)
+        self._token, self._names = token_of(settings), own_names(settings)
         self._tls = server_context(settings)
         self._limits = limits or ConnectionLimits()
         self._assets = assets()
@@ -253,9 +253,10 @@ class PageEndpoint(NullObserver):
         return await send_file(request, path, recordings.HEADERS)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
-        if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
+        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), self._names)
+        if why is not None:
             self.count("foreign_origins")
-            answer = web.Response(status=403, text="this connection belongs to another page\n")
+            answer = web.Response(status=403, text=f"{why}\n")
             answer.force_close()
             return answer
         socket = web.WebSocketResponse(max_msg_size=MESSAGE_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)

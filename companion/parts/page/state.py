@@ -172,6 +172,8 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
     belief = None if decision is None else decision.belief
     for alert in () if belief is None else belief.alerts:
         yield HealthCause(level="warning", text=alert.value)
+    for lost in () if belief is None else belief.lost:
+        yield HealthCause(level="warning", text=lost)
     if belief is not None and not belief.consistent and not belief.alerts:
         yield HealthCause(level="warning", text="the estimate of the pad contradicts itself")
     if decision is not None and decision.limit:

@@ -43,8 +43,6 @@ class Board:
                 raise BadInput(f"markers must be 0.3 to 0.9 of a square, got {1e3 * self.marker_m:g} mm")
             if self.columns * self.rows // 2 > 250:
                 raise BadInput(f"a board of {self.columns}x{self.rows} squares needs more than the 250 markers there are")
-        elif (self.columns + self.rows) % 2 == 0:
-            raise BadInput("a chessboard needs an even number of squares one way and an odd one the other, or it has no up")
 
     @property
     def corners_m(self) -> F64:
@@ -58,8 +56,15 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, dictionary)
 
     @cached_property
-    def _detector(self) -> cv2.aruco.CharucoDetector:
-        return cv2.aruco.CharucoDetector(self._charuco)
+    def _detectors(self) -> tuple[cv2.aruco.CharucoDetector, ...]:
+        """Detectors of the board as it is drawn now, and as OpenCV drew it before 4.6 where that differs: an even number of rows.
+
+        The inner corners lie at the same places in both; markers and black squares have changed places.
+        """
+        old = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, self._charuco.getDictionary())
+        old.setLegacyPattern(True)
+        boards = (self._charuco, old) if self.rows % 2 == 0 else (self._charuco,)
+        return tuple(cv2.aruco.CharucoDetector(board) for board in boards)
 
     def black_m(self) -> list[F64]:
         """Return each black rectangle as (4, 2) m, clockwise from its top-left corner, from the board's outer top-left corner."""
@@ -84,9 +89,11 @@ class Board:
             pattern = (self.columns - 1, self.rows - 1)
             ok, corners = cv2.findChessboardCornersSB(grey, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
             return (np.arange(len(corners)), self._refined(grey, corners.reshape(-1, 2))) if ok else None
-        corners, ids, _, _ = self._detector.detectBoard(grey)
-        if ids is None or len(ids) < _LEAST_CORNERS:
+        found = ((corners, ids) for corners, ids, _, _ in (detector.detectBoard(grey) for detector in self._detectors))
+        enough = next(((c, i) for c, i in found if i is not None and len(i) >= _LEAST_CORNERS), None)
+        if enough is None:
             return None
+        corners, ids = enough
         numbers = ids.ravel().astype(np.int64)
         across, along = numbers % (self.columns - 1), numbers // (self.columns - 1)
         if len(set(across)) < 2 or len(set(along)) < 2:

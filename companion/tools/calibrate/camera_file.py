@@ -3,6 +3,11 @@
 import math
 
 from companion.tools.calibrate.solve import Solution
+from estimator.contracts.errors import BadInput
+from estimator.vision.camera import Camera
+
+FOREIGN = ("ros", "opencv", "kalibr")
+"""The other kinds of camera file that are written; `companion.settings.camera_file` reads them back."""
 
 
 def text(solution: Solution, source: str, rpy_body_cam_deg: tuple[float, float, float]) -> str:
@@ -26,6 +31,41 @@ def text(solution: Solution, source: str, rpy_body_cam_deg: tuple[float, float, 
         "# The mount is not calibrated: where the camera sits in the body (forward, right, down) and which way it looks.\n"
         f"p_body_cam_m = [{p}]\nrpy_body_cam_deg = [{rpy}]\n"
     )
+
+
+def foreign(camera: Camera, kind: str) -> str:
+    """Return the camera as a file of ROS (camera_info), OpenCV (FileStorage) or Kalibr (camchain); none of them tells the mount.
+
+    Raises:
+        BadInput: the kind has no place for k3, and the camera has one.
+    """
+    c = camera
+    matrix = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0]
+    bent = [float(v) for v in c.distortion]
+    if kind == "kalibr":
+        if bent[4] != 0.0:
+            raise BadInput("--export kalibr: its model has no k3, and this lens needs one")
+        return (
+            f"cam0:\n  camera_model: pinhole\n  intrinsics: {_row([c.fx, c.fy, c.cx, c.cy])}\n  distortion_model: radtan\n"
+            f"  distortion_coeffs: {_row(bent[:4])}\n  resolution: [{c.width}, {c.height}]\n  rostopic: /camera/image_raw\n"
+        )
+    if kind == "opencv":
+        tag, depth = " !!opencv-matrix", "\n  dt: d"
+        head, model, across = "%YAML:1.0\n---\n", "", (5, 1)
+    else:
+        tag, depth, head, model, across = "", "", "", "camera_name: camera\ndistortion_model: plumb_bob\n", (1, 5)
+    out = f"{head}image_width: {c.width}\nimage_height: {c.height}\n{model}"
+    out += f"camera_matrix:{tag}\n  rows: 3\n  cols: 3{depth}\n  data: {_row(matrix)}\n"
+    out += f"distortion_coefficients:{tag}\n  rows: {across[0]}\n  cols: {across[1]}{depth}\n  data: {_row(bent)}\n"
+    if kind == "ros":
+        project = [*matrix[:3], 0.0, *matrix[3:6], 0.0, *matrix[6:], 0.0]
+        out += f"rectification_matrix:\n  rows: 3\n  cols: 3\n  data: {_row([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])}\n"
+        out += f"projection_matrix:\n  rows: 3\n  cols: 4\n  data: {_row(project)}\n"
+    return out
+
+
+def _row(values: list[float]) -> str:
+    return f"[{', '.join(_number(v, 6) for v in values)}]"
 
 
 def _number(value: float, places: int) -> str:

@@ -1,5 +1,7 @@
 """Take a snapshot of an autopilot, over its links or from its flight log. It judges nothing and changes nothing."""
 
+import contextlib
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,19 +13,22 @@ from companion.tools.doctor.differs import defaults_of, differing
 from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
+    DoubtSnapshot,
     GimbalSnapshot,
     HeardSystem,
     LinkSnapshot,
     Snapshot,
     TimeSyncSnapshot,
 )
-from drivers.imports import dataflash, px4_ulog
+from drivers.imports import dataflash, parameter_file, px4_ulog, tlog
+from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog
+from drivers.imports.stamps import Tell
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.gimbal_options import GimbalOptions
-from drivers.mavlink.links import LinkOptions, ReceivedMessage
+from drivers.mavlink.links import Link, LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot, stack_of
@@ -37,21 +42,27 @@ _COPTER = "ArduCopter"
 
 
 def examine_log(path: Path) -> Snapshot:
-    """Return the snapshot of a dataflash log (.bin) or a PX4 log (.ulg), told apart by its first bytes.
+    """Return the snapshot of a flight log, a telemetry log or a file of parameters, told apart by their content.
 
     Raises:
-        BadInput: the file cannot be read, is neither, or is of a vehicle that cannot hover.
+        BadInput: the file cannot be read, is none of them, or is of a vehicle that cannot hover.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(px4_ulog.MAGIC))
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    if head.startswith(dataflash.MAGIC):
-        return _log_snapshot(path, dataflash.read_history(path))
-    if head == px4_ulog.MAGIC:
-        return _log_snapshot(path, px4_ulog.read_history(path))
-    raise BadInput(f"{path}: neither a dataflash log (.bin) nor a PX4 log (.ulg)")
+    kind, notes = kind_of(path), list[str]()
+    if kind is FileKind.PARAMETERS:
+        return structs.replace(_log_snapshot(path, parameter_file.read_history(path)), log=None)
+    if kind not in _HISTORIES:
+        raise BadInput(
+            f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "
+            "file of parameters"
+        )
+    with contextlib.redirect_stdout(sys.stderr):  # parsers print what they meet, and standard output is for findings
+        log = _HISTORIES[kind](path, notes.append)
+    return _log_snapshot(path, structs.replace(log, history=structs.replace(log.history, notes=tuple(notes))))
+
+
+_HISTORIES: dict[FileKind, Callable[[Path, Tell], AutopilotLog]] = {
+    FileKind.ULOG: px4_ulog.read_history, FileKind.DATAFLASH: dataflash.read_history, FileKind.TLOG: tlog.read_history,
+}  # fmt: skip
 
 
 def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
@@ -110,11 +121,10 @@ Say = Callable[[str], None]
 
 
 @dataclass(slots=True)
-class _Notes:
+class Notes:
     """Messages on the links that `Autopilot` does not keep."""
 
     heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
-    firmware: tuple[int, int, int] | None = None
     enabled: bool | None = None
     healthy: bool | None = None
 
@@ -122,9 +132,6 @@ class _Notes:
         m, name = received.message, received.message.get_type()
         if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
             self.heard[received.system, received.component] = _sender_of(received)
-        elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
-            v = m.flight_sw_version
-            self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
@@ -154,7 +161,7 @@ async def examine(
         links: the links of the options with their keys; None for those of the options without any key.
         gimbal: the camera's gimbal, which is asked for its reports and left where it points; None without one.
     """
-    notes = _Notes()
+    notes = Notes()
     began = clock.now()
     heard = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
     async with open_autopilot(options, clock, links) as autopilot, tending(heard, autopilot, clock):
@@ -164,7 +171,7 @@ async def examine(
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say)
-        snapshot = _snapshot(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        snapshot = snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
         if heard is None or snapshot.autopilot is None:
             return snapshot
         return structs.replace(snapshot, gimbal=GimbalSnapshot(heard.device_id, heard.rate_hz, dict(heard.sampler.refused)))
@@ -179,7 +186,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
         wanted: the system id that the settings ask for; 0 for any.
         seconds: how long to count messages.
     """
-    notes, began, events = _Notes(), clock.now(), autopilot.counts["EVENT"]
+    notes, began, events = Notes(), clock.now(), autopilot.counts["EVENT"]
     autopilot.add_listener(notes.on_message)
     try:
         rates: dict[str, float] = {}
@@ -187,7 +194,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
             await clock.sleep(seconds)
         else:
             rates = await _ask(autopilot, notes, clock, seconds, lambda text: None)
-        snapshot = _snapshot(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
+        snapshot = snapshot_of(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
     finally:
         autopilot.remove_listener(notes.on_message)
         if autopilot.parameters is not None:
@@ -200,17 +207,16 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
     return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
 
 
-async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
     identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
     assert identity is not None
     assert parameters is not None
     assert streams is not None
     say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
-    version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
-    await wait_until(clock, _VERSION_S, lambda: notes.firmware is not None)
-    known = defaults_of(identity.stack.value, notes.firmware)
-    parameters.request(dict.fromkeys((*names_in(PARAMETERS[identity.stack.value], notes.firmware), *known)))
+    await wait_until(clock, _VERSION_S, lambda: autopilot.version is not None)
+    firmware = _firmware(autopilot)
+    known = defaults_of(identity.stack.value, firmware)
+    parameters.request(dict.fromkeys((*names_in(PARAMETERS[identity.stack.value], firmware), *known)))
 
     def answered() -> bool:
         heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
@@ -229,6 +235,10 @@ async def _ask(autopilot: Autopilot, notes: _Notes, clock: Clock, seconds: float
     return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
 
 
+def _firmware(autopilot: Autopilot) -> tuple[int, int, int] | None:
+    return None if autopilot.version is None else autopilot.version.firmware
+
+
 async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
     """Return as soon as `done`, or after so many seconds."""
     began: MonoNs = clock.now()
@@ -236,26 +246,20 @@ async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> 
         await clock.sleep(_POLL_S)
 
 
-def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
+    """Return the snapshot as it is now, with the links' counters since they were opened first.
+
+    Args:
+        rates: rate of each message, Hz.
+        wanted: the system id that the settings ask for; 0 for any.
+        seconds: how long was listened.
+    """
     heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
-    links = tuple(
-        LinkSnapshot(
-            str(link.endpoint),
-            link.down,
-            link.counters.bytes_in,
-            link.counters.total("messages"),
-            link.counters.total("lost"),
-            link.counters.total("damaged"),
-            link.counters.total("old_version"),
-            link.counters.total("refused_signature"),
-            link.signed,
-            link.counters.unknown_senders,
-        )
-        for link in autopilot.links.all
-    )
+    links = tuple(link_snapshot(link) for link in autopilot.links.all)
+    doubts = tuple(DoubtSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.doubts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, heard=heard)
+        return Snapshot(seconds, links, wanted_system=wanted, heard=heard, doubts=doubts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
@@ -265,7 +269,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
             stack=identity.stack.value,
             system=identity.system,
             others=tuple(sorted({one.system for one in heard if one.hovers} - {identity.system})),
-            firmware=notes.firmware,
+            firmware=_firmware(autopilot),
             mode=condition.mode,
             armed=condition.armed,
             flying=condition.flying,
@@ -278,9 +282,31 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], want
             events=tuple(autopilot.events),
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
-            differs=differing(values, defaults_of(identity.stack.value, notes.firmware)),
+            differs=differing(values, defaults_of(identity.stack.value, _firmware(autopilot))),
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
         heard=heard,
+        doubts=doubts,
+    )
+
+
+def link_snapshot(link: Link) -> LinkSnapshot:
+    """Return the counters of a link since it was opened first."""
+    total, wire = link.counters.total, link.counters.wire
+    return LinkSnapshot(
+        str(link.endpoint),
+        link.down,
+        link.counters.bytes_in,
+        total("messages"),
+        total("lost"),
+        total("damaged"),
+        total("old_version"),
+        total("refused_signature"),
+        link.signed,
+        link.counters.unknown_senders,
+        total("refused_time"),
+        link.counters.behind_s,
+        wire.refused,
+        wire.late,
     )

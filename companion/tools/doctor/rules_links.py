@@ -3,7 +3,7 @@
 from companion.settings.mission import ConeOptions
 from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
@@ -14,6 +14,8 @@ _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
 """Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
 _NO_ANSWER = -1
 _LISTED_MAX = 6
+_REFUSED_MIN, _LATE_MIN = 2, 20
+"""Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -41,10 +43,35 @@ def _open(p: Snapshot) -> list[LinkSnapshot]:
 def link_silent(p: Snapshot) -> Finding | None:
     """Find an open link on which no byte arrives."""
     for link in _open(p):
-        if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
+        refused = link.refused_datagrams > _REFUSED_MIN  # `link_refused` says more
+        if link.bytes_in == 0 and not refused and (p.seconds >= 2.0 or p.autopilot is None):
             serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
             net = "check that the autopilot (or mavlink-router) sends to this address and port, and the firewall"
             return error("link-silent", f"{link.url}: not one byte in {p.seconds:.0f} s", serial if "serial" in link.url else net)
+    return None
+
+
+def link_refused(p: Snapshot) -> Finding | None:
+    """Find an address whose computer refuses what is sent there."""
+    for link in _open(p):
+        if link.refused_datagrams > _REFUSED_MIN and link.bytes_in == 0:
+            return error(
+                "link-refused",
+                f"{link.url}: {link.refused_datagrams} messages refused, nobody listens there",
+                "start the autopilot's side or the router, or correct address and port",
+            )
+    return None
+
+
+def link_late(p: Snapshot) -> Finding | None:
+    """Find a line that is too slow for what is sent, or stood still."""
+    for link in _open(p):
+        if link.late > _LATE_MIN:
+            return warning(
+                "link-late",
+                f"{link.url}: {link.late} messages of ours were dropped, because the line did not take them in time",
+                "raise its speed to 921600, and check its flow control (RTS/CTS) and the USB adapter",
+            )
     return None
 
 
@@ -63,6 +90,15 @@ def link_garbage(p: Snapshot) -> Finding | None:
 def link_signature(p: Snapshot) -> Finding | None:
     """Find a link that is signed on one side only, or with another key."""
     for link in _open(p):
+        if link.refused_time > 0:
+            behind = f"{link.behind_s:.0f} s" if abs(link.behind_s) < 86_400 else f"{link.behind_s / 86_400:.1f} days"
+            return error(
+                "link-signature",
+                f"{link.url}: {link.refused_time} messages signed with our key are refused for the time of their signature, "
+                f"which is {behind} behind ours",
+                "let the autopilot get the time first (its GNSS fix), or set the clock that is wrong; a new sender may be a "
+                "minute behind, and none may use one time twice",
+            )
         if link.refused_signature > 0:
             return error(
                 "link-signature",
@@ -165,14 +201,23 @@ def _listed(p: Snapshot) -> str:
 def several_autopilots(p: Snapshot) -> Finding | None:
     """Find several vehicles on one network, where the service may choose the wrong one."""
     a = p.autopilot
+    if any(one.name == "several-autopilots" for one in p.doubts):
+        return None  # `identity_doubt` says more
     if a is not None and a.others and not p.wanted_system:
         there = ", ".join(str(one) for one in p.heard if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
         return warning(
             "several-autopilots",
-            f"system {a.system} was taken, because it was heard first; there too: {there}",
+            f"system {a.system} was listened to; there too: {there}",
             f"name the one that is meant by --system and vehicle.system_id ({a.system} or {' or '.join(map(str, a.others))}); "
             "each vehicle needs an id of its own (SYSID_THISMAV, MAV_SYS_ID)",
         )
+    return None
+
+
+def identity_doubt(p: Snapshot) -> Finding | None:
+    """Find a doubt about who is the autopilot, or another program that uses our ids."""
+    for one in sorted(p.doubts, key=lambda one: not one.blocks):
+        return (error if one.blocks else warning)(one.name, one.what, one.fix)
     return None
 
 
@@ -454,9 +499,15 @@ def ship_silent(p: Snapshot) -> Finding | None:
 
 
 RULES: tuple[Rule, ...] = (
-    link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
+    link_down, link_silent, link_refused, link_garbage, link_late, identity_doubt, link_signature, link_old_version, link_lossy,
+    link_unsigned,
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
     feet_not_said, camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
     gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip
+WATCHED: tuple[Rule, ...] = (
+    identity_doubt, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
+    wrong_system, no_autopilot,
+)  # fmt: skip
+"""Those that a running service looks at all the time."""

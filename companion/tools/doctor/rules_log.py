@@ -147,6 +147,18 @@ def dropouts(p: Snapshot) -> Finding | None:
     )
 
 
+def damaged(p: Snapshot) -> Finding | None:
+    """Find a log that could not be read as it is."""
+    log = _log(p)
+    if log is None or not log.notes:
+        return None
+    return advice(
+        "log-damaged",
+        f"not all of the log is as it was written: {'; '.join(log.notes[:_SHOWN])}",
+        "check the card, and the clock",
+    )
+
+
 RULES: tuple[Rule, ...] = (
-    failsafes, estimator, clipping, vibration, landing_detector, armed_on_deck, target_lost, dropouts,
+    failsafes, estimator, clipping, vibration, landing_detector, armed_on_deck, target_lost, dropouts, damaged,
 )  # fmt: skip

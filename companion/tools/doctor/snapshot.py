@@ -29,6 +29,24 @@ class LinkSnapshot(Struct, frozen=True):
     """Whether we sign our messages on it and accept only signed ones."""
     unknown_senders: int = 0
     """Number of messages from senders that are not accepted."""
+    refused_time: int = 0
+    """Number of messages signed with our key whose time was refused."""
+    behind_s: float = 0.0
+    """Time by which the newest of those lay behind ours, s."""
+    refused_datagrams: int = 0
+    """Number of datagrams that the other computer refused, because nobody listens there."""
+    late: int = 0
+    """Number of messages that were dropped because the line did not take them in time."""
+
+
+class DoubtSnapshot(Struct, frozen=True):
+    """What is doubtful about who is the autopilot, and who we are."""
+
+    name: str
+    what: str
+    fix: str
+    blocks: bool
+    """Whether nothing is commanded meanwhile."""
 
 
 class TimeSyncSnapshot(Struct, frozen=True):
@@ -161,6 +179,7 @@ class Snapshot(Struct, frozen=True):
     """Whether the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None
     """The camera's gimbal; None if the settings name none, or no link was examined."""
+    doubts: tuple[DoubtSnapshot, ...] = ()
 
 
 def encode(snapshot: Snapshot) -> bytes:

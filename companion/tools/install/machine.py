@@ -6,7 +6,7 @@ import shutil
 import stat
 import subprocess
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -182,7 +182,7 @@ class Machine:
 
     @contextmanager
     def locked(self, inside: str) -> Iterator[None]:
-        """Keep every other installation of this computer out.
+        """Keep every other installation of this computer out, and leave nothing behind.
 
         Raises:
             Recoverable: another is at work.
@@ -190,10 +190,18 @@ class Machine:
         if self.dry:
             yield
             return
-        self.path(inside).parent.mkdir(parents=True, exist_ok=True)
-        with self.path(inside).open("w") as file:
+        path = self.path(inside)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    raise FileNotFoundError(inside)  # the one before has just ended, and its file is gone
             except OSError as why:
                 raise Recoverable("another installation or update is at work on this computer") from why
-            yield
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+                with suppress(OSError):  # it holds a version, or something of the user's
+                    path.parent.rmdir()

@@ -16,6 +16,11 @@ static const double SMOOTH_S = 0.03;
 /* Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds. */
 static const double DIVERGED_VAR = 0.35 * 0.35;
 
+/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body of which no turn is known. */
+static const double TURN_BY_ATTITUDE = 0.02;
+/* The cosine of the largest lean at which a thrust is taken to carry the weight. */
+static const double LEAST_UPRIGHT = 0.7;
+
 static double largest_step(const double a[3], const double b[3])
 {
     return fmax(fabs(a[0] - b[0]), fmax(fabs(a[1] - b[1]), fabs(a[2] - b[2])));
@@ -42,11 +47,30 @@ static void forget_the_pad(const dl_filter_params *o, dl_belief *b)
     }
 }
 
+/* Put what is known without it in place of a half that is no measurement. Its bias is added, because it is removed afterwards. A
+ * multirotor's thrust is along its own vertical axis and carries its weight; the noise is that of a body that coasts. */
+static void replace_lost(const dl_filter_params *o, dl_belief *b, const dl_imu *imu, double w[3], double f[3])
+{
+    if (imu->gyro_lost_s > 0.0) {
+        for (int i = 0; i < 3; i++) {
+            w[i] += b->x[DL_GYRO_BIAS + i];
+        }
+        /* A loss that is found late has spoilt the turn since it began. */
+        b->jolt_var_rad2 += (imu->gyro_lost_s * 1e9 > o->hold_ns ? 1.0 : TURN_BY_ATTITUDE) * o->psd_coast_turn * imu->gyro_lost_s;
+    }
+    if (imu->accel_lost_s > 0.0) {
+        memcpy(f, b->x + DL_ACCEL_BIAS, 3 * sizeof *f);
+        f[2] -= GRAVITY_M_S2 / fmax(b->R[8], LEAST_UPRIGHT);
+        b->jolt_var_m2_s2 += o->psd_coast * imu->accel_lost_s;
+    }
+}
+
 static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e)
 {
     double w[3], f[3], smooth[3], mean_w[3], mean_f[3];
     memcpy(w, e->sample.imu.w_body, sizeof w);
     memcpy(f, e->sample.imu.f_body, sizeof f);
+    replace_lost(o, b, &e->sample.imu, w, f);
     memcpy(smooth, w, sizeof smooth);
     if (b->t_imu >= 0 && e->t - b->t_imu <= o->hold_ns) {
         const double dt = seconds(b->t, e->t), weight = -expm1(-seconds(b->t_imu, e->t) / SMOOTH_S);

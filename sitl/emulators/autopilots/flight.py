@@ -22,9 +22,9 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.settings.model import Settings
 from drivers.camera.exposure import ExposureSetting
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable

@@ -14,6 +14,7 @@ from companion.tools.doctor.finding import Severity
 from companion.tools.doctor.rules_px4 import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
+    DoubtSnapshot,
     GimbalSnapshot,
     HeardSystem,
     LinkSnapshot,
@@ -134,6 +135,25 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "wire not connected": ("link-silent", link(bytes_in=0, messages=0), "SERIALn_PROTOCOL"),
     "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
+    "an autopilot whose clock is not set yet": (
+        "link-signature",
+        link(refused_signature=40, refused_time=40, behind_s=259_200.0, signed=True),
+        "GNSS",
+    ),
+    "nobody listens there": ("link-refused", link(bytes_in=0, messages=0, refused_datagrams=30), "router"),
+    "a line that stands still": ("link-late", link(late=300), "RTS/CTS"),
+    "two autopilots of one id": (
+        "autopilot-id-twice",
+        replace(
+            GOOD, doubts=(DoubtSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True),)
+        ),
+        "vehicle.system_id",
+    ),
+    "another program with our ids": (
+        "component-id-twice",
+        replace(GOOD, doubts=(DoubtSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),)),
+        "vehicle.component_id",
+    ),
     "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),
     "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),

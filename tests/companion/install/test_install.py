@@ -1,5 +1,6 @@
 """Install, update, roll back and uninstall, on a computer in a folder."""
 
+import fcntl
 import stat
 from pathlib import Path
 
@@ -293,3 +294,33 @@ def test_errors_are_ours(tmp_path: Path) -> None:
     with pytest.raises(DecklanderError):
         steps.install(computer, wheel(tmp_path, "1.0", GOOD), options())
     assert versions.there(computer) == []
+
+
+def test_what_fails_leaves_no_lock_and_no_folder_of_its_own(tmp_path: Path, first: Release) -> None:
+    root = tmp_path / "empty"
+    root.mkdir()
+    with pytest.raises(BadInput, match="there is no version to return to"):
+        steps.roll_back(Computer(root), options())
+    assert not (root / PREFIX.lstrip("/")).exists()
+    computer = installed(tmp_path, first)
+    assert not computer.exists(f"{PREFIX}/.lock")
+    computer.path(f"{PREFIX}/.lock").write_text("")  # of one that was killed
+    with computer.locked(f"{PREFIX}/.lock"):
+        assert computer.exists(f"{PREFIX}/.lock")
+    assert not computer.exists(f"{PREFIX}/.lock")
+    assert versions.current(computer) == first.name
+
+
+def test_a_lock_that_goes_away_while_it_is_taken_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one before removes the file between our opening it and our lock."""
+    computer = Computer(tmp_path)
+    path = computer.path(f"{PREFIX}/.lock")
+    flock = fcntl.flock
+
+    def late(file: int, how: int) -> None:
+        path.unlink()
+        flock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(Recoverable, match="at work"), computer.locked(f"{PREFIX}/.lock"):
+        raise AssertionError("two would be at work")

@@ -41,6 +41,7 @@ class Stage:
     sick: str | None = None
     seen: bool = True
     alerts: tuple[IntegrityAlert, ...] = ()
+    lost: tuple[str, ...] = ()
     deciding: bool = True
     phase: str = "approach"
     ranges: int = 0
@@ -53,7 +54,9 @@ class Stage:
             return None
         to_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2]).inv
         d, v = to_level @ (PAD_NED - self.fake.p_ned), to_level @ -self.fake.v_ned
-        return RelativeState(now, "dead_reckoning", d, v, 0.2, np.eye(7) * 1e-4, now, not self.alerts, alerts=self.alerts)
+        return RelativeState(
+            now, "dead_reckoning", d, v, 0.2, np.eye(7) * 1e-4, now, not self.alerts, alerts=self.alerts, lost=self.lost
+        )
 
 
 @asynccontextmanager

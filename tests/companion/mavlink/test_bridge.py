@@ -16,10 +16,10 @@ from companion.parts.mavlink.bridge import BridgePart, VehicleBridge
 from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
 from companion.settings.mavlink import BridgeOptions
 from drivers.clock import SystemClock
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus

@@ -96,6 +96,16 @@ async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
         assert len(fake.of("LANDING_TARGET")) == silent
 
 
+async def test_a_sensor_that_is_flown_without_is_told_once() -> None:
+    fake = MiniatureAutopilot()
+    async with staged(fake) as stage:
+        await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
+        stage.lost = ("the gyro repeats its readings",)
+        await until(lambda: any("the gyro repeats" in text.text for text in fake.of("STATUSTEXT")))
+        await asyncio.sleep(0.3)
+        assert sum("the gyro repeats" in text.text for text in fake.of("STATUSTEXT")) == 1
+
+
 async def test_distances_where_the_autopilots_rangefinder_is_us() -> None:
     fake = MiniatureAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, landed_state=1, armed=False)
     fake.rpy = lambda t: (0.2, 0.0, 0.0)

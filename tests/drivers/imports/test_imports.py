@@ -142,6 +142,25 @@ def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
     assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
 
 
+def test_a_video_of_joined_pieces_goes_on(tmp_path: Path) -> None:
+    """Each piece begins again at its own time, as the files of a camera that splits them."""
+    pieces = b""
+    for part in range(2):
+        path = tmp_path / f"{part}.ts"
+        with av.open(str(path), "w", format="mpegts") as out:
+            piece = out.add_stream("mpeg2video", rate=25)
+            piece.width, piece.height, piece.pix_fmt = 64, 48, "yuv420p"
+            for i in range(10):
+                out.mux(piece.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
+            out.mux(piece.encode(None))
+        pieces += path.read_bytes()
+    (tmp_path / "both.ts").write_bytes(pieces)
+    at = np.array([f.stamp.measured_at for f in video.frames(tmp_path / "both.ts")]) * 1e-9
+    assert len(at) >= 18
+    assert np.all(np.diff(at) > 0.0)
+    assert at[-1] < 1.5
+
+
 def test_videos_keep_their_own_times(tmp_path: Path) -> None:
     path = tmp_path / "v.mp4"
     with av.open(str(path), "w") as out:

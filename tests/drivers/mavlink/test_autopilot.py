@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -204,3 +204,30 @@ async def test_leaving_holds_the_vehicle() -> None:
         await until(lambda: bool(fake.v_ned[0] == 0.0))
         with pytest.raises(Recoverable, match="closed"):
             autopilot.command(Land())
+
+
+async def told(autopilot: Autopilot, taken: Callable[[str | None], bool]) -> float:
+    """Return after how many seconds the vehicle's status says so."""
+    began = asyncio.get_running_loop().time()
+    await until(lambda: any(taken(s.taken) for s in drain(autopilot) if isinstance(s, VehicleStatus)))
+    return asyncio.get_running_loop().time() - began
+
+
+async def test_who_takes_the_vehicle_is_told_at_once_and_so_is_that_it_was_given_back() -> None:
+    fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
+    async with flown(fake, prestream_s=0.1) as autopilot, asyncio.timeout(30):
+        while fake.mode != "offboard" or autopilot.condition.mode != "offboard":
+            autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+            await asyncio.sleep(0.02)
+        drain(autopilot)
+        fake.text(2, "Maximum flight time reached")
+        fake.mode = "auto.loiter"
+        text = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
+        assert await told(autopilot, lambda taken: taken == text) < 0.5
+        fake.mode = "offboard"
+        assert await told(autopilot, lambda taken: taken is None) < 0.5
+        autopilot.texts.clear()
+        fake.mode = "posctl"
+        assert await told(autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
+        autopilot.engage()
+        assert await told(autopilot, lambda taken: taken is None) < 0.1

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from drivers.clock import SystemClock
+from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey

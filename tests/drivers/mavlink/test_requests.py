@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.requests import Parameters, Streams, message_id, parameter_value, wire_value
+from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, message_id, parameter_value, wire_value
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.time import MonoNs
 
@@ -128,3 +128,24 @@ def test_a_parameter_comes_back_as_it_was_set(value: float, kind: int) -> None:
 def test_what_does_not_fit_an_integer_is_refused(value: float, kind: int) -> None:
     with pytest.raises(ValueError, match=r"integer|does not fit"):
         wire_value(Stack.PX4, value, kind)
+
+
+def test_requests_are_bounded_in_rate_whatever_is_asked_for() -> None:
+    limit, sent = RateLimit(20.0, 100), 0
+    for tick in range(250):  # 10 s
+        while limit.allows(at(0.04 * tick)):
+            limit.spend(4)
+            sent += 4
+    assert 280 <= sent <= 310
+    assert limit.allows(at(1000.0)), "after a pause"
+
+
+def test_the_version_is_requested_until_it_is_answered_and_not_for_ever() -> None:
+    request = VersionRequest()
+    asked = [t for t in range(60) if request.due(at(float(t)), (1, 1))]
+    assert asked == [0, 2, 4, 6]
+    request = VersionRequest()
+    (message,) = request.due(at(0.0), (7, 1))
+    assert (message.target_system, message.command, message.param1) == (7, 512, 148)
+    request.answered = True
+    assert not any(request.due(at(float(t)), (7, 1)) for t in range(10))

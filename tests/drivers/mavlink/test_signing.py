@@ -189,3 +189,25 @@ def test_streams_are_bounded(tmp_path: Path) -> None:
         sender = Codec(1 + n % 250, 1 + n // 250, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: now_s), 7))
         assert crossing(times, [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))]) == 1
     assert len(times.streams) == 256
+
+
+def test_a_right_signature_with_a_time_that_is_refused_is_counted_apart() -> None:
+    """An autopilot without a fix signs by a clock that is days behind: that is no wrong key."""
+    now_s = EPOCH_S + 4e8
+
+    def codec_of(key: bytes, wall_s: float) -> Codec:
+        return Codec(1, 1, datagrams=True, signing=Signing(SigningKey(key), SigningTimes(None, lambda: wall_s), 0))
+
+    ours = codec_of(SECRET, now_s)
+    heartbeat = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    assert ours.feed(codec_of(SECRET, now_s - 3 * 86_400.0).pack(heartbeat)) == []
+    assert (ours.counters.refused_signature, ours.counters.refused_time) == (1, 1)
+    assert ours.counters.behind_s == pytest.approx(3 * 86_400.0, abs=0.1)
+    for data in (codec_of(SECRET[::-1], now_s).pack(heartbeat), Codec(1, 1).pack(heartbeat)):
+        assert ours.feed(data) == []
+    assert (ours.counters.refused_signature, ours.counters.refused_time) == (3, 1)
+    fresh = codec_of(SECRET, now_s).pack(heartbeat)
+    assert len(ours.feed(fresh)) == 1
+    assert ours.feed(fresh) == []
+    assert ours.counters.refused_time == 2
+    assert ours.counters.behind_s == pytest.approx(0.0, abs=0.1), "played again"

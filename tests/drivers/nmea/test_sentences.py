@@ -1,8 +1,6 @@
 """Sentences of a ship: what published examples say, what damaged ones do not, and whose are not taken."""
 
-import asyncio
 import math
-import socket
 
 import numpy as np
 import pytest
@@ -10,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyais import encode_dict
 
-from drivers.clock import SystemClock
-from drivers.nmea.sentences import KNOT_M_S, NmeaReader, checked, listening
-from estimator.contracts.errors import Recoverable
+from drivers.nmea.sentences import KNOT_M_S, NmeaReader, checked
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
 
@@ -224,30 +220,3 @@ def test_no_bytes_end_the_reader_and_every_place_exists(datagram: bytes) -> None
 def test_a_checksum() -> None:
     assert checked("$GPHDT,123.4,T*31")
     assert not checked("$GPHDT,123.5,T*31")
-
-
-async def test_only_one_sender_is_listened_to() -> None:
-    got: list[bytes] = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = probe.getsockname()
-    async with listening(address, "", SystemClock(), lambda data, at: got.append(data)) as listener:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ship, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            for sender, data in ((ship, b"one"), (other, b"two"), (ship, b"three")):
-                sender.sendto(data, address)
-                await asyncio.sleep(0.05)
-        assert got == [b"one", b"three"]
-        assert listener.refused == {"wrong_sender": 1}
-        with pytest.raises(Recoverable, match=r"vessel.nmea 127.0.0.1:\d+: "):
-            async with listening(address, "", SystemClock(), lambda data, at: None):
-                pass
-    await asyncio.sleep(0.05)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = probe.getsockname()
-    async with listening(address, "192.0.2.1", SystemClock(), lambda data, at: got.append(data)) as listener:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.sendto(b"four", address)
-            await asyncio.sleep(0.05)
-        assert listener.refused == {"wrong_sender": 1}
-    assert got == [b"one", b"three"]

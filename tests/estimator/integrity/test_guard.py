@@ -12,7 +12,7 @@ from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity import IntegrityGuard, IntegrityOptions, admit, admit_frame, admit_sighting, alerts, excludes, fused
+from estimator.integrity import IntegrityGuard, IntegrityOptions, admit, admit_frame, admit_sighting, alerts, excludes, judged
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
@@ -144,15 +144,15 @@ def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_uncertainty(
 def followed() -> IntegrityGuard:
     guard, _ = admit_sighting(IntegrityGuard(), sighting(T), attitude(T), None)
     for _ in range(9):
-        guard = fused(guard, sighting(T), attitude(T))
+        guard = judged(guard, sighting(T), attitude(T), True)
     return guard
 
 
 def test_what_the_estimator_took_is_counted_and_its_height_compared_where_the_attitude_is_known() -> None:
-    guard = fused(IntegrityGuard(), sighting(T), attitude(T, 0.1))
+    guard = judged(IntegrityGuard(), sighting(T), attitude(T, 0.1), True)
     assert (guard.tracks.n, guard.heights.seen_at, guard.heights.d_level) == (1, T, (1.0, 0.5, 2.0))
     assert guard.heights.down_level == pytest.approx((0.0, -math.sin(0.1), math.cos(0.1)))
-    guard = fused(IntegrityGuard(), sighting(T), None)
+    guard = judged(IntegrityGuard(), sighting(T), None, True)
     assert (guard.tracks.n, guard.heights) == (1, HeightWatch())
 
 
@@ -207,7 +207,7 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
         at = attitude(t, 0.02 * (-1) ** i)
         x, y, z = (at.R_ned_body.without_heading() @ np.array([0.1, 0.0, 2.0])).tolist()
         guard, verdict = admit_sighting(guard, sighting(t, (x, y, z)), at if known else None, None)
-        guard = fused(guard, sighting(t, (x, y, z)), None)
+        guard = judged(guard, sighting(t, (x, y, z)), None, True)
     assert verdict is said
 
 
@@ -231,3 +231,11 @@ def test_each_alert_is_raised_for_its_own_reason() -> None:
     assert [alerts(IntegrityGuard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(IntegrityAlert.VIEW_FROZEN,), ()]
     assert alerts(IntegrityGuard(view=ViewWatch((), True)), MonoNs(T)) == ()
     assert alerts(IntegrityGuard(view=view._replace(frozen=False)), MonoNs(T)) == ()
+
+
+def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing() -> None:
+    before = followed()
+    guard, verdict = admit_sighting(before, sighting(T + 33 * MS, (1.0, 0.5, -2.0)), attitude(T), None)
+    assert verdict is Verdict.IMPOSSIBLE
+    assert guard is before
+    assert admit_sighting(IntegrityGuard(), sighting(T, (0.0, 0.0, -0.1)), attitude(T), None)[1] is None, "it stands on it"

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.mavlink.endpoint import parse_endpoint
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
 from estimator.contracts.geometry import Rotation
 from sitl.emulators.autopilots.body import BodyState

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots import px4

@@ -16,14 +16,15 @@ from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from drivers.clock import SystemClock
+from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
@@ -350,7 +351,7 @@ class StandIn(MiniatureAutopilot, ABC):
         if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC" and len(self.links.all) > 1:
             wire = self.links.all[1 - received.link]._wire
             if wire is not None:
-                wire.send(bytes(m.get_msgbuf()), None)
+                wire.send(partial(bytes, m.get_msgbuf()), None)
         super()._on_message(received)
 
     def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:

@@ -1,0 +1,88 @@
+"""What a file of somebody else is, by its content: suffixes say what people hoped."""
+
+import re
+from enum import Enum
+from pathlib import Path
+
+from drivers.imports import ardrone_capture, dataflash, px4_ulog
+from estimator.contracts.errors import BadInput
+
+_HEAD = 1 << 16
+_TLOG_STAMP = 8
+_TLOG_BEGAN_US, _TLOG_ENDS_US = 1_000_000_000_000_000, 4_000_000_000_000_000
+"""A telemetry log's stamps: Unix time from 2001 to 2096, us, before each frame."""
+_MARKERS = (0xFE, 0xFD)
+_TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
+_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?[A-Z][A-Z0-9_]{0,15}[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
+_SENTENCE = re.compile(rb"(?:\\[^\\]*\\)?[$!][A-Z]{4,6},[ -~]*")
+
+
+class FileKind(Enum):
+    """The kinds of file, with what a user may call them."""
+
+    ULOG = "a PX4 log"
+    DATAFLASH = "a dataflash log"
+    TLOG = "a telemetry log of a ground station"
+    NAVDATA = "navdata of an AR.Drone"
+    PAVE = "video of an AR.Drone"
+    PARAMETERS = "a file of parameters"
+    SENTENCES = "sentences of a ship's receiver (NMEA 0183)"
+    TABLE = "a table"
+    RECORDING = "a recording"
+    ROS_BAG = "a bag of ROS 1"
+    DATABASE = "an SQLite database, as of a bag of ROS 2"
+    TEXT = "text"
+    OTHER = "a file of another kind"
+
+
+def kind_of(path: Path) -> FileKind:
+    """Return what a file is.
+
+    Raises:
+        BadInput: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    for magic, kind in _MAGICS:
+        if head.startswith(magic):
+            return kind
+    if dataflash.is_text(head):
+        return FileKind.DATAFLASH
+    if _is_tlog(head):
+        return FileKind.TLOG
+    return _kind_of_text(head, path.suffix.lower()) if head and _is_text(head) else FileKind.OTHER
+
+
+_MAGICS = (
+    (px4_ulog.MAGIC, FileKind.ULOG), (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA),
+    (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
+)  # fmt: skip
+
+
+def _is_text(head: bytes) -> bool:
+    try:
+        head[: _HEAD - 4].decode("utf-8")
+    except UnicodeDecodeError as why:
+        if why.start < len(head) - 8:
+            return False
+    return all(byte in _TEXT for byte in head[:4096])
+
+
+def _kind_of_text(head: bytes, suffix: str) -> FileKind:
+    lines = [line.strip() for line in head.splitlines()[:200] if line.strip()]
+    said = [line for line in lines if not line.startswith((b"#", b"//"))]
+    if said and sum(_SENTENCE.fullmatch(line) is not None for line in said) > len(said) // 2:
+        return FileKind.SENTENCES
+    if said and sum(_PARAMETER.fullmatch(line) is not None for line in said) > len(said) // 2:
+        return FileKind.PARAMETERS
+    return FileKind.TABLE if suffix == ".csv" or (said and said[0].startswith(b"time_s,")) else FileKind.TEXT
+
+
+def _is_tlog(head: bytes) -> bool:
+    if len(head) <= _TLOG_STAMP or head[_TLOG_STAMP] not in _MARKERS:
+        return False
+    return _TLOG_BEGAN_US < int.from_bytes(head[:_TLOG_STAMP], "big") < _TLOG_ENDS_US

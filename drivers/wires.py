@@ -1,0 +1,464 @@
+"""Open ways for bytes: UDP, TCP and serial ports in the event loop. None of them blocks.
+
+A line that is slow, or stands still, gets what is new: a `SendQueue` is bounded in time. Messages wait in it unpacked, so that
+their sequence numbers and signing times are those of the order in which they go. The kernel is given no
+more bytes while the oldest of them wait too long, and those for a serial line that stands still are taken back.
+Names are looked up on a thread, again for each opening; each of a name's addresses is tried.
+"""
+
+import asyncio
+import fcntl
+import os
+import socket
+import struct
+import termios
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, NoReturn, Protocol
+
+import serial
+
+from drivers.endpoint import Address, Endpoint
+from drivers.resolve import resolve
+from drivers.running_beside import running_beside
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+Received = Callable[[bytes, MonoNs, Address | None], None]
+"""A function that takes received bytes, the instant of their arrival and, on a listening socket, the sender's address."""
+Pack = Callable[[], bytes]
+"""A function that returns a message's bytes at the instant at which it goes; empty if it cannot."""
+
+QUEUE_S = 0.2
+"""Age at which a message that waits for its line is dropped: a velocity is flown for 0.25 s."""
+_QUEUE_MAX = 512
+_SERIAL_S, _TCP_S = 0.1, 0.5
+"""Age of the oldest byte in the kernel's own queue at which no more is given to it; TCP's are acknowledged over a network."""
+_STILL_S = 0.3
+"""Age of a byte that waits for a serial line at which the line counts as standing still, and the kernel's queue is emptied."""
+_PUMP_S = 0.02
+_DATAGRAMS_MAX = 2048
+"""Bytes of datagrams that may wait: the kernel takes them at once, unless the device has stopped."""
+_CONNECT_TIMEOUT_S = 3.0
+SILENT_S = 10.0
+"""Silence after which a TCP peer is connected to again, and the name of a UDP peer looked up again: ten heartbeats."""
+_REFUSED_S = 2.0
+"""The same for a UDP peer that refuses."""
+_WATCH_S = 0.5
+
+
+@dataclass(slots=True)
+class WireCounts:
+    """What happened to the messages of one endpoint over all its openings, and which of its addresses were tried in vain."""
+
+    refused: int = 0
+    """Datagrams that the other computer refused, because nobody listens there."""
+    late: int = 0
+    """Messages that were dropped because the line did not take them in time, or because a newer one of their kind came."""
+    tried: set[Any] = field(default_factory=set)
+
+
+class Wire(Protocol):
+    """The interface of an open connection to its endpoint."""
+
+    @property
+    def local(self) -> Address | None:
+        """Address bound on this side, None where there is none."""
+        ...
+
+    def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
+        """Send now, or as soon as the line takes it; return whether it went or waits.
+
+        Args:
+            to: the peer, for a socket that listens.
+            newest_of: of the messages with this name only the newest waits, ahead of all others; empty for one of the others.
+        """
+        ...
+
+    async def broken(self) -> NoReturn:
+        """Wait until it no longer works.
+
+        Raises:
+            Recoverable: always, with the reason.
+        """
+        ...
+
+
+class SendQueue:
+    """The messages that wait for a line: of each named kind the newest, ahead of the others; none older than `QUEUE_S`."""
+
+    def __init__(self, counts: WireCounts) -> None:
+        self._counts = counts
+        self._newest: dict[str, tuple[MonoNs, Pack]] = {}
+        self._others: deque[tuple[MonoNs, Pack]] = deque()
+
+    def put(self, pack: Pack, newest_of: str, now: MonoNs) -> None:
+        if newest_of:
+            self._counts.late += self._newest.pop(newest_of, None) is not None
+            self._newest[newest_of] = now, pack
+            return
+        self._others.append((now, pack))
+        while len(self._others) > _QUEUE_MAX or seconds_between(self._others[0][0], now) > QUEUE_S:
+            self._others.popleft()
+            self._counts.late += 1
+
+    def take(self, now: MonoNs) -> bytes:
+        """Return the bytes of the message that goes next; empty if none waits."""
+        while self._newest or self._others:
+            at, pack = self._newest.pop(next(iter(self._newest))) if self._newest else self._others.popleft()
+            if seconds_between(at, now) > QUEUE_S:
+                self._counts.late += 1
+            elif data := pack():
+                return data
+        return b""
+
+
+class _Breakable:
+    def __init__(self, clock: Clock, received: Received, counts: WireCounts) -> None:
+        self._end: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._clock, self._received, self._counts = clock, received, counts
+        self.received_at: MonoNs | None = None
+        self.opened_at = clock.now()
+
+    @property
+    def local(self) -> Address | None:
+        return None
+
+    @property
+    def quiet_s(self) -> float:
+        """The time without a byte, s."""
+        return seconds_between(self.received_at or self.opened_at, self._clock.now())
+
+    def _take(self, data: bytes, sender: Address | None = None) -> None:
+        self.received_at = self._clock.now()
+        self._received(data, self.received_at, sender)
+
+    def stop(self, why: str) -> None:
+        """Make it count as broken."""
+        if not self._end.done():
+            self._end.set_result(why)
+
+    async def broken(self) -> NoReturn:
+        raise Recoverable(await asyncio.shield(self._end))
+
+
+class _Datagrams(_Breakable, asyncio.DatagramProtocol):
+    def __init__(self, clock: Clock, received: Received, counts: WireCounts, listening: bool) -> None:
+        super().__init__(clock, received, counts)
+        self._listening = listening
+        self._transport: Any = None  # the loops' datagram transports share no class that has both methods used here
+        self.refused_at: MonoNs | None = None
+        """When the other side refused last; None since it was heard."""
+
+    @property
+    def local(self) -> Address | None:
+        host, port = self._transport.get_extra_info("sockname")[:2]
+        return str(host), int(port)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self.refused_at = None
+        self._take(data, (addr[0], addr[1]) if self._listening else None)
+
+    def error_received(self, exc: Exception) -> None:
+        # A peer that is not there yet refuses; it may come.
+        if isinstance(exc, ConnectionRefusedError):
+            self._counts.refused += 1
+            self.refused_at = self._clock.now()
+        elif not self._listening:
+            self.stop(str(exc))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.stop(str(exc or "socket closed"))
+
+    def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
+        if self._end.done() or (to is None) is self._listening:
+            return False
+        if self._transport.get_write_buffer_size() > _DATAGRAMS_MAX:
+            self._counts.late += 1
+            return False
+        if data := pack():
+            self._transport.sendto(data, to)
+        return bool(data)
+
+
+class _Paced(_Breakable, ABC):
+    """A stream that is given no more than it takes in time."""
+
+    _KERNEL_S: ClassVar[float]
+
+    def __init__(self, clock: Clock, received: Received, counts: WireCounts) -> None:
+        super().__init__(clock, received, counts)
+        self._queue = SendQueue(counts)
+        self._written: deque[tuple[MonoNs, int]] = deque()
+        """When bytes were given to the kernel, and their number with all those before."""
+        self._total = 0
+        self._timer: asyncio.TimerHandle | None = None
+
+    def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
+        if self._end.done():
+            return False
+        self._queue.put(pack, newest_of, self._clock.now())
+        self._pump()
+        return True
+
+    def _pump(self) -> None:
+        """Write what waits, until the line takes no more."""
+        self._forget_timer()
+        while not self._end.done():
+            now = self._clock.now()
+            if not self._takes_more(now):
+                self._timer = asyncio.get_running_loop().call_later(_PUMP_S, self._pump)
+                return
+            data = self._queue.take(now)
+            if not data:
+                return
+            self._total += len(data)
+            self._written.append((now, self._total))
+            self._write(data)
+
+    def _takes_more(self, now: MonoNs) -> bool:
+        gone = self._total - self._unsent()
+        while self._written and self._written[0][1] <= gone:
+            self._written.popleft()
+        return not self._written or seconds_between(self._written[0][0], now) <= self._KERNEL_S
+
+    def _forget_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    @abstractmethod
+    def _write(self, data: bytes) -> None:
+        """Give bytes to the kernel."""
+
+    @abstractmethod
+    def _unsent(self) -> int:
+        """Return the number of bytes that were written and have not left, or were not acknowledged."""
+
+
+def _in_kernel(fd: int) -> int:
+    """Return the bytes in a port's or a connection's own queue; 0 where the system does not say."""
+    with suppress(OSError):
+        return int(struct.unpack("i", fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)))[0])
+    return 0
+
+
+class _Stream(_Paced, asyncio.Protocol):
+    _KERNEL_S = _TCP_S
+
+    def __init__(self, clock: Clock, received: Received, counts: WireCounts) -> None:
+        super().__init__(clock, received, counts)
+        self._transport: asyncio.WriteTransport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.WriteTransport)
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self._take(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._forget_timer()
+        self.stop(str(exc or "the other side closed the connection"))
+
+    def _write(self, data: bytes) -> None:
+        assert self._transport is not None
+        self._transport.write(data)
+
+    def _unsent(self) -> int:
+        assert self._transport is not None
+        return self._transport.get_write_buffer_size() + _in_kernel(self._transport.get_extra_info("socket").fileno())
+
+
+class _Serial(_Paced):
+    """A serial port's file descriptor, read and written when the loop says that it is ready."""
+
+    _KERNEL_S = _SERIAL_S
+
+    def __init__(self, port: serial.Serial, clock: Clock, received: Received, counts: WireCounts) -> None:
+        super().__init__(clock, received, counts)
+        self._fd: int = port.fileno()
+        os.set_blocking(self._fd, False)
+        self._loop = asyncio.get_running_loop()
+        self._rest = bytearray()
+        """The bytes that the kernel did not take yet of the message that goes."""
+        self._loop.add_reader(self._fd, self._readable)
+
+    def close(self) -> None:
+        self._forget_timer()
+        self._loop.remove_reader(self._fd)
+        self._loop.remove_writer(self._fd)
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._fd, 4096)
+        except BlockingIOError:
+            return
+        except OSError as why:
+            self._fail(why.strerror or str(why))
+            return
+        if data:
+            self._take(data)
+        else:
+            self._fail("the device is gone")
+
+    def _writable(self) -> None:
+        self._flush()
+        if not self._rest:
+            self._pump()
+
+    def _takes_more(self, now: MonoNs) -> bool:
+        takes_more = super()._takes_more(now)
+        if not takes_more and seconds_between(self._written[0][0], now) > _STILL_S:
+            # The frame that is cut in two costs less than old ones would.
+            with suppress(OSError, termios.error):
+                termios.tcflush(self._fd, termios.TCOFLUSH)
+            self._counts.late += len(self._written)
+            self._written.clear()
+            self._rest.clear()
+            self._loop.remove_writer(self._fd)
+            return True
+        return takes_more and not self._rest
+
+    def _unsent(self) -> int:
+        return len(self._rest) + _in_kernel(self._fd)
+
+    def _write(self, data: bytes) -> None:
+        self._rest += data
+        self._flush()
+
+    def _flush(self) -> None:
+        try:
+            sent = os.write(self._fd, self._rest) if self._rest else 0
+        except BlockingIOError:
+            sent = 0
+        except OSError as why:
+            self._fail(why.strerror or str(why))
+            return
+        del self._rest[:sent]
+        if self._rest:
+            self._loop.add_writer(self._fd, self._writable)
+        else:
+            self._loop.remove_writer(self._fd)
+
+    def _fail(self, why: str) -> None:
+        self.close()
+        self.stop(why)
+
+
+@asynccontextmanager
+async def open_wire(
+    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts | None = None
+) -> AsyncIterator[Wire]:
+    """Open what the endpoint names; closed on leaving.
+
+    Args:
+        counts: the endpoint's own, over all its openings.
+
+    Raises:
+        Recoverable: it cannot be opened now (no such device yet, nobody listens, port in use, no such name).
+    """
+    counts = WireCounts() if counts is None else counts
+    if endpoint.scheme == "serial":
+        try:
+            port = serial.Serial(endpoint.host, endpoint.port, timeout=0, exclusive=True)
+        except (OSError, serial.SerialException) as why:
+            raise Recoverable(str(why) or "no answer") from why
+        line = _Serial(port, clock, received, counts)
+        try:
+            yield line
+        finally:
+            line.close()
+            port.close()
+        return
+    opened, transport, address = await _open_socket(endpoint, clock, received, counts)
+    watch = [] if endpoint.scheme == "udpin" else [(f"watch-{endpoint}", _watch(endpoint, opened, address, clock))]
+    try:
+        async with running_beside(watch):
+            yield opened
+    finally:
+        transport.close()
+        if opened.received_at is not None:
+            counts.tried.clear()
+
+
+async def _open_socket(
+    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts
+) -> tuple[_Datagrams | _Stream, asyncio.BaseTransport, Any]:
+    """Return what is open to the first of the host's addresses that can be opened, those first that were not tried in vain.
+
+    Raises:
+        Recoverable: none can.
+    """
+    loop, reasons = asyncio.get_running_loop(), []
+    kind = socket.SOCK_STREAM if endpoint.scheme == "tcp" else socket.SOCK_DGRAM
+    found = await resolve(endpoint.host, endpoint.port, _CONNECT_TIMEOUT_S, kind)
+    if all(one[4] in counts.tried for one in found):
+        counts.tried.clear()
+    for family, _, protocol, _, address in (one for one in found if one[4] not in counts.tried):
+        made = socket.socket(family, kind, protocol)
+        made.setblocking(False)
+        counts.tried.add(address)
+        try:
+            if endpoint.scheme == "tcp":
+                async with asyncio.timeout(_CONNECT_TIMEOUT_S):
+                    await loop.sock_connect(made, address)
+                made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                stream, wire = await loop.create_connection(lambda: _Stream(clock, received, counts), sock=made)
+                return wire, stream, address
+            listening = endpoint.scheme == "udpin"
+            (made.bind if listening else made.connect)(address)
+            protocol_of = partial(_Datagrams, clock, received, counts, listening)
+            datagrams, door = await loop.create_datagram_endpoint(protocol_of, sock=made)
+            return door, datagrams, address
+        except (OSError, TimeoutError) as why:
+            made.close()
+            reasons.append(str(why) or f"no answer from {address[0]}")
+        except BaseException:
+            made.close()
+            raise
+    raise Recoverable("; ".join(reasons))
+
+
+async def _watch(endpoint: Endpoint, wire: _Datagrams | _Stream, address: Any, clock: Clock) -> None:
+    """Break a wire whose peer has been silent for `SILENT_S`, and for UDP only if there is another way to it."""
+    looked_at = clock.now()
+    while True:
+        await clock.sleep(_WATCH_S)
+        refused = isinstance(wire, _Datagrams) and wire.refused_at is not None
+        most_s = _REFUSED_S if refused else SILENT_S
+        if wire.quiet_s <= most_s or seconds_between(looked_at, clock.now()) <= most_s:
+            continue
+        looked_at = clock.now()
+        what = f"{address[0]} refuses: nobody listens there" if refused else f"not a byte of {address[0]} for {SILENT_S:.0f} s"
+        if isinstance(wire, _Stream):
+            wire.stop(what)
+            return
+        with suppress(Recoverable, OSError):
+            found = await resolve(endpoint.host, endpoint.port, _CONNECT_TIMEOUT_S, socket.SOCK_DGRAM)
+            others = [str(one[4][0]) for one in found if one[4] != address]
+            if others:
+                wire.stop(f"{what}; {endpoint.host} is {', '.join(others)} {'now' if len(others) == len(found) else 'too'}")
+                return
+            if wire.local is not None and _source_towards(found[0]) != wire.local[0]:
+                wire.stop(f"{what}; this computer's own address has changed")
+                return
+
+
+def _source_towards(found: tuple[Any, Any, int, str, Any]) -> str:
+    """Return this computer's address towards another.
+
+    Raises:
+        OSError: there is no way to it.
+    """
+    with socket.socket(found[0], socket.SOCK_DGRAM) as probe:
+        probe.connect(found[4])
+        return str(probe.getsockname()[0])

@@ -1,0 +1,339 @@
+"""Judge gyro and accelerometer apart, name the one that lies, and let the estimator fly on without it.
+
+A half that repeats itself is lost at once and back at once. One that moves and lies is found by parity (`parity.py`) and has to
+agree for two seconds before it counts again. What the estimator believed with it is worth nothing: it starts again.
+"""
+
+import math
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
+from estimator.integrity import halves, parity
+from estimator.integrity.halves import Half, TurnByAttitude
+from estimator.integrity.options import IntegrityOptions
+from estimator.integrity.parity import Bin, Parity, Slope, Vec3
+
+_PERSISTS, _PERSISTS_ALONE = 3, 12
+"""Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
+_WELL = 20
+_IMUS = 127
+_GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
+"""Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
+_GYRO_WELL_RAD_S = math.radians(2.5)
+_GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
+"""Number of bins, and by how much the least difference grows where the window is short."""
+_STEADY = 0.8
+_REVERSED_BINS = 4
+_TURNED_RAD_S = math.radians(8.0)
+"""Least turn, a root mean square, by which a wrong sense is told."""
+_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
+"""What a multirotor in the air feels: its thrust along the body's own vertical axis, and little across it."""
+_PERSISTS_GROSS = 2
+_ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
+"""Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
+_USUAL_MIN = 15
+_BIN_SHARE = 0.01
+"""Weight of one bin in what is usual, in the long run: it takes ten seconds to change."""
+_SIGMAS = 5.0
+_GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
+"""What the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
+_INFLATED = 2.0
+"""Residuals of neighbouring bins are alike."""
+_SHARE = 0.4
+_PLACE_S, _VELOCITY_S = 2.0, 1.2
+_PLACES, _VELOCITIES = 14, 8
+
+
+class LyingHalf(Struct, frozen=True):
+    """A sensor that the estimator does without."""
+
+    sensor: Literal["accelerometer", "gyro"]
+    what: str
+    """What it does, in words."""
+    well: int = 0
+    """Number of bins in a row in which it agreed again."""
+
+    @property
+    def text(self) -> str:
+        """Return the sentence for the operator."""
+        return f"the {self.sensor} {self.what}; flying without it"
+
+
+class Differences(NamedTuple):
+    """True less measured acceleration, m/s^2, as others have it."""
+
+    ground: Slope | None
+    """Downward, by a witness on the ground: barometer or velocity."""
+    deck: Slope | None
+    """Downward, by the pad's sightings, which stand on the moving deck."""
+    side: tuple[float, float] | None
+    """Ahead and aside as far as velocity and sightings agree."""
+
+    def agrees_with(self, usual: "Usual") -> bool:
+        """Return whether nothing speaks against the accelerometer, and something for it."""
+        down = self.ground or self.deck
+        if down is None or abs(down.value - usual.down) > (0.6 if self.ground else 0.8) * _ACCEL_M_S2:
+            return False
+        return self.side is None or math.hypot(self.side[0] - usual.ahead, self.side[1] - usual.aside) < 0.6 * _ACCEL_SIDE_M_S2
+
+
+class Usual(NamedTuple):
+    """The differences that have been there from the start: biases, which the filter estimates itself."""
+
+    n: int = 0
+    down: float = 0.0
+    ahead: float = 0.0
+    aside: float = 0.0
+
+    def after(self, off: Differences) -> "Usual":
+        """Return them after one bin more."""
+        down = off.ground or off.deck
+        if down is None:
+            return self
+        k = max(1.0 / (self.n + 1), _BIN_SHARE)
+        x, y = (self.ahead, self.aside) if off.side is None else off.side
+        return Usual(
+            self.n + 1,
+            self.down + k * (down.value - self.down),
+            self.ahead + k * (x - self.ahead),
+            self.aside + k * (y - self.aside),
+        )
+
+
+class Inertial(Struct, frozen=True):
+    """The state of both halves of the IMU."""
+
+    imus: tuple[Imu, ...] = ()
+    """The newest samples, those since the newest bin and the one before them."""
+    gyro: Half = Half()
+    accel: Half = Half()
+    turn: TurnByAttitude = TurnByAttitude()
+    parity: Parity = Parity()
+    gyro_fault: LyingHalf | None = None
+    """What parity says of it."""
+    accel_fault: LyingHalf | None = None
+    usual: Usual = Usual()
+    accel_against: int = 0
+    """Number of bins in a row that accused the accelerometer."""
+    named: int = 0
+    """How often parity has named a sensor."""
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The sensors that the estimator does without, in words."""
+        found = []
+        for name, half, fault in (("accelerometer", self.accel, self.accel_fault), ("gyro", self.gyro, self.gyro_fault)):
+            if half.frozen:
+                found.append(f"the {name} repeats its readings; flying without it")
+            elif fault is not None:
+                found.append(fault.text)
+        return tuple(found)
+
+
+def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[Inertial, Imu | None]:
+    """Process an IMU sample.
+
+    Returns:
+        The next state, and the sample without its lost halves; None if nothing is left of it.
+    """
+    t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
+    before = t if last is None else last.stamp.measured_at
+    same_w = last is not None and last.w_body.tobytes() == imu.w_body.tobytes()
+    same_f = last is not None and last.f_body.tobytes() == imu.f_body.tobytes()
+    gyro = halves.read(state.gyro, before if same_w else None, t, o.imu_frozen_s, flying)
+    accel = halves.read(state.accel, before if same_f else None, t, o.imu_frozen_s, flying)
+    lies, bad = state.gyro_fault, state.accel_fault
+    frozen = gyro.frozen or accel.frozen
+    checked, imus = (state.parity, (*state.imus[-_IMUS:], imu)) if flying and not frozen else (Parity(), (imu,))
+    after = Inertial(imus, gyro, accel, state.turn, checked, lies, bad, state.usual, state.accel_against, state.named)
+    if not frozen and lies is None and bad is None:
+        return after, imu
+    gyro_s = _lost_s(state.gyro, gyro, lies is not None, (before, t))
+    accel_s = _lost_s(state.accel, accel, bad is not None, (before, t))
+    return after, halves.replaced(imu, gyro_s, accel_s, state.turn)
+
+
+def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:
+    """Process an attitude as the vehicle reports it."""
+    turn = state.turn.after(attitude)
+    if turn is state.turn:
+        return state
+    checked, ended = parity.levelled(state.parity, attitude, state.imus)
+    if not ended:
+        return replace(state, turn=turn, parity=checked)
+    after = replace(state, turn=turn, parity=checked, imus=state.imus[-1:])
+    return _judged(after) if flying else after
+
+
+def weighed(state: Inertial, event: Baro) -> Inertial:
+    """Process a height."""
+    return replace(state, parity=parity.weighed(state.parity, event))
+
+
+def moved(state: Inertial, event: BodyVelocity) -> Inertial:
+    """Process a velocity."""
+    checked = parity.moved(state.parity, event)
+    return state if checked is state.parity else replace(state, parity=checked)
+
+
+def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> Inertial:
+    """Process a sighting that the estimator took, in axes of fixed heading."""
+    return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
+
+
+def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
+    """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures.
+
+    Args:
+        span: instants of the sample before and of the newest, ns.
+    """
+    if now.frozen:
+        # What was used until it was found was wrong as well.
+        return (span[1] - (span[0] if was.frozen else now.since)) * 1e-9
+    return max(1e-6, min(0.05, (span[1] - span[0]) * 1e-9)) if lies else 0.0
+
+
+def _judged(state: Inertial) -> Inertial:
+    """Judge both halves by the bins so far."""
+    return _judged_accel(_judged_gyro(state))
+
+
+def _judged_gyro(state: Inertial) -> Inertial:
+    bins, fault = state.parity.bins, state.gyro_fault
+    if fault is not None:
+        second = bins[-_GYRO_WINDOWS[0][0] :]
+        off = math.hypot(*(math.fsum(b.off[i] for b in second) / max(1, len(second)) for i in range(3)))
+        well = fault.well + 1 if second and off < _GYRO_WELL_RAD_S else 0
+        return replace(state, gyro_fault=None if well >= _WELL else replace(fault, well=well))
+    reversed_in = _reversed_axis(bins[-_REVERSED_BINS:])
+    if reversed_in:
+        return replace(state, gyro_fault=LyingHalf("gyro", f"turns the wrong way in {reversed_in}"), named=state.named + 1)
+    for n, by in _GYRO_WINDOWS:
+        what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
+        if what:
+            return replace(state, gyro_fault=LyingHalf("gyro", what), named=state.named + 1)
+    return state
+
+
+def _reversed_axis(bins: tuple[Bin, ...]) -> str:
+    """Return the axis about which the gyro turns against the attitude; empty if about none."""
+    if len(bins) < _REVERSED_BINS:
+        return ""
+    for i, axis in enumerate(("roll", "pitch", "yaw")):
+        turned = [b.w[i] - b.off[i] for b in bins]
+        square = math.fsum(a * a for a in turned)
+        along = math.fsum(b.w[i] * a for b, a in zip(bins, turned, strict=True))
+        if square > _TURNED_RAD_S**2 * len(bins) and along < -0.5 * square:
+            return axis
+    return ""
+
+
+def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
+    """Return what the gyro does where it and not the attitude lies about a steady turn; empty if neither does, or it is open.
+
+    Args:
+        by: how many times the least difference it has to be.
+    """
+    n, span_s = len(bins), math.fsum(b.span_s for b in bins)
+    off = [math.fsum(b.off[i] for b in bins) / n for i in range(3)]
+    steady = [sum(b.off[i] * off[i] > off[i] * off[i] / 3.0 for b in bins) >= _STEADY * n for i in range(3)]
+    x, y = (off[i] if steady[i] else 0.0 for i in range(2))
+    if math.hypot(x, y) > by * _GYRO_RAD_S:
+        # The one that says that the body leans more and more lies: it would fly away.
+        along, aside, _ = bins[-1].up
+        by_gyro, by_attitude = math.hypot(along - y * span_s, aside + x * span_s), math.hypot(along, aside)
+        if by_gyro > by_attitude + 0.5 * span_s * math.hypot(x, y):
+            axis, value = ("roll", x) if abs(x) > abs(y) else ("pitch", y)
+            return f"turns about {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
+    if steady[2] and abs(off[2]) > by * _GYRO_YAW_RAD_S:
+        seen = _turn_seen(p, bins[0].t)
+        gyro = math.fsum(b.w[2] for b in bins) / n
+        if seen is not None and abs(seen - gyro) > 0.6 * abs(off[2]) and abs(seen - gyro + off[2]) < _SHARE * abs(off[2]):
+            return f"turns about {abs(math.degrees(off[2])):.0f} deg/s too {'much' if off[2] > 0 else 'little'} in yaw"
+    return ""
+
+
+def _turn_seen(p: Parity, since: int) -> float | None:
+    """Return the rate of turn against the pad since an instant, rad/s; None where too little was seen."""
+    taken = [(t, yaw) for t, yaw in p.yaw if t >= since]
+    span_s = (taken[-1][0] - taken[0][0]) * 1e-9 if taken else 0.0
+    if span_s < 0.5:
+        return None
+    return math.fsum(math.remainder(b[1] - a[1], math.tau) for a, b in pairwise(taken)) / span_s
+
+
+def _judged_accel(state: Inertial) -> Inertial:
+    p, fault, usual = state.parity, state.accel_fault, state.usual
+    if not p.bins or state.gyro_fault is not None:
+        return replace(state, accel_against=0) if state.accel_against else state
+    off = _differences(p)
+    if fault is not None:
+        well = fault.well + 1 if off.agrees_with(usual) else 0
+        return replace(state, accel_fault=None if well >= _WELL else replace(fault, well=well))
+    x, y, z = p.bins[-1].f
+    what, needed = _accel_lies(off, usual, p.bins[-1])
+    if z > -_THRUST_MIN_M_S2 or math.hypot(x, y) > _SIDE_MAX_M_S2:
+        what, needed = "feels no thrust where it has to", _PERSISTS_GROSS
+    if not what:
+        return replace(state, accel_against=0, usual=usual.after(off))
+    against = state.accel_against + 1
+    if against < needed:
+        return replace(state, accel_against=against)
+    return replace(state, accel_against=0, accel_fault=LyingHalf("accelerometer", what), named=state.named + 1)
+
+
+def _differences(p: Parity) -> Differences:
+    end = p.bins[-1].t + round(p.bins[-1].span_s * 1e9)
+    places, velocities = end - round(_PLACE_S * 1e9), end - round(_VELOCITY_S * 1e9)
+    baro = _widened(parity.curvature(p.baro, 2, places, _PLACES), _GROUND_SIGMA_M_S2)
+    climb = _widened(parity.slope(p.flow, 2, velocities, _VELOCITIES), _VELOCITY_SIGMA_M_S2)
+    ground = baro if climb is None or (baro is not None and baro.var < climb.var) else climb
+    flow = [parity.slope(p.flow, axis, velocities, _VELOCITIES) for axis in range(2)]
+    seen = [parity.curvature(p.sight, axis, places, _PLACES) for axis in range(2)]
+    side = None
+    if None not in flow and None not in seen:
+        (c, s), off = p.bins[-1].heading, [0.0, 0.0]
+        for axis, (a, b) in enumerate(zip(flow, seen, strict=True)):
+            if a and b and a.value * b.value > 0.0 and abs(a.value - b.value) < 0.6 * max(abs(a.value), abs(b.value)):
+                off[axis] = 0.5 * (a.value + b.value)
+        side = (c * off[0] + s * off[1], c * off[1] - s * off[0])
+    return Differences(ground, parity.curvature(p.sight, 2, places, _PLACES), side)
+
+
+def _widened(found: Slope | None, sigma: float) -> Slope | None:
+    return None if found is None else Slope(found.value, _INFLATED * found.var + sigma * sigma)
+
+
+def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
+    """Return what the accelerometer does, empty if it is not accused; and how many bins in a row have to say so."""
+    ground, deck = off.ground, off.deck
+    if usual.n < _USUAL_MIN:
+        return "", 1
+    if ground is not None:
+        a = ground.value - usual.down
+        agrees = deck is None or ((deck.value - usual.down) * a > 0.0 and abs(deck.value - usual.down) > _SHARE * abs(a))
+        if abs(a) > _ACCEL_M_S2 and a * a > _SIGMAS**2 * ground.var and agrees:
+            return _along_down(newest, a), _PERSISTS
+    elif deck is not None and abs(deck.value - usual.down) > _ACCEL_ALONE_M_S2:
+        return _along_down(newest, deck.value - usual.down), _PERSISTS_ALONE
+    if off.side is None:
+        return "", 1
+    size = math.hypot(off.side[0] - usual.ahead, off.side[1] - usual.aside)
+    # A multirotor is pushed along its vertical axis alone. One that feels nothing across it is not the one that lies.
+    lies = size > _ACCEL_SIDE_M_S2 and math.hypot(newest.f[0], newest.f[1]) > 0.6 * size
+    return (f"is off by about {size:.1f} m/s^2 across the vertical" if lies else ""), _PERSISTS
+
+
+def _along_down(newest: Bin, off: float) -> str:
+    """Return how far the accelerometer is off along the body's down axis; `off` is true less measured downward, m/s^2."""
+    measured = newest.f[2]
+    true = measured + off / max(0.5, newest.up[2])
+    if abs(true) < 0.5 * G_M_S2:
+        return f"is off by about {abs(off):.1f} m/s^2 along the vertical"
+    percent = 100.0 * (measured / true - 1.0)
+    return f"reads about {abs(percent):.0f} % too {'much' if percent > 0 else 'little'}"

@@ -1,0 +1,80 @@
+"""Camera files of ROS, OpenCV and Kalibr: read back as they were, with the lens by our model, or refused by what they lack."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.settings.load import read_camera
+from companion.tools.calibrate.camera_file import FOREIGN, foreign
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation, Transform
+from estimator.vision.camera import Camera
+
+DOWN = Transform(Rotation.from_rpy(0.0, 0.0, np.pi / 2), np.zeros(3))
+BENT = (-0.21, 0.06, 0.0011, -0.0007, 0.0)
+CAMERA = Camera(640, 480, 510.25, 511.5, 318.75, 243.125, np.array(BENT), DOWN)
+KALIBR = "cam0:\n  camera_model: {model}\n  intrinsics: [500.0, 501.0, 320.0, 240.0]\n  distortion_model: {lens}\n"
+KALIBR += "  distortion_coeffs: {k}\n  resolution: {size}\n"
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_what_is_exported_reads_back_as_the_same_camera(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(foreign(CAMERA, kind))
+    assert read_camera(path) == CAMERA
+
+
+def test_a_lens_with_k3_does_not_fit_kalibr() -> None:
+    bent = Camera(640, 480, 510.0, 510.0, 320.0, 240.0, np.array([-0.2, 0.1, 0.0, 0.0, 0.02]), DOWN)
+    assert "0.02" in foreign(bent, "ros")
+    with pytest.raises(BadInput, match="no k3"):
+        foreign(bent, "kalibr")
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml"])
+def test_opencv_s_own_files_are_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"camera.{suffix}"
+    store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    store.write("image_width", 640)
+    store.write("image_height", 480)
+    store.write("camera_matrix", np.array([[510.25, 0, 318.75], [0, 511.5, 243.125], [0, 0, 1]]))
+    store.write("distortion_coefficients", np.array(BENT)[:, None])
+    store.release()
+    assert read_camera(path) == CAMERA
+
+
+@pytest.mark.parametrize("lens", ["equidistant", "rational_polynomial"])
+def test_another_lens_is_fitted_to_half_a_pixel(lens: str, tmp_path: Path) -> None:
+    k = [-0.012, 0.004, -0.001, 0.0002] if lens == "equidistant" else [0.1, 0.02, 0.0004, -0.0003, 0.01, 0.3, 0.02, 0.01]
+    path = tmp_path / "camera.yaml"
+    path.write_text(KALIBR.format(model="pinhole", lens=lens, k=k, size="[640, 480]"))
+    camera = read_camera(path)
+    matrix = np.array([[500.0, 0, 320.0], [0, 501.0, 240.0], [0, 0, 1]])
+    uv = np.stack(np.meshgrid(np.linspace(5, 634, 9), np.linspace(5, 474, 7)), axis=2).reshape(-1, 1, 2)
+    end, eye = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9), np.eye(3)
+    if lens == "equidistant":
+        rays = cv2.fisheye.undistortPoints(uv, matrix, np.array(k)).reshape(-1, 2)
+    else:
+        rays = cv2.undistortPointsIter(uv, matrix, np.array(k), eye, eye, end).reshape(-1, 2)
+    assert np.abs(camera.rays(uv.reshape(-1, 2)) - rays).max() * 500.0 < 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (KALIBR.format(model="pinhole", lens="equidistant", k=[0.1, 0.9, -0.8, 0.3], size="[1600, 1200]"), "equidistant"),
+        (KALIBR.format(model="omni", lens="radtan", k=[0, 0, 0, 0], size="[640, 480]"), "camera_model 'omni' is not read"),
+        (KALIBR.format(model="pinhole", lens="fov", k=[0.9], size="[640, 480]"), "distortion_model 'fov' is not read"),
+        (KALIBR.format(model="pinhole", lens="radtan", k=[0.0, 0.0, 0.0, 0.0], size="[]"), "size of the frames"),
+        ("image_width: 640\nimage_height: 480\n", "no camera matrix"),
+        (KALIBR.format(model="pinhole", lens="radtan", k=[0, 0, 0, 0], size="[640, 480]").replace("[500.0", "[.nan"), "camera"),
+        ("a: [1, 2\n", "camera"),
+    ],
+)  # fmt: skip
+def test_what_is_lacking_is_named(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=said):
+        read_camera(path)

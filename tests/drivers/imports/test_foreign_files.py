@@ -1,0 +1,227 @@
+"""Files as the world has them: told apart by content, with damage and steps told; only what looks down gives a height."""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.imports import ardrone_capture, dataflash, parameter_file, px4_ulog, tlog
+from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.stamps import Tell, timeline
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Attitude, Imu, Range, Sample, VehicleStatus
+from tests.support import foreign_logs as made
+
+BEGAN, STEP = 20_000_000, 100_000
+TIMES = [BEGAN + STEP * n for n in range(50)]
+HEIGHTS = [5.0 - 0.09 * n for n in range(50)]
+PARAMETERS = {
+    "copter.param": "#NOTE: 24.11.2026 quad\r\nSYSID_THISMAV,1\r\nGUID_TIMEOUT,0.2\r\nINS_ACCOFFS_X,-0.01325\r\n",
+    "copter.parm": "SYSID_THISMAV    1.000000\nGUID_TIMEOUT     0.200000\nINS_ACCOFFS_X    -0.013250\n",
+    "px4.params": "# Stack: PX4 Pro\n# Version: 1.15.4 \n#\n1\t1\tMAV_SYS_ID\t1\t6\n1\t1\tCOM_DISARM_LAND\t9.0000000000\t9\n",
+}
+
+
+def heard(read: Callable[[Path, Tell], Iterable[Sample]], path: Path, data: bytes) -> tuple[list[Sample], str]:
+    """The samples of a file with these bytes, and what was told of it."""
+    path.write_bytes(data)
+    told: list[str] = []
+    samples = list(read(path, told.append))
+    assert [s.stamp.received_at for s in samples] == sorted(s.stamp.received_at for s in samples)
+    return samples, "; ".join(told)
+
+
+def heights(samples: Iterable[Sample]) -> tuple[list[float], list[float]]:
+    ranges = [s for s in samples if isinstance(s, Range)]
+    return [s.stamp.measured_at * 1e-9 for s in ranges], [s.range_m for s in ranges]
+
+
+@pytest.mark.parametrize("write", [made.dataflash, made.text_dataflash])
+def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ahead(
+    write: Callable[[list[made.Row]], bytes], tmp_path: Path
+) -> None:
+    samples, told = heard(dataflash.read, tmp_path / "log", write(made.flight(TIMES, HEIGHTS, forward_m=8.0)))
+    at, found = heights(samples)
+    assert found == pytest.approx(HEIGHTS, abs=0.011)
+    assert np.diff(at) == pytest.approx(0.1)
+    assert sum(isinstance(s, Imu) for s in samples) == 50
+    assert told == ""
+    assert dataflash.read_history(tmp_path / "log").parameters["GUID_TIMEOUT"] == pytest.approx(0.2)
+
+
+def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
+    rows = made.flight(TIMES, HEIGHTS)
+    rows += [("RFND", (at + 3000, 1, 7.0, 2 if n % 5 else 4, 25)) for n, at in enumerate(TIMES)]
+    samples, told = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    assert heights(samples)[1] == pytest.approx(HEIGHTS, abs=0.011)
+    assert "2 rangefinders look down" in told
+
+
+@pytest.mark.parametrize(
+    ("times", "lasts_s", "said"),
+    [
+        ([t - 500_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 0.4"),
+        ([t - 19_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 18.9"),
+        ([t + 40_000_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went ahead by 40000 s"),
+        ([t + 2**60 * (n == 25) for n, t in enumerate(TIMES)], 4.9, "stamps are absurd"),
+        ([t + 60_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 64.9, ""),
+    ],
+)
+def test_a_log_whose_clock_steps_goes_on_and_says_so(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
+    samples, told = heard(dataflash.read, tmp_path / "log", made.dataflash(made.flight(times, HEIGHTS)))
+    at, found = heights(samples)
+    assert all(np.diff(found) < 0), "it falls all the time"
+    assert all(np.diff(at) > 0)
+    assert at[-1] - at[0] == pytest.approx(lasts_s, abs=0.35)
+    assert said in told
+    assert dataflash.read_history(tmp_path / "log").history.lasted_s <= lasts_s + 0.1
+
+
+@given(st.lists(st.one_of(st.integers(0, 10**9), st.integers(-(2**63), 2**64)), max_size=60))
+@settings(max_examples=80)
+def test_any_stamps_make_a_time_that_begins_at_zero(stamps: list[int]) -> None:
+    out = timeline(stamps)
+    assert len(out) == len(stamps)
+    assert all(at is None or at >= 0 for at in out)
+
+
+def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_down(tmp_path: Path) -> None:
+    samples, told = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, retained_us=BEGAN - 10_000_000))
+    at, found = heights(samples)
+    assert found == pytest.approx(HEIGHTS, abs=1e-5)
+    assert (at[0], at[-1]) == pytest.approx((0.0, 4.9))
+    assert not any(isinstance(s, VehicleStatus) for s in samples)
+    assert told == ""
+    assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_foreign_bytes_in_a_px4_log_are_left_out_and_told(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    foreign = np.random.default_rng(seed).bytes(50 + 90 * seed)
+    samples, told = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
+    assert sum(isinstance(s, Attitude) for s in samples) >= 49
+    assert "damaged" in told
+    assert capsys.readouterr().out == ""
+
+
+def test_a_telemetry_log_gives_samples_and_parameters(tmp_path: Path) -> None:
+    data = made.telemetry_log()
+    samples, told = heard(tlog.read, tmp_path / "log", data)
+    at, found = heights(samples)
+    assert found == pytest.approx([5.0 - 0.04 * n for n in range(50)])
+    assert np.diff(at) == pytest.approx(0.05, abs=0.002)
+    assert told == ""
+    assert tlog.read_history(tmp_path / "log").parameters == {"GUID_TIMEOUT": pytest.approx(0.2)}
+    cut, told = heard(tlog.read, tmp_path / "log", data[:900] + b"\x12\x34" * 30 + data[960:])
+    assert len(cut) > 60
+    assert "damaged" in told
+
+
+def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
+    for name, text in PARAMETERS.items():
+        (tmp_path / name).write_text(text, newline="")
+        log = parameter_file.read_history(tmp_path / name)
+        assert log.stack == ("PX4" if "px4" in name else "ArduPilot")
+        assert kind_of(tmp_path / name) is FileKind.PARAMETERS
+    assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
+    assert log.firmware == (1, 15, 4)
+
+
+CAPTURE = [1_000_000_000 + 5000 * n for n in range(300)]
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (CAPTURE, ""),
+        ([t - 400_000 * (n > 150) for n, t in enumerate(CAPTURE)], "went back"),
+        ([t if n < 150 else (n - 150) * 5000 for n, t in enumerate(CAPTURE)], "went back"),
+        ([t - 30_000 * (n == 150) for n, t in enumerate(CAPTURE)], ""),
+        ([(2047_500_000 + n * 5000) % 2048_000_000 for n in range(300)], ""),
+    ],
+)
+def test_a_capture_of_navdata_lasts_as_long_as_it_did(times: list[int], said: str, tmp_path: Path) -> None:
+    data = b"".join(made.navdata(n + 1, t) for n, t in enumerate(times))
+    samples, told = heard(ardrone_capture.samples, tmp_path / "navdata", data)
+    assert samples[-1].stamp.measured_at * 1e-9 == pytest.approx(1.5, abs=0.05)
+    assert (told == "") == (said == "")
+    assert said in told
+
+
+def test_wrong_checksums_are_counted_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "navdata"
+    path.write_bytes(b"".join(made.navdata(n + 1, 5000 * n, right_sum=False) for n in range(40)))
+    with pytest.raises(BadInput, match="40 datagrams are refused: their checksum is wrong"):
+        ardrone_capture.samples(path)
+    mixed = b"".join(made.navdata(n + 1, 5000 * n, right_sum=n % 4 > 0) for n in range(40))
+    samples, told = heard(ardrone_capture.samples, path, mixed)
+    assert samples
+    assert "10 datagrams are refused" in told
+
+
+NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,5423.41,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(60))
+FILES = {
+    FileKind.DATAFLASH: made.dataflash(made.flight(TIMES, HEIGHTS)),
+    FileKind.ULOG: made.px4_flight(BEGAN),
+    FileKind.TLOG: made.telemetry_log(),
+    FileKind.NAVDATA: made.navdata(1, 5000),
+    FileKind.SENTENCES: NMEA.encode(),
+    FileKind.PARAMETERS: PARAMETERS["copter.parm"].encode(),
+    FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
+    FileKind.TEXT: b"a log of the bridge\n" * 20,
+    FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
+    FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
+}
+READERS = {
+    FileKind.DATAFLASH: (dataflash.read, dataflash.read_history), FileKind.ULOG: (px4_ulog.read, px4_ulog.read_history),
+    FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (ardrone_capture.samples,),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_file_is_what_its_content_says_whatever_its_name(kind: FileKind, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(FILES[kind])
+    assert kind_of(path) is kind
+
+
+@given(st.sampled_from(sorted(READERS, key=lambda k: k.name)), st.data())
+@settings(max_examples=60, deadline=None)
+def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: st.DataObject) -> None:
+    data = bytearray(FILES[kind])
+    for _ in range(draw.draw(st.integers(1, 4))):
+        at = draw.draw(st.integers(0, len(data) - 1))
+        size = draw.draw(st.integers(1, 300))
+        how = draw.draw(st.sampled_from(["cut", "double", "overwrite", "huge", "end"]))
+        if how == "cut":
+            del data[at : at + size]
+        elif how == "double":
+            data[at:at] = data[at : at + size]
+        elif how == "overwrite":
+            data[at : at + size] = draw.draw(st.binary(min_size=size, max_size=size))
+        elif how == "huge":
+            data[at : at + 8] = b"\xff" * 8
+        else:
+            del data[at:]
+        if not data:
+            return
+    with tempfile.TemporaryDirectory() as folder:
+        _read_all(kind, Path(folder) / "log", bytes(data))
+
+
+def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    for read in READERS[kind]:
+        told: list[str] = []
+        try:
+            found = read(path, told.append)
+        except BadInput:
+            continue
+        if isinstance(found, list):
+            instants = [s.stamp.received_at for s in found]
+            assert instants == sorted(instants)
+            assert not instants or instants[-1] - instants[0] < 4 * 3600e9

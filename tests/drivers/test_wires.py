@@ -1,0 +1,288 @@
+"""Open ways for bytes: nothing old on a slow line, another address of a name, a peer that is silent or refuses."""
+
+import asyncio
+import os
+import socket
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import wires
+from drivers.clock import SystemClock
+from drivers.endpoint import Address, Endpoint
+from drivers.resolve import resolve
+from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.time import NS_PER_S, MonoNs
+from tests.support.fake_ardrone import until
+
+HOST = "127.0.0.1"
+
+
+def at(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * NS_PER_S))
+
+
+def nobody(data: bytes, received_at: MonoNs, sender: Address | None) -> None:
+    """Take what nobody waits for."""
+
+
+@given(st.lists(st.tuples(st.sampled_from(["", "", "velocity", "target"]), st.floats(0.0, 0.1), st.booleans()), max_size=60))
+def test_a_line_gets_the_newest_setpoint_first_and_nothing_old(steps: list[tuple[str, float, bool]]) -> None:
+    counts, now, put, got = WireCounts(), 0.0, list[tuple[str, float]](), list[tuple[str, float]]()
+    queue = SendQueue(counts)
+    for kind, wait_s, takes in steps:
+        now += wait_s
+        queue.put(partial(str.encode, f"{kind} {len(put)}"), kind, at(now))
+        put.append((kind, now))
+        if takes and (data := queue.take(at(now))):
+            kind, _, number = data.decode().rpartition(" ")
+            got.append((kind, put[int(number)][1]))
+            assert now - got[-1][1] <= QUEUE_S + 1e-6
+            newest = [t for k, t in put if k == kind]
+            assert not kind or got[-1][1] == newest[-1], "the newest of its kind"
+    while queue.take(at(now)):
+        got.append(("", now))
+    assert len(got) + counts.late == len(put), "what does not go is counted"
+    ordinary = [t for kind, t in got if not kind]
+    assert ordinary == sorted(ordinary)
+
+
+def test_what_cannot_be_packed_costs_no_other_message() -> None:
+    queue = SendQueue(WireCounts())
+    queue.put(lambda: b"", "", at(0.0))
+    queue.put(lambda: b"next", "", at(0.0))
+    assert queue.take(at(0.0)) == b"next"
+
+
+class Stopwatch(SystemClock):
+    """The real clock, put ahead by hand."""
+
+    ahead_s = 0.0
+
+    def now(self) -> MonoNs:
+        return MonoNs(super().now() + round(self.ahead_s * NS_PER_S))
+
+
+async def test_a_serial_line_that_stood_still_carries_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    far, near = os.openpty()
+    tty.setraw(far)
+    os.set_blocking(far, False)
+    clock, counts, gone, kept = Stopwatch(), WireCounts(), [0], bytearray()
+
+    def empty(fd: int, which: int) -> None:
+        while _read(far):
+            pass
+        gone[0] = wire._total  # type: ignore[attr-defined]
+
+    def message() -> bytes:
+        return b"%012d" % round(clock.now() / 1e6) + 88 * b"."  # the instant at which it is packed, ms
+
+    async with open_wire(Endpoint("serial", os.ttyname(near), 57600), clock, nobody, counts) as wire:
+        # A pseudo terminal neither tells what waits in it nor forgets it, as a serial port does.
+        monkeypatch.setattr(wires, "_in_kernel", lambda fd: wire._total - gone[0])  # type: ignore[attr-defined]
+        monkeypatch.setattr(termios, "tcflush", empty)
+        for n in range(1200):  # 12 s of 100 messages a second
+            clock.ahead_s += 0.01
+            assert wire.send(message, None, "velocity" if n % 4 == 0 else "")
+        assert counts.late > 1100
+        goes_on_ms = round(clock.now() / 1e6)
+        for _ in range(20):
+            kept += _read(far)
+            gone[0] = wire._total  # type: ignore[attr-defined]
+            clock.ahead_s += 0.01
+            wire.send(message, None)
+        kept += _read(far)
+    times_ms = [int(kept[i - 12 : i]) for i in range(12, len(kept)) if kept[i : i + 88] == 88 * b"." and kept[i - 1 : i] != b"."]
+    assert len(times_ms) >= 20
+    assert min(times_ms) >= goes_on_ms - 500
+    os.close(far)
+    os.close(near)
+
+
+def _read(fd: int) -> bytes:
+    try:
+        return os.read(fd, 65536)
+    except BlockingIOError:
+        return b""
+
+
+@contextmanager
+def served() -> Iterator[tuple[Endpoint, Callable[[], socket.socket]]]:
+    """A server, and what accepts its next connection."""
+    with ExitStack() as stack, socket.create_server((HOST, 0)) as server:
+
+        def accept() -> socket.socket:
+            peer = stack.enter_context(server.accept()[0])
+            peer.setblocking(False)
+            return peer
+
+        yield Endpoint("tcp", HOST, server.getsockname()[1]), accept
+
+
+async def test_a_tcp_peer_that_does_not_read_is_given_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, counts, got = Stopwatch(), WireCounts(), bytearray()
+    with served() as (endpoint, accept):
+        async with open_wire(endpoint, clock, nobody, counts) as wire:
+            peer = accept()
+            monkeypatch.setattr(wires, "_in_kernel", lambda fd: wire._total - len(got))  # type: ignore[attr-defined]
+            for _ in range(1200):
+                clock.ahead_s += 0.01
+                wire.send(lambda: 100 * b".", None)
+            before = wire._total  # type: ignore[attr-defined]
+            assert before < 60 * 100, "half a second of 100 messages a second, and some more"
+            assert counts.late > 1100
+            await until(lambda: _into(got, peer) == before)
+            wire.send(lambda: b"new", None)
+            await until(lambda: bool(_into(got, peer)) and got.endswith(b"new"))
+            assert len(got) <= before + 3 + 21 * 100, "what waited is no older than the queue allows"
+
+
+def _into(got: bytearray, peer: socket.socket) -> int:
+    """Add what arrived; return the number of bytes so far."""
+    with suppress(BlockingIOError):
+        got.extend(peer.recv(65536))
+    return len(got)
+
+
+@pytest.fixture
+def names(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
+    """A resolver of our own: the addresses of each name."""
+    table: dict[str, list[str]] = {}
+    threads: set[int] = set()
+
+    def getaddrinfo(host: str, port: int, **options: Any) -> list[Any]:
+        threads.add(threading.get_ident())
+        if host not in table:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return [(socket.AF_INET, options["type"], 0, "", (address, port)) for address in table[host]]
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    yield table
+    assert threading.get_ident() not in threads, "no look-up on the loop's thread"
+
+
+def udp(address: str, port: int = 0) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.bind((address, port))
+    made.setblocking(False)
+    return made
+
+
+def heard(sock: socket.socket) -> bool:
+    try:
+        return bool(sock.recv(100))
+    except BlockingIOError:
+        return False
+
+
+async def test_a_host_that_moved_is_found_again(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wires, "_WATCH_S", 0.01)
+    clock, counts = Stopwatch(), WireCounts()
+    old = udp(HOST)
+    port = old.getsockname()[1]
+    with udp("127.0.0.2", port) as new:
+        names["autopilot.local"] = [HOST]
+        endpoint = Endpoint("udpout", "autopilot.local", port)
+        async with open_wire(endpoint, clock, nobody, counts) as wire:
+            wire.send(lambda: b"one", None)
+            await until(lambda: heard(old))
+            old.close()
+            names["autopilot.local"] = ["127.0.0.2"]
+            broken = asyncio.ensure_future(wire.broken())
+            for _ in range(20):
+                wire.send(lambda: b"two", None)
+                await asyncio.sleep(0.002)
+            assert counts.refused > 0
+            clock.ahead_s = 3.0
+            with pytest.raises(Recoverable, match=r"127\.0\.0\.1 refuses.*autopilot\.local is 127\.0\.0\.2 now"):
+                await broken
+        async with open_wire(endpoint, clock, nobody, counts) as wire:
+            wire.send(lambda: b"three", None)
+            await until(lambda: heard(new))
+
+
+async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wires, "_WATCH_S", 0.01)
+    clock, counts, used = Stopwatch(), WireCounts(), list[str]()
+    with udp("127.0.0.3") as third:
+        port = third.getsockname()[1]
+        names["ship"] = ["127.0.0.1", "127.0.0.2", "127.0.0.3"]
+        for _ in range(4):
+            async with open_wire(Endpoint("udpout", "ship", port), clock, nobody, counts) as wire:
+                used.append(wire._transport.get_extra_info("peername")[0])  # type: ignore[attr-defined]
+                await asyncio.sleep(0.01)  # the watch begins
+                clock.ahead_s += 11.0
+                with pytest.raises(Recoverable, match="not a byte"):
+                    await wire.broken()
+        assert used == ["127.0.0.1", "127.0.0.2", "127.0.0.3", "127.0.0.1"]
+        got: list[bytes] = []
+        async with open_wire(Endpoint("udpout", "ship", port), clock, lambda data, when, who: got.append(data), counts) as wire:
+            assert wire._transport.get_extra_info("peername")[0] == "127.0.0.2"  # type: ignore[attr-defined]
+        async with open_wire(Endpoint("udpout", "ship", port), clock, lambda data, when, who: got.append(data), counts) as wire:
+            wire.send(lambda: b"hello", None)
+            await until(lambda: heard(third))
+            assert wire.local is not None
+            third.sendto(b"here", wire.local)
+            await until(lambda: got == [b"here"])
+        assert not counts.tried, "the one that answers is tried first again"
+        names.clear()
+        with pytest.raises(Recoverable, match=r"ship:.*Name or service"):
+            async with open_wire(Endpoint("udpout", "ship", port), clock, nobody, counts):
+                pass
+
+
+async def test_a_silent_udp_peer_with_one_address_is_kept(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wires, "_WATCH_S", 0.01)
+    clock = Stopwatch()
+    async with open_wire(Endpoint("udpout", HOST, 9), clock, nobody) as wire:
+        broken = asyncio.ensure_future(wire.broken())
+        for _ in range(3):
+            clock.ahead_s += 11.0
+            await asyncio.sleep(0.05)
+        assert not broken.done(), "it may come, and a router knows it by its port"
+        broken.cancel()
+
+
+async def test_a_tcp_server_that_forgot_us_is_connected_to_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wires, "_WATCH_S", 0.01)
+    clock, got = Stopwatch(), list[bytes]()
+    with served() as (endpoint, accept):
+        async with open_wire(endpoint, clock, lambda data, when, who: got.append(data)) as wire:
+            accept().send(b"hello")
+            await until(lambda: got)
+            clock.ahead_s = 9.5
+            broken = asyncio.ensure_future(wire.broken())
+            await asyncio.sleep(0.05)
+            assert not broken.done()
+            clock.ahead_s = 11.0
+            with pytest.raises(Recoverable, match=r"not a byte of 127\.0\.0\.1 for 10 s"):
+                await broken
+
+
+async def test_a_resolver_that_hangs_holds_up_nobody_and_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, go_on = [0], threading.Event()
+
+    def getaddrinfo(host: str, port: int, **options: Any) -> list[Any]:
+        asked[0] += 1
+        go_on.wait(20)
+        return [(socket.AF_INET, options["type"], 0, "", (HOST, port))]
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    for _ in range(3):
+        with pytest.raises(Recoverable, match="no answer from the resolver"):
+            await resolve("slow", 1, 0.02)
+    waiting = [asyncio.ensure_future(resolve("slow", 1, 5.0)) for _ in range(2)]
+    await asyncio.sleep(0)
+    go_on.set()
+    assert [(await one)[0][4] for one in waiting] == [(HOST, 1)] * 2
+    assert asked == [1]
+    assert (await resolve("::1", 7, 0.1))[0][4][:2] == ("::1", 7)
