@@ -113,7 +113,12 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/estimator/ekf/test_history.py",
     ),
     "estimator/ekf/outcome.py": _RESULTS,
-    "estimator/ekf/packed_event.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_SIGHTINGS),
+    "estimator/ekf/packed_event.py": (
+        _NUMBERS,
+        "tests/estimator/ekf/test_process_event_bounds.py",
+        "tests/estimator/ekf/test_put_all.py",
+        *_SIGHTINGS,
+    ),
     "estimator/ekf/params.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
     "estimator/ekf/forecast.py": (_NUMBERS, *_FORECASTS),
     "estimator/ekf/deck_motion_bank.py": (_NUMBERS, *_FORECASTS, *_BANK),

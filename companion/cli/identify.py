@@ -14,9 +14,9 @@ from companion.recording.reading import Recording, open_recording
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.load import find_file, read_toml, response_model, shipped
 from companion.settings.response import Response, TiltResponse, response_from_mapping
-from companion.tools.calibrate import response_cost
+from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
-from companion.tools.calibrate.response_cost import ClimbCost, ResponseCost
+from companion.tools.calibrate.touchdown_cost import ClimbCost, ResponseCost
 from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
-    costs = response_cost.tilt_of_file(start.tilt, tilt.response), response_cost.tilt_of_sigma(tilt.response, tilt.cov)
+    costs = touchdown_cost.tilt_of_file(start.tilt, tilt.response), touchdown_cost.tilt_of_sigma(tilt.response, tilt.cov)
     climbs = None if climb is None else _climb_costs(start, response, climb)
     if args.json:
         record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
@@ -188,8 +188,8 @@ def _cost_line(was: ResponseCost, now: ResponseCost) -> str:
 
 
 def _climb_costs(start: Response, found: Response, fit: ClimbFit) -> ClimbCosts:
-    given = response_cost.of_file(start.climb, found)
-    return {"was": (given, given), "sigma": response_cost.of_sigma(found, fit.cov)}
+    given = touchdown_cost.climb_of_file(start.climb, found)
+    return {"was": (given, given), "sigma": touchdown_cost.climb_of_sigma(found, fit.cov)}
 
 
 def _climb_cost_lines(costs: ClimbCosts) -> list[str]:

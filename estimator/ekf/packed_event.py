@@ -72,9 +72,9 @@ def _of_height(event: Baro) -> bytes:
 def _of_vessel(report: VesselReport) -> bytes:
     v, cov, values = report.v_vessel_ned, report.cov_v_ned, dict[str, Any]()
     if v is not None and cov is not None:
-        values |= {"has_velocity": 1, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
+        values |= {"has_velocity": True, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
     if report.heading_rad is not None:
-        values |= {"has_heading": 1, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
+        values |= {"has_heading": True, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
     return _record(abi.DL_VESSEL, report, vessel=values)
 
 
@@ -98,7 +98,7 @@ def _sighting(s: Sighting) -> Any:
     )
     whole = s.pose6
     if whole is not None:
-        made.has_pose6 = 1
+        made.has_pose6 = True
         made.pose_d_level = whole.d_body_pad_level.tolist()
         made.pose_R = whole.R_level_pad.matrix.ravel().tolist()
         made.pose_cov = whole.cov.ravel().tolist()

@@ -27,12 +27,6 @@ def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
     return arbiter
 
 
-def test_hover_presses_no_stick_and_to_stay_up_is_to_wish_to_fly() -> None:
-    assert at.Pcmd(0, 0.0, 0.0, 0.0, 0.0) == HOVER
-    assert at.REF_BASE | at.REF_TAKE_OFF == STAY_UP
-    assert STAY_UP > at.REF_BASE
-
-
 def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_order() -> None:
     assert TimedCommand(ms(0), AHEAD).commands() == [AHEAD]
     assert TimedCommand(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
@@ -79,20 +73,6 @@ def test_without_a_report_the_watchdog_is_reset_where_the_word_asked_for_it(watc
     assert late.commands(ms(401)) == expected
 
 
-@pytest.mark.parametrize("watchdog", [True, False])
-def test_with_a_report_the_watchdog_is_reset_where_the_drone_says_so(watchdog: bool) -> None:
-    arbiter = silent(watchdog=not watchdog)
-    arbiter.on_report(report(nd.ControlState.FLYING, flying=True, bits=nd.NavdataState.COM_WATCHDOG if watchdog else 0), ms(200))
-    assert arbiter.commands(ms(201)) == [*([at.ComWdg()] if watchdog else []), FLY, HOVER]
-
-
-@pytest.mark.parametrize("control", [nd.ControlState.HOVERING, nd.ControlState.LANDED, None])
-def test_one_that_does_not_fly_is_never_told_to(control: nd.ControlState | None) -> None:
-    arbiter = silent()
-    arbiter.on_report(report(control, flying=False), ms(200))
-    assert arbiter.commands(ms(201)) == [HOVER]
-
-
 @pytest.mark.parametrize(
     ("control", "flying", "on_ground"),
     [
@@ -112,17 +92,3 @@ def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState 
     arbiter.on_report(report(control, flying=flying), ms(200))
     assert arbiter.on_ground(ms(1200)) is on_ground
     assert not arbiter.on_ground(ms(1201)), "said too long ago"
-
-
-def test_a_report_before_the_first_word_belongs_to_no_order() -> None:
-    arbiter = CommandArbiter(60.0)
-    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(100))
-    arbiter.take(TimedCommand(ms(120), AHEAD, STAY_UP, landing=True))
-    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(200))
-    assert arbiter.commands(ms(201)) == [HOVER], "somebody else began that landing"
-
-
-def test_a_word_that_does_not_say_so_renews_no_landing() -> None:
-    arbiter = silent()
-    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(200))
-    assert arbiter.commands(ms(201)) == [HOVER], "whoever asked for that landing, guidance did not"

@@ -63,13 +63,6 @@ def cockpit() -> Cockpit:
     return Cockpit()
 
 
-def test_a_new_helm_knows_nothing_and_wishes_nothing(cockpit: Cockpit) -> None:
-    assert (cockpit.streamer.flying, cockpit.streamer.landing) == (None, False)
-    word = cockpit.streamer.command(ms(0))
-    assert (word.ref, word.sticks, word.landing, word.watchdog) == (None, HOVER, False, False)
-    assert word.until == ms(250)
-
-
 def test_each_age_may_be_reached(cockpit: Cockpit) -> None:
     cockpit.hears(0, FLYING)
     cockpit.measures(50)
@@ -93,17 +86,6 @@ def test_a_take_off_is_wished_for_up_to_its_timeout_and_given_up_once(cockpit: C
     assert cockpit.counters.take_offs_given_up == 1
 
 
-def test_a_take_off_ends_a_landing_and_the_motion_before(cockpit: Cockpit) -> None:
-    cockpit.hears(0, FLYING)
-    cockpit.measures(0)
-    cockpit.streamer.take(FORWARD, ms(0))
-    cockpit.streamer.take(Land(persistent=True), ms(0))
-    assert cockpit.streamer.landing
-    cockpit.streamer.take(TakeOff(), ms(1))
-    assert not cockpit.streamer.landing
-    assert (cockpit.ref(2), cockpit.sticks(2)) == (STAY_UP, HOVER)
-
-
 def test_a_hover_in_place_of_a_velocity_is_the_word_of_this_period_and_not_as_old_as_the_velocity(cockpit: Cockpit) -> None:
     cockpit.hears(0, FLYING)
     cockpit.measures(0)
@@ -112,20 +94,6 @@ def test_a_hover_in_place_of_a_velocity_is_the_word_of_this_period_and_not_as_ol
     assert (word.sticks != HOVER, word.until) == (True, ms(250))
     word = cockpit.streamer.command(ms(900))
     assert (word.sticks, word.ref, word.until) == (HOVER, STAY_UP, ms(1150))
-
-
-def test_a_landing_ends_the_wish_to_take_off_and_stops_the_motion(cockpit: Cockpit) -> None:
-    cockpit.hears(0, LANDED)
-    cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.streamer.take(Land(), ms(1))
-    cockpit.hears(2, LANDED)
-    assert cockpit.ref(3) == GROUND
-    cockpit.hears(4, FLYING)
-    cockpit.measures(4)
-    cockpit.streamer.take(FORWARD, ms(4))
-    cockpit.streamer.take(Land(), ms(5))
-    cockpit.streamer.take(Hover(), ms(6))
-    assert cockpit.sticks(7) == HOVER
 
 
 def test_a_persons_landing_is_not_made_guidances_own_by_repeating_it(cockpit: Cockpit) -> None:
@@ -137,14 +105,6 @@ def test_a_persons_landing_is_not_made_guidances_own_by_repeating_it(cockpit: Co
     cockpit.streamer.take(FORWARD, ms(3))
     assert cockpit.streamer.landing
     assert cockpit.streamer.command(ms(4)).landing is False
-
-
-def test_an_emergency_is_three_periods_and_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
-    cockpit.hears(0, LANDED)
-    cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.streamer.take(CutMotors(), ms(0))
-    emergency = at.REF_BASE | at.REF_EMERGENCY
-    assert [cockpit.ref(t) for t in range(1, 6)] == [emergency] * 3 + [GROUND] * 2
 
 
 EMERGENCY = at.REF_BASE | at.REF_EMERGENCY
@@ -210,24 +170,6 @@ def test_what_holds_against_the_wind_stays_where_it_blows_from_while_the_nose_tu
     assert (turned.roll, turned.pitch) == (pytest.approx(ahead.pitch, rel=0.05), pytest.approx(0.0, abs=1e-9))
 
 
-@pytest.mark.parametrize("bit", [nd.NavdataState.EMERGENCY, nd.NavdataState.FLYING])
-def test_flight_or_emergency_ends_a_take_off(cockpit: Cockpit, bit: int) -> None:
-    cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.hears(1, LANDED, bit)
-    cockpit.hears(2, LANDED)
-    assert cockpit.ref(3) == GROUND
-
-
-def test_a_landing_ends_on_the_ground_alone(cockpit: Cockpit) -> None:
-    for control, ends in ((LANDED, True), (nd.ControlState.INIT, True), (nd.ControlState.DEFAULT, True), (FLYING, False)):
-        cockpit.hears(0, FLYING)
-        cockpit.streamer.take(Land(persistent=True), ms(1))
-        cockpit.hears(2, control)
-        assert cockpit.streamer.landing is not ends
-    cockpit.hears(3, FLYING, nd.NavdataState.EMERGENCY)
-    assert cockpit.streamer.landing
-
-
 def test_a_datagram_without_the_control_state_leaves_the_one_before(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.TAKING_OFF)
     cockpit.streamer.take(FORWARD, ms(0))
@@ -252,22 +194,6 @@ def test_a_landing_nobody_renews_is_given_up_after_its_time(
     assert cockpit.ref(silent_ms + 20) == ref, "called off once, it is called off down to fifteen centimetres"
     cockpit.hears(silent_ms + 40, LANDING, altitude_m=0.14)
     assert cockpit.ref(silent_ms + 40) == (None if given_up else GROUND)
-
-
-def test_a_persons_landing_holds_however_long_nobody_repeats_it(cockpit: Cockpit) -> None:
-    cockpit.hears(0, FLYING)
-    cockpit.streamer.take(Land(persistent=True), ms(0))
-    cockpit.hears(10_000, LANDING, altitude_m=3.0)
-    assert cockpit.ref(10_000) == GROUND
-    assert cockpit.counters.landings_given_up == 0
-
-
-def test_a_landing_ordered_again_is_no_longer_taken_back(cockpit: Cockpit) -> None:
-    cockpit.hears(0, FLYING)
-    for command in (Land(), FORWARD, Land()):
-        cockpit.streamer.take(command, ms(1))
-    cockpit.hears(2, LANDING)
-    assert cockpit.ref(3) == GROUND
 
 
 @pytest.mark.parametrize(
@@ -313,15 +239,6 @@ def test_the_watchdog_is_counted_as_often_as_it_is_reset(cockpit: Cockpit) -> No
     assert cockpit.counters.watchdog_resets == 2
 
 
-@pytest.mark.parametrize("control", [nd.ControlState.TAKING_OFF, LANDING])
-def test_it_is_not_steered_while_it_takes_off_or_lands(cockpit: Cockpit, control: nd.ControlState) -> None:
-    cockpit.hears(0, control)
-    cockpit.measures(0)
-    cockpit.streamer.take(FORWARD, ms(0))
-    assert cockpit.sticks(1) == HOVER
-    assert (cockpit.counters.hover_for_age, cockpit.counters.hover_for_blindness) == (0, 0)
-
-
 def test_the_lean_counts_while_it_is_recent(cockpit: Cockpit) -> None:
     def pitch(age_ms: float | None) -> float:
         flown = Cockpit()
@@ -351,11 +268,3 @@ def test_the_loop_steps_by_the_time_between_periods_and_begins_anew_after_a_hove
     assert flown(0, 30) != flown(0), "the integral has grown"
     assert flown(0, 30) != flown(0, 60)
     assert flown(0, 30, 60, hover_at=30) == flown(0)
-
-
-def test_the_last_word_holds_for_a_command_and_renews_no_landing(cockpit: Cockpit) -> None:
-    cockpit.hears(0, LANDED)
-    cockpit.streamer.take(TakeOff(), ms(0))
-    word = cockpit.streamer.leave(ms(100))
-    assert (word.until, word.sticks, word.ref, word.landing) == (ms(350), HOVER, GROUND, False)
-    assert cockpit.ref(101) == GROUND, "the wish to take off is gone"
