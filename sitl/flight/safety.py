@@ -33,6 +33,8 @@ CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
 """How far above the highest height that a flight calls for is unsafe: waves and gusts do not carry a vehicle there."""
+RECEIVERS_M = 10.0
+"""Error of a height over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 SLIDE_MAX_M_S = 0.5
 """Speed along the deck at a contact beyond which feet catch and a vehicle tips over."""
 STANDS_MAX_S = 3.0
@@ -174,7 +176,7 @@ def called_for_m(guidance: GuidanceOptions, start_m: float) -> float:
     if guidance.mission == "thesis":
         heights.append(guidance.thesis.approach_height_m)
     if guidance.rendezvous.enabled:
-        heights.append(guidance.rendezvous.height_m)
+        heights.append(guidance.rendezvous.height_m + RECEIVERS_M)
     return max(heights)
 
 

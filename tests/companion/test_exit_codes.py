@@ -9,7 +9,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import IO, Any
 
 import pytest
 
@@ -72,10 +72,10 @@ def test_a_settings_file_that_cannot_be_read(
     file = tmp_path / "rig.toml"
     file.write_text("")
 
-    def broken(_: Path) -> bytes:
+    def broken(*_: object) -> IO[bytes]:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(Path, "read_bytes", broken)
+    monkeypatch.setattr(Path, "open", broken)
     assert cli.main(["run", "--config", str(file)]) == code
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -18,7 +18,7 @@ from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, open_links
-from drivers.nmea.sentences import KNOT_M_S
+from drivers.nmea.sentences import KNOT_M_S, REFUSED_FOR
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import global_position
@@ -72,7 +72,7 @@ GARBAGE = {
     sentence("GPRMC,,V,,,,,,,211126,,"): "no_fix",
     sentence("GPRMC,noon,A,5424.0180,N,01012.0660,E,slow,,,,"): "malformed",
     sentence("AIVDM,1,1,,A,139Lg0?P0O0fdB0O8<01i1NIP000,0", "!"): "other_ship",
-    b"x" * 4000: "too_long",
+    b"$" + b"x" * 4000 + b"\r\n": "too_long",
 }
 """Datagrams from the ship that are no place of hers, and what they are counted as."""
 
@@ -131,7 +131,8 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         assert counted[f"refused_{reason}"] >= 1
         assert f'name="refused_{reason}",part="sentences"' in metrics
     for reason in set(GARBAGE.values()):
-        told = [line for line in caplog.messages if f"was refused ({reason.replace('_', ' ')})" in line]
+        words = REFUSED_FOR.get(reason, reason.replace("_", " "))
+        told = [line for line in caplog.messages if f"was refused ({words})" in line]
         assert len(told) == 1, reason
     assert any("are refused, those from" in line for line in caplog.messages)
     assert len([line for line in caplog.messages if line.startswith("rendezvous: the vessel is")]) <= 2, "not at every metre"

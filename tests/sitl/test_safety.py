@@ -13,6 +13,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.flight.safety import (
+    RECEIVERS_M,
     AtEnd,
     BlindDescent,
     Grade,
@@ -277,4 +278,4 @@ def test_the_highest_height_is_that_of_start_mission_and_go_around() -> None:
         options.tries.safe_height_m, options.rendezvous.height_m * options.rendezvous.enabled
     )
     to_ship = replace(options, rendezvous=replace(options.rendezvous, enabled=True, height_m=12.0))
-    assert called_for_m(to_ship, 3.0) == 12.0
+    assert called_for_m(to_ship, 3.0) == 12.0 + RECEIVERS_M

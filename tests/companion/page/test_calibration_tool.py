@@ -63,7 +63,7 @@ async def test_a_person_is_led_to_a_camera_file(
         assert "flies" in (await asked(browser, "begin"))["text"]
         await service.lands()
         assert "no finished calibration" in (await asked(browser, "save"))["text"]
-        assert "even number" in (await asked(browser, "begin", board="chessboard", columns=8, rows=6))["text"]
+        assert "more than the 250 markers" in (await asked(browser, "begin", columns=25, rows=25))["text"]
         assert (await asked(browser, "begin"))["active"]
         assert "under way already" in (await asked(other, "begin"))["text"]
         told = await browser.read("calibration")

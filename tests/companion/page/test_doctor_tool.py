@@ -1,5 +1,6 @@
 """The doctor on the page: over the links that the service has open, on the ground alone."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -60,12 +61,12 @@ async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path
         assert (await browser.read("examined"))["busy"]
         await other.send(kind="examine")
         assert (await other.read("examined"))["busy"]
-        found = await browser.read("examined")
+        found, same = await asyncio.gather(browser.read("examined"), other.read("examined"))
         rules = {finding["rule"]: finding for finding in found["findings"]}
         assert rules["plnd-type"]["severity"] == "error"
         assert "PLND_TYPE" in rules["plnd-type"]["fix"]
         assert f"{len(with_fault())} parameters" in found["text"]
-        assert (await other.read("examined"))["findings"] == found["findings"], "one examination serves both"
+        assert same["findings"] == found["findings"], "one examination serves both"
         asked = reads_of(fake)
         await browser.send(kind="examine")
         assert (await browser.read("examined"))["findings"] == found["findings"]
