@@ -44,7 +44,7 @@ from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.processes import burners, decklander, started
 
 LASTING_S = 16.0
-"""How long a flight is watched, s."""
+"""Duration of the watch over a flight, s."""
 NAMED_S = 10.0
 GAP_S, LINES = 0.2, 300
 """The limits asked for: of a gap that is not the link's own, s, and of the lines in the log."""
@@ -53,7 +53,7 @@ MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/s
 _WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))
 _SETPOINT, _HEARTBEAT = 84, 0
 _SO_TIMESTAMPNS = 35
-"""Of <asm-generic/socket.h>; Python does not name it."""
+"""Socket option of <asm-generic/socket.h>, which Python does not name."""
 _OWN_GAP = {"link_stalls", "link_moves", "service_stopped"}
 """Events whose gap is the link's own, or that of the service that was stopped. A listening port answers a vehicle that moved to
 another address once the old one has been silent for 3 s."""
@@ -79,7 +79,7 @@ class Chaos:
 
 @dataclass
 class Seen:
-    """What a flight showed."""
+    """Observations of one flight."""
 
     commands: list[float] = field(default_factory=list)
     beats: list[float] = field(default_factory=list)
@@ -329,7 +329,7 @@ WORDS = {
     "link_stalls": "no status|silent|lost|old|heard|no sample|no attitude",
     "broker_dies": "broker|mqtt",
 }
-"""What the log has to say of an event; the others change nothing that a person could mend. A broker that says nothing is told of
+"""Patterns that the log must contain for an event. The other events need no action of a person. The log reports a silent broker
 after twice `expert.mqtt.keepalive_s`, 20 s, and these are shorter."""
 KINDS = (
     "log_reader_stops", "terminal_hangs_up", "ctrl_z", "service_stopped", "disk_hangs", "disk_full", "clock_set", "link_stalls",
@@ -338,7 +338,7 @@ KINDS = (
 
 
 _ALONE = ("disk_hangs", "disk_full", "broker_dies", "broker_says_nothing")
-"""Of those that begin with one word a flight has one: a disk that is full is not written to, and so cannot be seen to hang."""
+"""Events that exclude others with the same first word: nobody writes to a full disk, so it cannot hang."""
 
 
 def draw(seed: int, vehicle: str | None) -> Chaos:
@@ -507,7 +507,7 @@ async def fly(chaos: Chaos, *, alone: bool = False) -> Seen:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """How a flight is judged."""
+    """Verdict on one flight."""
 
     chaos: Chaos
     gap_s: float

@@ -1,8 +1,8 @@
 """The service's log: one line a message, written by a thread of its own, so that nobody who logs ever waits for who reads.
 
 A journal on a card that hangs, a terminal after Ctrl-S or a container's log driver may stop reading at any time. Lines wait in a
-bounded queue; those that find it full are counted, and the count is told when lines flow again. Of one kind, which is one place
-in the source, at most `LINES_A_MINUTE` are written, then one line with the number of the others.
+bounded queue. Lines that find it full are counted, and the count is written when lines flow again. One place in the source is one
+kind: at most `LINES_A_MINUTE` of it are written in a minute, then one line with the number of the others.
 
 Libraries and child processes write past all this to standard output and error. While the log is open, both are a pipe whose other
 end a thread reads, and what comes there is logged like anything else.
@@ -28,7 +28,7 @@ _MINUTE_S = 60.0
 _WAITING_MAX = 1000
 """Lines that may wait for a reader: some hours of a healthy flight."""
 _TELL_S = 1.0
-"""Time between two looks for counts that are to be told."""
+"""Time between two looks for counts that are due."""
 _CLOSE_S = 0.3
 """Time that the last lines have at the end: a reader that stands still must not hold up the end of the service."""
 _LINE_MAX = 2000
@@ -113,7 +113,7 @@ class ServiceLog(logging.Handler):
         self._limit = KindLimit()
         self._queue: queue.Queue[str | None] = queue.Queue(maxsize=_WAITING_MAX)
         self._missing = 0
-        """Lines that found the queue full or the descriptor broken, and are not told yet."""
+        """Lines that found the queue full or the descriptor broken, and are not reported yet."""
         self.written = 0
         self.dropped = 0
         self._thread = threading.Thread(target=self._work, name="log", daemon=True)
@@ -153,23 +153,23 @@ class ServiceLog(logging.Handler):
             try:
                 line = self._queue.get(timeout=_TELL_S)
             except queue.Empty:
-                self._tell()
+                self._report()
                 continue
             if line is None:
-                self._tell()
+                self._report()
                 return
             self._write(line)
-            self._tell()
+            self._report()
 
-    def _tell(self) -> None:
-        """Write what was held back or lost meanwhile."""
+    def _report(self) -> None:
+        """Write the counts of lines that were held back or lost."""
         self.acquire()
         try:
-            told = list(self._limit.due(time.monotonic()))
+            reports = list(self._limit.due(time.monotonic()))
             missing, self._missing = self._missing, 0
         finally:
             self.release()
-        for name, words in told:
+        for name, words in reports:
             self._say(name, words)
         if missing and not self._say(__name__, f"{missing} lines of this log are missing: nobody took them"):
             self._missing += missing
@@ -199,13 +199,13 @@ def logging_to_stderr(level: str) -> Iterator[ServiceLog]:
         level: the name of the lowest level of our own messages.
     """
     real = os.dup(2)
-    told = ServiceLog(real, timed="JOURNAL_STREAM" not in os.environ)
-    logging.basicConfig(level=level.upper(), handlers=[told], force=True)
+    service_log = ServiceLog(real, timed="JOURNAL_STREAM" not in os.environ)
+    logging.basicConfig(level=level.upper(), handlers=[service_log], force=True)
     logging.captureWarnings(True)
     heard = _hear() if PROCESS.heeding else None
-    said, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(told, words)
+    said, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(service_log, words)
     try:
-        yield told
+        yield service_log
     finally:
         PROCESS.last_words = said
         if heard is not None:
@@ -213,15 +213,15 @@ def logging_to_stderr(level: str) -> Iterator[ServiceLog]:
             for number, before in enumerate(heard, 1):
                 os.dup2(before, number)
                 os.close(before)
-        told.close()
-        logging.getLogger().removeHandler(told)
+        service_log.close()
+        logging.getLogger().removeHandler(service_log)
         logging.captureWarnings(False)
 
 
-def _last_words(told: ServiceLog, words: str) -> None:
+def _last_words(service_log: ServiceLog, words: str) -> None:
     if words:
-        told._offer(f"decklander: {words}")
-    told.close()
+        service_log._offer(f"decklander: {words}")
+    service_log.close()
 
 
 def _hear() -> tuple[int, int]:

@@ -28,7 +28,7 @@ _TEXTS_MAX = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
+class _Received:
     at_us: int
     message: Message
 
@@ -72,7 +72,7 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     return AutopilotLog(stack.value, None, None, dict(sorted(parameters.items())), tuple(texts), (), history)
 
 
-def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Heard], Message]:
+def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Received], Message]:
     """Return the messages of the first autopilot, and its first heartbeat."""
     try:
         data = path.read_bytes()
@@ -88,7 +88,7 @@ def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Heard], Message]:
     return [h for h in heard if (h.message.get_srcSystem(), h.message.get_srcComponent()) == first], beats[0]
 
 
-def _messages(data: bytes, tell: Tell) -> Iterator[_Heard]:
+def _messages(data: bytes, tell: Tell) -> Iterator[_Received]:
     codec, at, skipped = Codec(255, 1, datagrams=True), 0, 0
     while at + _STAMP + 8 <= len(data):
         marker, length = data[at + _STAMP], data[at + _STAMP + 1]
@@ -100,7 +100,7 @@ def _messages(data: bytes, tell: Tell) -> Iterator[_Heard]:
         if not found and not (size and (end == len(data) or data[end + _STAMP : end + _STAMP + 1] in (b"\xfe", b"\xfd"))):
             at, skipped = at + 1, skipped + 1
             continue
-        yield from (_Heard(int.from_bytes(data[at : at + _STAMP], "big"), message) for message in found)
+        yield from (_Received(int.from_bytes(data[at : at + _STAMP], "big"), message) for message in found)
         at = end
     if skipped:
         tell(f"damaged: {skipped} bytes in it are no frames and were left out")

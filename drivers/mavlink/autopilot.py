@@ -27,7 +27,7 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_link
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.origins import Origins
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
-from drivers.mavlink.roster import Bound, Doubt, Roster
+from drivers.mavlink.roster import Bound, IdConflict, Roster
 from drivers.mavlink.samples import LocalPosition, MavlinkSampler
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
@@ -80,8 +80,8 @@ _AGAIN_S = 5.0
 """The shortest time between two rounds of requests, whatever the autopilot does."""
 _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
 """Requests for streams and parameters a second, and at once."""
-_DOUBT_S, _DOUBT_AGAIN_S = 0.2, 60.0
-"""Interval at which it is judged who is who; the shortest time between two log lines about one doubt."""
+_CONFLICT_S, _CONFLICT_AGAIN_S = 0.2, 60.0
+"""Interval at which it is judged who is who; the shortest time between two log lines about one conflict."""
 _LOGGED_MAX = 64
 _LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
 
@@ -130,7 +130,7 @@ class Autopilot:
         self._roster = Roster(options)
         self._judged: MonoNs | None = None
         self._logged: dict[str, MonoNs] = {}
-        self.doubts: tuple[Doubt, ...] = ()
+        self.id_conflicts: tuple[IdConflict, ...] = ()
         """What is doubtful about who is the autopilot, and who we are."""
         self._reopened = list(links.opened)
         self.links = links
@@ -166,7 +166,7 @@ class Autopilot:
     @property
     def unclear(self) -> str | None:
         """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
-        return next((str(doubt) for doubt in self.doubts if doubt.blocks), None)
+        return next((str(conflict) for conflict in self.id_conflicts if conflict.blocks), None)
 
     @property
     def condition(self) -> Condition:
@@ -441,22 +441,22 @@ class Autopilot:
                 self.links.send(TimeSyncV2(0, now))
 
     def _judge(self, now: MonoNs) -> None:
-        """Judge who is who, and log each doubt when it begins and when it is over."""
-        if self._judged is not None and seconds_between(self._judged, now) < _DOUBT_S:
+        """Judge who is who, and log each conflict when it begins and when it is over."""
+        if self._judged is not None and seconds_between(self._judged, now) < _CONFLICT_S:
             return
         self._judged = now
-        bound, before = self._bound(now), self.doubts
+        bound, before = self._bound(now), self.id_conflicts
         if bound is not None and bound.commanded:
             self._roster.commanded(bound.system)
-        self.doubts = self._roster.doubts(bound, self.links.identity, now)
-        for doubt in self.doubts:
-            last = self._logged.get(doubt.what)
-            if doubt not in before and (last is None or seconds_between(last, now) >= _DOUBT_AGAIN_S):
+        self.id_conflicts = self._roster.conflicts(bound, self.links.identity, now)
+        for conflict in self.id_conflicts:
+            last = self._logged.get(conflict.what)
+            if conflict not in before and (last is None or seconds_between(last, now) >= _CONFLICT_AGAIN_S):
                 if len(self._logged) > _LOGGED_MAX:
                     self._logged.clear()
-                self._logged[doubt.what] = now
-                _log.warning("MAVLink: %s", doubt)
-        if any(doubt.blocks for doubt in before) and self.unclear is None:
+                self._logged[conflict.what] = now
+                _log.warning("MAVLink: %s", conflict)
+        if any(conflict.blocks for conflict in before) and self.unclear is None:
             _log.info("autopilot: it is clear again who is meant")
         if len(self._roster.uids) > 1 and self._version.done(now):
             self._version = VersionRequest()  # whether both are still there

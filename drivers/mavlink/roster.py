@@ -27,8 +27,8 @@ _IN_THE_AIR = (int(mav.MAV_STATE_ACTIVE), int(mav.MAV_STATE_CRITICAL), int(mav.M
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """One thing that is not as it should be about who is who."""
+class IdConflict:
+    """A conflict about which system is the autopilot."""
 
     name: str
     what: str
@@ -41,7 +41,7 @@ class Doubt:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _Peer:
     stack: str
     where: str
     at: MonoNs
@@ -69,7 +69,7 @@ class Roster:
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
     """When each hardware answered last under the autopilot's system id, and how often lately."""
-    _heard: dict[int, _Heard] = field(default_factory=dict)
+    _peers: dict[int, _Peer] = field(default_factory=dict)
     _flies_alone_since: tuple[int, MonoNs] | None = None
     _first: int = 0
     """The system that was the first that flies; 0 while there is none."""
@@ -83,11 +83,11 @@ class Roster:
         m, now = received.message, received.received_at
         if not is_autopilot(m, received.component) or received.system == self.options.vessel_id:
             return
-        if received.system not in self._heard and len(self._heard) >= _SYSTEMS_MAX:
-            del self._heard[min(self._heard, key=lambda system: self._heard[system].at)]
+        if received.system not in self._peers and len(self._peers) >= _SYSTEMS_MAX:
+            del self._peers[min(self._peers, key=lambda system: self._peers[system].at)]
         flies = bool(m.base_mode & ARMED) and int(m.system_status) in _IN_THE_AIR
-        self._heard[received.system] = _Heard(stack_of(m).value, received.source_text, now, flies)
-        flying = [system for system in self._alive(now) if self._heard[system].flies]
+        self._peers[received.system] = _Peer(stack_of(m).value, received.source_text, now, flies)
+        flying = [system for system in self._alive(now) if self._peers[system].flies]
         if len(flying) != 1:
             self._flies_alone_since = None
         elif self._flies_alone_since is None or self._flies_alone_since[0] != flying[0]:
@@ -134,18 +134,18 @@ class Roster:
             if moved:
                 self._first = 0
             return moved
-        here, there = self._heard.get(bound.system), self._heard.get(system)
+        here, there = self._peers.get(bound.system), self._peers.get(system)
         flies_there = there is not None and there.flies
         return self._first in (0, system) and flies_there and (here is None or not here.flies)
 
-    def doubts(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> tuple[Doubt, ...]:
-        """Return what is doubtful now."""
-        return tuple(self._doubts(bound, ours, now))
+    def conflicts(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> tuple[IdConflict, ...]:
+        """Return the conflicts of ids that exist now."""
+        return tuple(self._conflicts(bound, ours, now))
 
-    def _doubts(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> Iterator[Doubt]:
+    def _conflicts(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> Iterator[IdConflict]:
         own_id = "an id of its own (SYSID_THISMAV, MAV_SYSID since ArduPilot 4.7, MAV_SYS_ID of PX4)"
         if len(self._namesakes) == _NAMESAKES and seconds_between(self._namesakes[-1], now) < _NAMED_S:
-            yield Doubt(
+            yield IdConflict(
                 "component-id-twice",
                 f"another program sends as system {ours[0]}, component {ours[1]}, which is ours",
                 "stop the other one, or choose another vehicle.component_id",
@@ -156,7 +156,7 @@ class Roster:
         uids = sorted(uid for uid, (at, answers) in self.uids.items() if answers > 1 and seconds_between(at, now) < _UID_S)
         if bound.several or len(uids) > 1:
             known_by = f", hardware {' and '.join(f'{uid:x}' for uid in uids)}" if len(uids) > 1 else ""
-            yield Doubt(
+            yield IdConflict(
                 "autopilot-id-twice",
                 f"two autopilots have one id behind one link: system {bound.system}{known_by}; nothing is commanded",
                 f"give each {own_id} and choose by vehicle.system_id",
@@ -166,7 +166,7 @@ class Roster:
             and self._elsewhere[2] >= _DIFFERENT
             and seconds_between(self._elsewhere[1], now) < ALIVE_S
         ):
-            yield Doubt(
+            yield IdConflict(
                 "autopilot-id-elsewhere",
                 f"another autopilot has the same id, system {bound.system}, and is not listened to ({self._elsewhere[0]})",
                 f"give each {own_id}",
@@ -174,16 +174,16 @@ class Roster:
             )
         yield from self._of_several(bound, now)
 
-    def _of_several(self, bound: Bound, now: MonoNs) -> Iterator[Doubt]:
+    def _of_several(self, bound: Bound, now: MonoNs) -> Iterator[IdConflict]:
         alive = self._alive(now)
         others = [system for system in alive if system != bound.system]
         if self.options.system_id or not others:
             return
-        stacks = {system: f" ({one.stack})" for system, one in self._heard.items()}
+        stacks = {system: f" ({one.stack})" for system, one in self._peers.items()}
         named = " and ".join(f"system {system}{stacks.get(system, '')}" for system in sorted({bound.system, *others}))
-        flying = [system for system in alive if self._heard[system].flies]
+        flying = [system for system in alive if self._peers[system].flies]
         if bound.lost:
-            yield Doubt(
+            yield IdConflict(
                 "autopilot-id-changed",
                 f"the autopilot, system {bound.system}, is silent; another is there: "
                 + " and ".join(f"system {system}" for system in others),
@@ -192,7 +192,7 @@ class Roster:
                 else f"it is taken when that silence lasts {self.options.silence_s + MOVED_S:g} s",
             )
         elif self._first == bound.system or flying == [bound.system]:
-            yield Doubt(
+            yield IdConflict(
                 "several-autopilots",
                 f"several autopilots are heard: {named}; system {bound.system} is taken, the first that flew",
                 f"vehicle.system_id = {bound.system} says so for good",
@@ -200,14 +200,14 @@ class Roster:
             )
         else:
             state = "more than one flies" if flying else "none flies"
-            yield Doubt(
+            yield IdConflict(
                 "several-autopilots",
                 f"several autopilots are heard: {named}; {state}, and nothing is commanded while it is not clear who is meant",
                 f"choose one by vehicle.system_id ({' or '.join(map(str, sorted({bound.system, *others})))})",
             )
 
     def _alive(self, now: MonoNs) -> list[int]:
-        return [system for system, one in self._heard.items() if seconds_between(one.at, now) <= ALIVE_S]
+        return [system for system, one in self._peers.items() if seconds_between(one.at, now) <= ALIVE_S]
 
 
 def _state_of(heartbeat: Message) -> tuple[int, int, int]:

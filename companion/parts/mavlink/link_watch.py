@@ -74,10 +74,10 @@ class LinkWatch:
         before, self._found = self._found, found
         for rule, one in found.items():
             last = self._logged.get(rule)
-            # The driver has logged a doubt already.
+            # The driver has logged a conflict already.
             if (
                 rule not in before
-                and rule not in (d.name for d in self._autopilot.doubts)
+                and rule not in (d.name for d in self._autopilot.id_conflicts)
                 and (last is None or seconds_between(last, now) >= _AGAIN_S)
             ):
                 self._logged[rule] = now
@@ -99,7 +99,7 @@ def _since(before: LinkSnapshot, now: LinkSnapshot) -> LinkSnapshot:
 
 
 def _matters(finding: Finding, snapshot: Snapshot) -> bool:
-    """Return whether a finding is worth saying in flight: a spare link may be silent, and a doubt may block nothing."""
-    if any(one.name == finding.rule for one in snapshot.doubts):
+    """Return whether a finding is worth saying in flight: a spare link may be silent, and a conflict may block nothing."""
+    if any(one.name == finding.rule for one in snapshot.id_conflicts):
         return True
     return finding.rule != "link-silent" or snapshot.autopilot is None

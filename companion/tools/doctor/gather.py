@@ -13,9 +13,9 @@ from companion.tools.doctor.differs import defaults_of, differing
 from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
-    DoubtSnapshot,
     GimbalSnapshot,
     HeardSystem,
+    IdConflictSnapshot,
     LinkSnapshot,
     Snapshot,
     TimeSyncSnapshot,
@@ -256,10 +256,10 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
     """
     heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
     links = tuple(link_snapshot(link) for link in autopilot.links.all)
-    doubts = tuple(DoubtSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.doubts)
+    id_conflicts = tuple(IdConflictSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.id_conflicts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, heard=heard, doubts=doubts)
+        return Snapshot(seconds, links, wanted_system=wanted, heard=heard, id_conflicts=id_conflicts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
@@ -287,7 +287,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
         heard=heard,
-        doubts=doubts,
+        id_conflicts=id_conflicts,
     )
 
 

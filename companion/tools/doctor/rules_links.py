@@ -201,8 +201,8 @@ def _listed(p: Snapshot) -> str:
 def several_autopilots(p: Snapshot) -> Finding | None:
     """Find several vehicles on one network, where the service may choose the wrong one."""
     a = p.autopilot
-    if any(one.name == "several-autopilots" for one in p.doubts):
-        return None  # `identity_doubt` says more
+    if any(one.name == "several-autopilots" for one in p.id_conflicts):
+        return None  # `id_conflict` says more
     if a is not None and a.others and not p.wanted_system:
         there = ", ".join(str(one) for one in p.heard if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
         return warning(
@@ -214,9 +214,9 @@ def several_autopilots(p: Snapshot) -> Finding | None:
     return None
 
 
-def identity_doubt(p: Snapshot) -> Finding | None:
-    """Find a doubt about who is the autopilot, or another program that uses our ids."""
-    for one in sorted(p.doubts, key=lambda one: not one.blocks):
+def id_conflict(p: Snapshot) -> Finding | None:
+    """Find a conflict about who is the autopilot, or another program that uses our ids."""
+    for one in sorted(p.id_conflicts, key=lambda one: not one.blocks):
         return (error if one.blocks else warning)(one.name, one.what, one.fix)
     return None
 
@@ -499,7 +499,7 @@ def ship_silent(p: Snapshot) -> Finding | None:
 
 
 RULES: tuple[Rule, ...] = (
-    link_down, link_silent, link_refused, link_garbage, link_late, identity_doubt, link_signature, link_old_version, link_lossy,
+    link_down, link_silent, link_refused, link_garbage, link_late, id_conflict, link_signature, link_old_version, link_lossy,
     link_unsigned,
     link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
@@ -507,7 +507,7 @@ RULES: tuple[Rule, ...] = (
     gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
 )  # fmt: skip
 WATCHED: tuple[Rule, ...] = (
-    identity_doubt, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
+    id_conflict, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
     wrong_system, no_autopilot,
 )  # fmt: skip
 """Those that a running service looks at all the time."""

@@ -39,7 +39,7 @@ class LinkSnapshot(Struct, frozen=True):
     """Number of messages that were dropped because the line did not take them in time."""
 
 
-class DoubtSnapshot(Struct, frozen=True):
+class IdConflictSnapshot(Struct, frozen=True):
     """What is doubtful about who is the autopilot, and who we are."""
 
     name: str
@@ -179,7 +179,7 @@ class Snapshot(Struct, frozen=True):
     """Whether the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None
     """The camera's gimbal; None if the settings name none, or no link was examined."""
-    doubts: tuple[DoubtSnapshot, ...] = ()
+    id_conflicts: tuple[IdConflictSnapshot, ...] = ()
 
 
 def encode(snapshot: Snapshot) -> bytes:

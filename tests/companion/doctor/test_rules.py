@@ -14,9 +14,9 @@ from companion.tools.doctor.finding import Severity
 from companion.tools.doctor.rules_px4 import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
-    DoubtSnapshot,
     GimbalSnapshot,
     HeardSystem,
+    IdConflictSnapshot,
     LinkSnapshot,
     ServiceSnapshot,
     Snapshot,
@@ -145,13 +145,18 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "two autopilots of one id": (
         "autopilot-id-twice",
         replace(
-            GOOD, doubts=(DoubtSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True),)
+            GOOD,
+            id_conflicts=(
+                IdConflictSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True),
+            ),
         ),
         "vehicle.system_id",
     ),
     "another program with our ids": (
         "component-id-twice",
-        replace(GOOD, doubts=(DoubtSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),)),
+        replace(
+            GOOD, id_conflicts=(IdConflictSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),)
+        ),
         "vehicle.component_id",
     ),
     "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),

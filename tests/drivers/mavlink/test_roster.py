@@ -36,18 +36,18 @@ def heard(roster: Roster, until_s: float, *flying: int, since_s: float = 0.0, sy
 
 
 def names(roster: Roster, bound: Bound | None, seconds: float) -> dict[str, bool]:
-    return {one.name: one.blocks for one in roster.doubts(bound, OURS, at(seconds))}
+    return {one.name: one.blocks for one in roster.conflicts(bound, OURS, at(seconds))}
 
 
 @pytest.mark.parametrize("flying", [(), (1, 7)])
 def test_of_two_that_fly_or_stand_nobody_is_commanded(flying: tuple[int, ...]) -> None:
     roster = roster_of()
     heard(roster, 3.0, *flying)
-    (doubt,) = roster.doubts(SEVEN, OURS, at(3.0))
-    assert doubt.blocks
-    assert "system 1 " in doubt.what
-    assert "system 7 " in doubt.what
-    assert "vehicle.system_id (1 or 7)" in doubt.fix
+    (conflict,) = roster.conflicts(SEVEN, OURS, at(3.0))
+    assert conflict.blocks
+    assert "system 1 " in conflict.what
+    assert "system 7 " in conflict.what
+    assert "vehicle.system_id (1 or 7)" in conflict.fix
     assert not roster.chosen(1, SEVEN, at(3.0))
     assert names(roster, SEVEN, 9.0) == {}, "the others are gone"
 
@@ -76,8 +76,8 @@ def test_one_that_follows_our_commands_stays_the_one_that_is_meant() -> None:
     heard(roster, 30.0, 1, since_s=4.0, systems=(1,))
     silent = replace(flown, lost=True, silent_s=27.0)
     assert not roster.chosen(1, silent, at(30.0))
-    (doubt,) = roster.doubts(silent, OURS, at(30.0))
-    assert "vehicle.system_id (1)" in doubt.fix
+    (conflict,) = roster.conflicts(silent, OURS, at(30.0))
+    assert "vehicle.system_id (1)" in conflict.fix
 
 
 def test_another_id_is_taken_when_the_autopilot_has_been_silent() -> None:
@@ -109,15 +109,15 @@ def test_others_are_no_autopilots() -> None:
 
 def test_two_of_one_id_are_named_and_nobody_is_commanded() -> None:
     roster = roster_of(system_id=7)
-    (doubt,) = roster.doubts(replace(SEVEN, several=True), OURS, at(0.0))
-    assert (doubt.name, doubt.blocks) == ("autopilot-id-twice", True)
-    assert "system 7" in doubt.what
+    (conflict,) = roster.conflicts(replace(SEVEN, several=True), OURS, at(0.0))
+    assert (conflict.name, conflict.blocks) == ("autopilot-id-twice", True)
+    assert "system 7" in conflict.what
     for seconds, uid in ((0.0, 0xAB), (0.0, 0xCD), (1.0, 0xAB)):
         roster.note_uid(uid, at(seconds))
     assert names(roster, SEVEN, 1.0) == {}, "one odd answer is none"
     roster.note_uid(0xCD, at(3.0))
-    (doubt,) = roster.doubts(SEVEN, OURS, at(3.0))
-    assert "ab and cd" in doubt.what
+    (conflict,) = roster.conflicts(SEVEN, OURS, at(3.0))
+    assert "ab and cd" in conflict.what
     assert names(roster, SEVEN, 30.0) == {}
 
 
@@ -138,7 +138,7 @@ def test_another_program_with_our_component_id_is_named() -> None:
         roster.on_namesake(at(second))
     assert names(roster, None, 21.0) == {}
     roster.on_namesake(at(22.0))
-    (doubt,) = roster.doubts(None, OURS, at(22.0))
-    assert "system 1, component 191" in doubt.what
-    assert "vehicle.component_id" in doubt.fix
-    assert not doubt.blocks
+    (conflict,) = roster.conflicts(None, OURS, at(22.0))
+    assert "system 1, component 191" in conflict.what
+    assert "vehicle.component_id" in conflict.fix
+    assert not conflict.blocks

@@ -67,7 +67,7 @@ async def routed(**options: Any) -> AsyncIterator[tuple[Autopilot, Router, str]]
 
 
 def names(autopilot: Autopilot) -> dict[str, bool]:
-    return {doubt.name: doubt.blocks for doubt in autopilot.doubts}
+    return {conflict.name: conflict.blocks for conflict in autopilot.id_conflicts}
 
 
 async def test_of_two_with_one_id_the_first_is_listened_to_and_nobody_commanded(caplog: pytest.LogCaptureFixture) -> None:
@@ -108,7 +108,7 @@ async def test_of_two_that_fly_the_chosen_one_is_commanded(monkeypatch: pytest.M
             await asyncio.sleep(0.1)
             assert not one.setpoints
             assert not other.setpoints
-        await until(lambda: not autopilot.doubts)
+        await until(lambda: not autopilot.id_conflicts)
         autopilot.command(AHEAD)
         await until(lambda: bool(one.setpoints))
     async with routed(system_id=2) as (autopilot, _, url), one.talking_to(url), other.talking_to(url):
@@ -117,7 +117,7 @@ async def test_of_two_that_fly_the_chosen_one_is_commanded(monkeypatch: pytest.M
         assert autopilot.identity.system == 2
         autopilot.command(AHEAD)
         await until(lambda: bool(other.setpoints))
-        assert not autopilot.doubts
+        assert not autopilot.id_conflicts
 
 
 async def test_an_id_that_changed_with_a_reboot_is_taken(
@@ -143,7 +143,7 @@ async def test_another_program_with_our_ids_is_named_and_an_echo_is_none() -> No
         for message in sent[:5]:
             router.send(bytes(message.get_msgbuf()))
         await asyncio.sleep(0.3)
-        assert not autopilot.doubts, "what comes back is our own"
+        assert not autopilot.id_conflicts, "what comes back is our own"
         codec = Codec(7, 191, datagrams=True)
         codec._spoken[191] = 100
         for _ in range(4):
