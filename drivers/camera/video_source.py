@@ -6,7 +6,8 @@ async with open_camera(options, (640, 480), clock) as camera:
 
 A file is played at its own speed. A live stream's clock stamps its frames, where its container has one (RTP, MPEG-TS, FLV); it is
 mapped to ours by the least delay measured. What a demuxer makes up for a stream without times (MJPEG over HTTP, raw H.264) is not
-used: such a frame is stamped by the arrival of its first byte.
+used: such a frame is stamped by the arrival of its first byte. A frame that lay in the kernel's buffer before it was read arrived
+at some instant since the reader last waited: its stamp is the middle of that time, and its standard deviation covers it.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ _BACKLOG_MOST, _WAITED_S = 300, 0.001
 they are not given out, until one has been waited for so long, or so many have passed."""
 _ARRIVAL_SIGMA_S = 0.008
 """The standard deviation of a frame's way through kernel and demuxer where nothing but its arrival is known."""
+_BUFFERED_MOST_S = 0.5
+"""A frame without times that may have lain in the buffer for longer is not given out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +62,8 @@ class _Image:
     px: NDArray[np.uint8]
     pts_s: float | None
     received_at: MonoNs
+    buffered_s: float
+    """The longest time for which it may have lain in the buffer before `received_at`."""
 
 
 class StreamChannel:
@@ -122,8 +127,8 @@ class StreamChannel:
 
     def _live_stamp(self, image: _Image, clocks: ClockMap) -> Stamp:
         if image.pts_s is None or not 0 <= image.pts_s < 1e9:
-            measured_at = after(image.received_at, -self._o.latency_s)
-            sigma_s = math.hypot(self._o.latency_sigma_s, _ARRIVAL_SIGMA_S)
+            measured_at = after(image.received_at, -self._o.latency_s - image.buffered_s / 2)
+            sigma_s = math.hypot(self._o.latency_sigma_s, _ARRIVAL_SIGMA_S, image.buffered_s / math.sqrt(12))
             return Stamp(measured_at, image.received_at, sigma_s, "arrival")
         return clocks.stamp(round(image.pts_s * 1e9), image.received_at)
 
@@ -142,7 +147,8 @@ class _Reader:
         self._waiting = True
         self._timed = True
         self._at_once = True
-        self._newest_at: MonoNs | None = None
+        self._newest: tuple[MonoNs, float] | None = None
+        self._emptied_at = clock.now()
         self._backlog = 0
         self.rate_hz = 30.0
         self.coded = False
@@ -205,13 +211,14 @@ class _Reader:
                 raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
             now = self._clock.now()
             if seconds_between(asked, now) > _WAITED_S:
-                self._backlog = 0
+                self._backlog, self._emptied_at = 0, now
+            newest = now, seconds_between(self._emptied_at, now)
             # A packet whose end is the begin of the next one is given out when that begins: its own begin gave the last one out.
-            began, self._newest_at = (now if self._at_once else self._newest_at or now), now
-            self._decode(packet, began)
+            began, self._newest = (newest if self._at_once else self._newest or newest), newest
+            self._decode(packet, *began)
         return self._ready.pop(0)
 
-    def _decode(self, packet: Packet, received_at: MonoNs) -> None:
+    def _decode(self, packet: Packet, received_at: MonoNs, buffered_s: float) -> None:
         flush = packet.size == 0
         self._counters.buffers += not flush
         if packet.size > MOST_PACKET_BYTES:
@@ -234,12 +241,12 @@ class _Reader:
                 self._counters.frames_damaged += 1
                 self._waiting = True
                 continue
-            if self._backlog:
-                self._backlog -= 1
+            if self._backlog or (self._o.is_address and not self._timed and buffered_s > _BUFFERED_MOST_S):
+                self._backlog = max(0, self._backlog - 1)
                 self._counters.frames_overtaken += 1
                 continue
             px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-            self._ready.append(_Image(px, image.time if self._timed else None, received_at))
+            self._ready.append(_Image(px, image.time if self._timed else None, received_at, buffered_s))
 
     def close(self) -> None:
         if self._container is not None:
