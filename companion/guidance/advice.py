@@ -70,6 +70,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
 _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.CAMERA_FROZEN: "Restart the camera: its picture is dead.",
     _A.VIEW_FROZEN: "Restart the camera: its picture is dead.",
+    _A.VIEW_REVERSED: "Turn off the camera's mirror (horizontal or vertical flip); else check rpy_body_cam_deg in its file.",
     _A.IMU_FROZEN: "Land by hand and reboot the autopilot: its sensor is dead.",
     _A.ATTITUDE_FROZEN: "Land by hand and reboot the autopilot: its attitude is dead.",
     _A.STAMPS: _CLOCK,

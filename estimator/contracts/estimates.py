@@ -65,6 +65,7 @@ class IntegrityAlert(Enum):
 
     CAMERA_FROZEN = "the camera repeats its frames"
     VIEW_FROZEN = "the pad stands still in the image while the body turns"
+    VIEW_REVERSED = "the image moves against the body: the camera mirrors it, or looks the other way round"
     IMU_FROZEN = "the IMU repeats its readings"
     ATTITUDE_FROZEN = "the attitude repeats its readings"
     STAMPS = "the stamps of the frames do not hold"

@@ -142,7 +142,8 @@ def admit_sighting(
         belief: the steering estimate at its exposure, before the sighting.
 
     Returns:
-        The new guard, and IMPOSSIBLE (a pad above), TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another
+        The new guard, and IMPOSSIBLE (a pad above, or a view that moves against the body), TOO_OLD or TOO_NEW (its stamp), FROZEN
+        (the view), ELSEWHERE (another
         pad), or None.
     """
     o = guard.options
@@ -158,8 +159,8 @@ def admit_sighting(
         return guard, verdict
     if attitude is not None and guard.flying:
         guard = replace(guard, view=view.watch(guard.view, sighting, attitude, o))
-        if guard.view.frozen:
-            return guard, Verdict.FROZEN
+        if guard.view.frozen or guard.view.reversed:
+            return guard, Verdict.FROZEN if guard.view.frozen else Verdict.IMPOSSIBLE
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     following, explained = tracks.associate(guard.tracks, place, expected, o)
@@ -201,8 +202,11 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
     found = []
     if guard.frames.frozen:
         found.append(IntegrityAlert.CAMERA_FROZEN)
-    if guard.view.frozen and guard.view.bearings and now - guard.view.bearings[-1][0] < _OLD_NS:
-        found.append(IntegrityAlert.VIEW_FROZEN)
+    if guard.view.bearings and now - guard.view.bearings[-1][0] < _OLD_NS:
+        if guard.view.frozen:
+            found.append(IntegrityAlert.VIEW_FROZEN)
+        if guard.view.reversed:
+            found.append(IntegrityAlert.VIEW_REVERSED)
     for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
         seen = guard.sensors.get(kind)
         if seen is not None and seen.frozen:

@@ -1,7 +1,10 @@
-"""Detect a frozen view: a pad that keeps its place in the image while the body turns is not below, whatever noise is added.
+"""Detect a frozen view and a mirrored one: the pad does not move in the image as the body's rotation moves it.
 
 A rotation moves everything in the image by the same angle, at any distance. So the pad's bearing in the body is compared with the
-effect of the rotation alone, as computed from the vehicle's own attitude.
+effect of the rotation alone, as computed from the vehicle's own attitude. A pad that keeps its place in the image while the body
+turns is not below, whatever noise is added. One that moves the other way is seen by a camera that mirrors, or that is mounted the
+other way round. The drone's drift is slower than its rotation: each bearing's distance from a line through those of half a second
+is free of it, and the sums of these distances over some seconds decide.
 """
 
 import math
@@ -17,6 +20,14 @@ from estimator.integrity.options import IntegrityOptions
 _SPAN_S = 0.5
 _LEAST = 8
 _LEAST_SPAN_S = 0.3
+_FORGET_S = 6.0
+"""Time after which a rotation counts a third for which way the view moves."""
+_JUMP_RAD = 0.2
+"""A bearing that leaves its line by more is that of something else."""
+_LEAST_TURNED_RAD = 0.015
+"""Root of the sum of squares of the rotations that say which way the view moves."""
+_AGAINST = -0.2
+"""Correlation of view and rotation along one axis, below which the view moves against the body."""
 
 
 Bearing = tuple[int, F64, F64, F64]
@@ -24,10 +35,14 @@ Bearing = tuple[int, F64, F64, F64]
 
 
 class ViewWatch(NamedTuple):
-    """Bearings of the last half second."""
+    """Bearings of the last half second, and the moments of the fast rotations before."""
 
     bearings: tuple[Bearing, ...] = ()
     frozen: bool = False
+    moments: F64 | None = None
+    """Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less."""
+    reversed: bool = False
+    """Whether the pad moves in the image against the rotation of the body, along some axis."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
@@ -41,15 +56,36 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     span_ns = _SPAN_S * 1e9
     kept = [k for k in state.bearings if 0 <= t - k[0] <= span_ns]
     bearings = (*kept, (t, R_body_level.dot(level), level, R_body_level))
-    return ViewWatch(bearings, _is_still(bearings, o))
+    if len(bearings) < _LEAST or t - bearings[0][0] < _LEAST_SPAN_S * 1e9:
+        return ViewWatch(bearings, False, state.moments, state.reversed)
+    at, seen, levels, axes = zip(*bearings, strict=True)
+    expected, found = np.array(axes).dot(np.add.reduce(levels) / len(levels)), np.array(seen)
+    turned = _spread(expected)
+    still = turned > o.view_turned_min_rad and _spread(found) < o.view_still_ratio * turned
+    weights = _off_line(np.array(at, float))
+    apart = np.concatenate([weights.dot(expected)[:2], weights.dot(found)[:2]])
+    moments = state.moments
+    if abs(apart).max() < _JUMP_RAD:
+        kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
+        moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
+    return ViewWatch(bearings, still, moments, moments is not None and _is_reversed(moments))
 
 
-def _is_still(bearings: tuple[Bearing, ...], o: IntegrityOptions) -> bool:
-    if len(bearings) < _LEAST or bearings[-1][0] - bearings[0][0] < _LEAST_SPAN_S * 1e9:
-        return False
-    _, seen, levels, axes = zip(*bearings, strict=True)
-    turned = _spread(np.array(axes).dot(np.add.reduce(levels) / len(levels)))
-    return turned > o.view_turned_min_rad and _spread(np.array(seen)) < o.view_still_ratio * turned
+def _off_line(at: F64) -> F64:
+    """Return the weights (n,) of values at these instants whose sum is the last one's distance from the line through all."""
+    at = at - np.add.reduce(at) / len(at)
+    weights = -1.0 / len(at) - at[-1] * at / float(at.dot(at))
+    weights[-1] += 1.0
+    return np.asarray(weights)
+
+
+def _is_reversed(moments: F64) -> bool:
+    """Return whether view and rotation run against each other along the axis on which they agree least."""
+    expected, crossed, seen = moments[:2, :2], moments[:2, 2:], moments[2:, 2:]
+    axis = np.linalg.eigh(crossed + crossed.T)[1][:, 0]
+    turned = float(axis.dot(expected).dot(axis))
+    both = math.sqrt(max(turned * float(axis.dot(seen).dot(axis)), 0.0))
+    return turned > _LEAST_TURNED_RAD**2 and float(axis.dot(crossed).dot(axis)) < _AGAINST * both
 
 
 def _spread(directions: F64) -> float:

@@ -1,12 +1,13 @@
 """A frozen frame under fresh noise: the pad keeps its place in the image while the body turns."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity.options import IntegrityOptions
@@ -17,24 +18,31 @@ LIMITS = IntegrityOptions()
 
 def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.5, seconds: float = 10.0) -> float:
     """Share of sightings after which the view counts as frozen; the body sways and drifts as a hovering drone does."""
+    return sum(one.frozen for one in watched(seed, frozen, sway_rad, np.eye(3), height_m, seconds)) / (30 * seconds)
+
+
+def watched(
+    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0
+) -> Iterator[ViewWatch]:
+    """The watch after each sighting; the camera turns bearings in the body by `mirror`."""
     rng = np.random.default_rng(seed)
-    state, hits = ViewWatch(), 0
+    state = ViewWatch()
     phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)
     for i in range(n):
         t = i / 30
         sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
         R = Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
-        # A body that leans one way is pushed that way: g times the tilt, twice integrated.
+        # A body that leans one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the lean moves it.
         drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
-        true = np.array([0.1 + drift_m * sways[1], drift_m * sways[0], height_m])
+        true = np.array([0.1 - drift_m * sways[1], drift_m * sways[0], height_m])
         if frozen:
             true = R.without_heading() @ np.array([0.1, 0.05, height_m])
-        d = true + rng.normal(0, 0.0005 * height_m, 3)
+        level = R.without_heading()
+        d = level @ (mirror @ (level.inv @ true)) + rng.normal(0, 0.0005 * height_m, 3)
         stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.09) * 1e9)), 0.001, "sim")
         sighting = Sighting(stamp, i, "registration", d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
         state = watch(state, sighting, Attitude(stamp, R, 1e-5 * np.eye(3)), LIMITS)
-        hits += state.frozen
-    return hits / n
+        yield state
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -50,3 +58,21 @@ def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
 
 def test_a_still_body_says_nothing() -> None:
     assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("axis_deg", [0.0, 90.0, 35.0])
+def test_a_mirrored_view_is_known_within_two_seconds_of_a_flight_that_sways(seed: int, axis_deg: float) -> None:
+    c, s = math.cos(2 * math.radians(axis_deg)), math.sin(2 * math.radians(axis_deg))
+    mirror = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])
+    for height_m in (0.5, 3.0):
+        seen = [one.reversed for one in watched(seed, False, math.radians(1.0), mirror, height_m)]
+        assert all(seen[60:]), f"first at {seen.index(True) / 30:.1f} s"
+
+
+def test_a_camera_mounted_the_other_way_round_is_known_and_a_right_one_is_never_named() -> None:
+    turned = [one.reversed for one in watched(1, False, math.radians(1.0), np.diag([-1.0, -1.0, 1.0]))]
+    assert all(turned[60:])
+    for sway_deg in (0.05, 0.5, 3.0):
+        for height_m in (0.3, 1.0, 8.0):
+            assert not any(one.reversed for one in watched(2, False, math.radians(sway_deg), np.eye(3), height_m, 30.0))
