@@ -48,7 +48,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
     keepalive_s: Annotated[
         int, number("keep-alive interval; a dead connection is noticed within twice that time", "s", 2, 600)
-    ] = 10
+    ] = 4
     timeout_s: Annotated[
         float, number("time limit for an answer of the broker; after it the connection is opened again", "s", 0.2, 60.0)
     ] = 5.0

@@ -83,6 +83,11 @@ _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
 _CONFLICT_S, _CONFLICT_AGAIN_S = 0.2, 60.0
 """Interval at which it is judged who is who; the shortest time between two log lines about one conflict."""
 _LOGGED_MAX = 64
+_MOVED_S, _OVERTAKEN_S = 0.1, 0.05
+"""Time for which an autopilot goes on from another port of its host alone until that is where it is, and that by which a message
+of the old port may be late."""
+_BESIDE_S = 5.0
+"""Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
 _LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
 
 
@@ -133,7 +138,12 @@ class Autopilot:
         self.id_conflicts: tuple[IdConflict, ...] = ()
         """What is doubtful about who is the autopilot, and who we are."""
         self._reopened = list(links.opened)
+        self._beside_at: MonoNs | None = None
+        """When another sender of the autopilot's ids was heard while the autopilot was, too."""
+        self._moving: tuple[Source, MonoNs] | None = None
+        """Where the autopilot may go on, and since when."""
         self.links = links
+        links.follows = self._follows
         self.frames: Latest[Frame] = Latest()
         """An autopilot has no frames; a camera driver offers them here."""
         self.samples: Line[Sample] = Line(sample_queue_items)
@@ -378,6 +388,35 @@ class Autopilot:
                 known.source, known.origins = received.source, Origins()
             else:
                 self._roster.on_elsewhere(received)
+
+    def _follows(self, received: ReceivedMessage) -> bool:
+        """Go on listening to the autopilot where it is now, and return True, if a sender of its link carries on its messages.
+
+        A router gives a new port to a connection. Until an answer goes there, no command arrives.
+        """
+        known, at, peer = self._known, received.received_at, received.peer
+        if known is None or received.source == known.source or received.link != known.source[0]:
+            return False
+        if (received.system, received.component) != (known.identity.system, known.identity.component):
+            return False
+        before = known.source[1]
+        same_host = before is not None and peer is not None and before[0] == peer[0]
+        if self._moving is None or self._moving[0] != received.source:
+            carries_on = (same_host or self.links.all[received.link].signed) and known.origins.continues(received.message, at)
+            self._moving = (received.source, at) if carries_on else None
+            return False
+        since = self._moving[1]
+        if seconds_between(since, known.received_at) > _OVERTAKEN_S:
+            self._moving, self._beside_at = None, at
+            return False
+        if seconds_between(since, at) < _MOVED_S or (
+            self._beside_at is not None and seconds_between(self._beside_at, at) < _BESIDE_S
+        ):
+            return False
+        _log.warning("autopilot: it moved to another port: %s", received.source_text)
+        self.links.bind_autopilot(received)
+        known.source, self._moving = received.source, None
+        return True
 
     def _bound(self, now: MonoNs) -> Bound | None:
         known = self._known

@@ -397,6 +397,8 @@ async def tending(gimbal: Gimbal | None, autopilot: Autopilot, clock: Clock) -> 
             autopilot.samples.offer(sample)
 
     def step() -> None:
+        if autopilot.unclear is not None:
+            return  # a command would reach whoever has the gimbal's ids
         for message in gimbal.due(autopilot, clock.now()):
             autopilot.send(message)
 

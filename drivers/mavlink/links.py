@@ -304,6 +304,10 @@ class Link:
             access.refused["no system id"] += 1
             return
         level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
+        if level is AccessLevel.UNKNOWN and self._links.follows(
+            ReceivedMessage(message, self._number, received_at, *ids, address, level)
+        ):
+            level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
         if level is AccessLevel.UNKNOWN:
             self.counters.unknown_senders += 1
             access.refuse_unknown(ids, address, received_at)
@@ -361,6 +365,8 @@ class Links:
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
+        self.follows: Callable[[ReceivedMessage], bool] = lambda received: False
+        """Binds the autopilot to the sender of a message with its ids, and returns True, where it goes on from there."""
         self.contained = Containment(clock)
         """Holds the errors of whoever handles what came in."""
         self.unfit: Counter[str] = Counter()

@@ -110,6 +110,13 @@ class Origins:
         beats = self._beats is not None and self._beats[0] >= _BELIEVED and seconds_between(self._beats[2], now) <= _ALIVE_S
         return beats or any(_beside(main, one) for one in self._alive(now))
 
+    def continues(self, message: Message, at: MonoNs) -> bool:
+        """Return whether a message with a time is the next of the autopilot, by its clock and by its count."""
+        boot_ms, main = getattr(message, "time_boot_ms", 0), self._main
+        if main is None or not boot_ms or self._alive(at):
+            return False
+        return main.fits(boot_ms * 1_000_000, at) and 0 < main.continued_by(int(message.get_seq())) <= _REACHED_WITHIN
+
     def sort(self, message: Message, at: MonoNs) -> list[Message]:
         """Return the messages that are known to be the autopilot's now, in the order in which they came."""
         sequence = int(message.get_seq())

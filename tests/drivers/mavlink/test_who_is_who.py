@@ -51,7 +51,7 @@ class Router(asyncio.DatagramProtocol):
 
 
 @asynccontextmanager
-async def routed(**options: Any) -> AsyncIterator[tuple[Autopilot, Router, str]]:
+async def routed(kind: type[Router] = Router, **options: Any) -> AsyncIterator[tuple[Autopilot, Router, str]]:
     """The service's side, a router in front of it, and the router's address for autopilots."""
     quick = {"silence_s": 0.6, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     async with open_autopilot(AutopilotOptions(f"udpin://{HOST}:0", **(quick | options)), SystemClock()) as autopilot:
@@ -59,15 +59,63 @@ async def routed(**options: Any) -> AsyncIterator[tuple[Autopilot, Router, str]]
         local = autopilot.links.all[0].local
         assert local is not None
         loop = asyncio.get_running_loop()
-        transport, router = await loop.create_datagram_endpoint(lambda: Router(local), local_addr=(HOST, 0))
+        transport, router = await loop.create_datagram_endpoint(lambda: kind(local), local_addr=(HOST, 0))
         try:
             yield autopilot, router, "udpout://{}:{}".format(*transport.get_extra_info("sockname"))
         finally:
             transport.close()
 
 
+class Moving(Router):
+    """A router that goes on from another port when it is told to."""
+
+    _moved: Any = None
+
+    async def move(self) -> None:
+        self._moved, _ = await asyncio.get_running_loop().create_datagram_endpoint(lambda: _Back(self), local_addr=(HOST, 0))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._moved is not None:
+            self._moved.close()
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        if self._moved is None:
+            super().datagram_received(data, addr)
+        elif addr != self._to:
+            self._moved.sendto(data, self._to)
+
+    def back(self, data: bytes) -> None:
+        for client in () if self._transport.is_closing() else self._clients:
+            self._transport.sendto(data, client)
+
+
+class _Back(asyncio.DatagramProtocol):
+    def __init__(self, router: Moving) -> None:
+        self._router = router
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self._router.back(data)
+
+
 def names(autopilot: Autopilot) -> dict[str, bool]:
     return {conflict.name: conflict.blocks for conflict in autopilot.id_conflicts}
+
+
+async def test_commands_follow_an_autopilot_whose_port_moves(caplog: pytest.LogCaptureFixture) -> None:
+    """As by a router's new address; a silence of three seconds would be needed to lose it."""
+    flying = MiniatureAutopilot(mode="guided")
+    async with routed(Moving, silence_s=3.0) as (autopilot, router, url), flying.talking_to(url):
+        assert isinstance(router, Moving)
+        await until(lambda: autopilot.attitude is not None and autopilot.condition.flying is True)
+        autopilot.command(AHEAD)
+        await until(lambda: bool(flying.setpoints))
+        await router.move()
+        await until(lambda: "moved to another port" in caplog.text)
+        before = len(flying.setpoints)
+        autopilot.command(AHEAD)
+        await until(lambda: len(flying.setpoints) > before)
+        assert autopilot.connects == 1
+    assert "not heard" not in caplog.text
 
 
 async def test_of_two_with_one_id_the_first_is_listened_to_and_nobody_commanded(caplog: pytest.LogCaptureFixture) -> None:
