@@ -45,6 +45,7 @@ MODULES = {
     "ulog": "fuzz.imports",
     "tlog": "fuzz.imports",
     "ardrone_capture": "fuzz.imports",
+    "grammar": "fuzz.grammar",
     "v4l2": "fuzz.frames",
     "vision": "fuzz.frames",
     "lamps": "fuzz.frames",

@@ -93,7 +93,7 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 def _size(data: Mapping[str, Any], path: Path) -> tuple[int, int]:
     sizes: list[list[Any]] = [_numbers(data.get("resolution")), *([data.get(w), data.get(h)] for w, h in _SIZE)]
-    size = next((s for s in sizes if len(s) == 2 and all(isinstance(v, float) and v == int(v) for v in s)), None)
+    size = next((s for s in sizes if len(s) == 2 and all(isinstance(v, float) and v.is_integer() for v in s)), None)
     if size is None:
         raise BadInput(f"{path}: it does not say the size of the frames: add image_width and image_height")
     return int(size[0]), int(size[1])
@@ -112,6 +112,8 @@ def _numbers(value: Any) -> list[float]:
 
 def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: Path) -> list[float]:
     """Return our five coefficients for a lens of another kind."""
+    import cv2
+
     if kind in _BROWN and len(coefficients) <= 5 and len(coefficients) != 3:
         return [*coefficients, *[0.0] * (5 - len(coefficients))]
     if kind in _BROWN | {"rational_polynomial"} and not any(coefficients[5:]):
@@ -119,7 +121,10 @@ def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[flo
     if kind not in _BROWN | _FISHEYE | {"rational_polynomial"}:
         raise BadInput(f"{path}: distortion_model {kind!r} is not read; plumb_bob, radtan, rational_polynomial, equidistant are")
     uv = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, _GRID), np.linspace(0, size[1] - 1, _GRID)), axis=2).reshape(-1, 1, 2)
-    xy = _undistorted(uv, matrix, kind, coefficients)
+    try:
+        xy = _undistorted(uv, matrix, kind, coefficients)
+    except cv2.error as why:
+        raise BadInput(f"{path}: no lens of the model {kind or 'rational'} has these {len(coefficients)} coefficients") from why
     seen = (uv.reshape(-1, 2) - matrix[:2, 2]) / np.diag(matrix)[:2]
     fitted = _fitted(xy, seen)
     misfit_px = np.linalg.norm((_offsets(xy) @ fitted - (seen - xy).ravel()).reshape(-1, 2) * np.diag(matrix)[:2], axis=1)

@@ -6,6 +6,7 @@ the camera's size, or with an upper bound, before the decoder sees the first byt
 
 import struct
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -38,6 +39,8 @@ _STEP_LEAST = 6.0
 """A step of brightness or colour by so many levels between two rows of units counts whole."""
 _STEP_ALL, _STEP_PART, _STEP_NONE = 0.75, 0.6, 0.4
 """The mean of steps along a whole row of units, the least of its two parts, and the most where there must be none."""
+_STEP_MAYBE = 0.6
+"""The mean along a whole row at which a closer look follows."""
 _ROWS_LEAST, _COLUMNS_LEAST = 2, 6
 _TABLE = 65
 """The bytes of a table of quantization with its number."""
@@ -93,6 +96,7 @@ def _decoded_jpeg(data: bytes | memoryview) -> U8:
 
 def _coarsest(head: bytes) -> int:
     """Return the largest step of a unit's mean in the tables of quantization, eighths of a level of brightness."""
+    head = head[: head.find(b"\xff\xda")]
     coarsest, at = 0, head.find(b"\xff\xdb")
     while 0 <= at < len(head) - 5:
         length = int.from_bytes(head[at + 2 : at + 4], "big")
@@ -117,26 +121,52 @@ def _is_shifted(px: U8, unit: tuple[int, int], step: float) -> bool:
     columns, rows = px.shape[1] // width, (px.shape[0] - 2) // height
     if rows < _ROWS_LEAST or columns < _COLUMNS_LEAST:
         return False
-    lines = (height * np.arange(1, rows + 1) + np.arange(-2, 2)[:, None]).ravel()
-    means = cv2.resize(px[lines, : columns * width], (columns, 4 * rows), interpolation=cv2.INTER_AREA)
-    above, last, first, below = means.astype(np.float32).reshape(4, rows, columns, 3)
-    apart = first - last
-    sharp = np.abs(apart) - 2.0 * np.maximum(np.abs(last - above), np.abs(below - first))
-    left, right = _parts(np.sign(apart) * np.clip(sharp / step, 0.0, 1.0))
-    blank_left, blank_right = _parts(np.clip(apart / step, -1.0, 1.0))
-    found = (np.abs(right[:-1] + left[1:]) > 2.0 * _STEP_ALL) & (
-        np.minimum(np.abs(right[:-1]), np.abs(left[1:])) > _STEP_PART
-    ) & (np.maximum(np.abs(blank_left[:-1]), np.abs(blank_right[1:])) < _STEP_NONE)  # fmt: skip
+    # Two pixels of each unit say at little cost that a frame has no such step.
+    last, first = _row_means(px, unit, (-1, 0), cv2.INTER_LINEAR)
+    left, right = _parts(np.clip((first - last) / step, -1.0, 1.0))
+    if np.abs(right[:-1] + left[1:]).max() <= 2.0 * _STEP_MAYBE:
+        return False
+    above, last, first, below = _row_means(px, unit, (-2, -1, 0, 1), cv2.INTER_AREA)
+    apart = (first - last) / step
+    blank_left, blank_right = _parts(np.clip(apart, -1.0, 1.0))
+    sharp = np.abs(apart) - 2.0 / step * np.maximum(np.abs(last - above), np.abs(below - first))
+    left, right = _parts(np.sign(apart) * np.clip(sharp, 0.0, 1.0))
+    found = np.abs(right[:-1] + left[1:]) > 2.0 * _STEP_ALL
+    found &= np.minimum(np.abs(right[:-1]), np.abs(left[1:])) > _STEP_PART
+    found &= np.maximum(np.abs(blank_left[:-1]), np.abs(blank_right[1:])) < _STEP_NONE
     return bool(found.any())
 
 
-def _parts(steps: NDArray[np.float32]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _row_means(px: U8, unit: tuple[int, int], beside: tuple[int, ...], how: int) -> NDArray[np.float32]:
+    """Return the mean over each unit's width of the lines of pixels beside the border of two rows of units.
+
+    Args:
+        beside: the lines, counted from the first one below the border.
+        how: OpenCV's interpolation: of all of a unit's pixels, or of those in its middle.
+
+    Returns:
+        (lines, rows, 3, columns), BGR.
+    """
+    width, height = unit
+    columns, rows = px.shape[1] // width, (px.shape[0] - 2) // height
+    lines = (height * np.arange(1, rows + 1) + np.array(beside)[:, None]).ravel()
+    means = cv2.resize(px[lines, : columns * width], (columns, len(lines)), interpolation=how)
+    return means.reshape(len(beside), rows, columns, 3).transpose(0, 1, 3, 2).astype(np.float32, order="C")
+
+
+def _parts(steps: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the means of the columns left of each column from the third to the last but one, and of the others."""
-    total = np.cumsum(steps, axis=1)
-    count = np.arange(2, steps.shape[1] - 1)[:, None].astype(np.float32)
-    left = total[:, 1:-2]
-    rest = np.float32(steps.shape[1]) - count
-    return left / count, (total[:, -1:] - left) / rest
+    columns = steps.shape[2]
+    means = (steps.reshape(-1, columns) @ _means_of_parts(columns)).reshape(*steps.shape[:2], -1)
+    return means[..., : columns - 3], means[..., columns - 3 :]
+
+
+@cache
+def _means_of_parts(columns: int) -> NDArray[np.float32]:
+    """Return the matrix (columns, 2 * (columns - 3)) that takes steps to the means of their two parts."""
+    count = np.arange(2, columns - 1)
+    is_left = np.arange(columns)[:, None] < count
+    return np.concatenate([is_left / count, ~is_left / (columns - count)], axis=1).astype(np.float32)
 
 
 def _has_gap(data: bytes | memoryview) -> bool:

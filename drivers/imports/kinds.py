@@ -14,7 +14,7 @@ _TLOG_BEGAN_US, _TLOG_ENDS_US = 1_000_000_000_000_000, 4_000_000_000_000_000
 _MARKERS = (0xFE, 0xFD)
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?[A-Z][A-Z0-9_]{0,15}[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
+_PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
 _SENTENCE = re.compile(rb"(?:\\[^\\]*\\)?[$!][A-Z]{4,6},[ -~]*")
 
 
@@ -90,7 +90,8 @@ def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     said = [line for line in lines if not line.startswith((b"#", b"//"))]
     if said and sum(_SENTENCE.fullmatch(line) is not None for line in said) > len(said) // 2:
         return FileKind.SENTENCES
-    if said and sum(_PARAMETER.fullmatch(line) is not None for line in said) > len(said) // 2:
+    # By different names: the rows of a log have few.
+    if said and len({found[1] for line in said if (found := _PARAMETER.fullmatch(line))}) > len(said) // 2:
         return FileKind.PARAMETERS
     return FileKind.TABLE if suffix == ".csv" or (said and said[0].startswith(b"time_s,")) else FileKind.TEXT
 
