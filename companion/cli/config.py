@@ -33,11 +33,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions.add_parser(
         "schema", help="print the JSON Schema of settings files", description="Print the JSON Schema of settings files."
     )
-    actions.add_parser(
+    reference = actions.add_parser(
         "reference",
         help="print the reference of all settings",
-        description="Print the reference of all settings (docs/configuration.md) in Markdown.",
+        description="Print the reference of the settings (docs/configuration.md) in Markdown.",
     )
+    reference.add_argument("--expert", action="store_true", help="print the expert keys instead")
     actions.add_parser(
         "mission",
         help="print the states and events of a landing",
@@ -68,5 +69,5 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "mission":
         sys.stdout.write(mission.page())
     else:
-        sys.stdout.write(whole_file.reference())
+        sys.stdout.write(whole_file.reference(expert=args.expert))
     return 0
