@@ -72,8 +72,8 @@ def reference(*, expert: bool = False) -> str:
     lines = [
         "# Configuration",
         "",
-        "A rig has one TOML file. `decklander config check FILE` checks it, `config show FILE` prints it with each default filled in,",
-        "and `config schema` prints a JSON Schema for editors. This page is the output of `config reference`.",
+        "A rig has one TOML file. `decklander config check FILE` checks it, `config show FILE` prints it with each default",
+        "filled in, and `config schema` prints a JSON Schema for editors. This page is the output of `config reference`.",
         "",
         "A key that is unknown, of the wrong type or out of range is refused. Where a default is missing the key must be given.",
     ]
@@ -85,7 +85,7 @@ def reference(*, expert: bool = False) -> str:
 
 
 _EXPERT_WORDS = (
-    "Expert keys describe sensors, filter, timing and limits of the product itself. Their defaults are right for almost everybody.",
+    "Expert keys describe sensors, filter, timing and limits of the product. Their defaults are right for almost everybody.",
     "They stand in the same tables under `[expert]`: `expert.guidance.cone.slope` is `slope` in `[expert.guidance.cone]`.",
 )
 
