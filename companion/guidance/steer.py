@@ -48,8 +48,8 @@ def rising_m_s(knowledge: Knowledge) -> float:
 def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return how fast the drone climbs before a deck that comes up to it out of sight.
 
-    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave; and no further
-    than to the safe height, where no deck reaches it.
+    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
+    further than to the safe height, where no deck reaches it.
     """
     if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
