@@ -14,7 +14,7 @@ from typing import Any
 
 from companion.base.signals import Stopped
 from companion.cli import campaign_soak, perception_option
-from companion.cli.campaign_progress import CampaignProgress
+from companion.cli.progress import CampaignProgress
 from companion.settings.load import shipped
 from companion.tools.report.drawing import require_drawing
 from estimator import pipeline
@@ -34,7 +34,20 @@ from sitl.campaign.design import (
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of, unpacked
+from sitl.campaign.plan import (
+    AnyPlan,
+    CampaignPlan,
+    Job,
+    Point,
+    SetPlan,
+    is_set,
+    load_set,
+    make_plan,
+    place_of,
+    seeds_of,
+    shipped_sets,
+    unpacked,
+)
 from sitl.campaign.random_faults import WORST, Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.store import (
@@ -57,8 +70,6 @@ from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.sets import is_set, place_of, shipped_sets
-from sitl.scenario.sets import load as load_set
 from sitl.scenario.with_fault import with_random_faults
 
 

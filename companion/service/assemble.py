@@ -171,7 +171,7 @@ def make_daemon(
         health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.landing.vessel_counts)
     if settings.mqtt.transport != "off":
-        from companion.parts.mqtt.make import make_mqtt
+        from companion.parts.mqtt.part import make_mqtt
 
         ship = reports if settings.vessel.mqtt else None
         mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording, ship))

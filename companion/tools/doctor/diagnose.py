@@ -1,11 +1,11 @@
 """Apply all rules to one snapshot. Pure."""
 
-from companion.tools.doctor import rules_ardupilot, rules_links, rules_log, rules_px4, rules_values
+from companion.tools.doctor import rules_autopilots, rules_links, rules_log, rules_values
 from companion.tools.doctor.finding import Finding, Rule
 from companion.tools.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (
-    *rules_links.RULES, *rules_values.ARMING, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES,
+    *rules_links.RULES, *rules_values.ARMING, *rules_log.RULES, *rules_autopilots.RULES, *rules_autopilots.PX4_RULES,
     *rules_values.FAILSAFE_RULES, *rules_values.RULES,
 )  # fmt: skip
 
@@ -15,8 +15,8 @@ def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
 
 
 PARAMETERS = {
-    "ArduPilot": _asked("ArduPilot", rules_ardupilot.PARAMETERS),
-    "PX4": _asked("PX4", rules_px4.PARAMETERS),
+    "ArduPilot": _asked("ArduPilot", rules_autopilots.PARAMETERS),
+    "PX4": _asked("PX4", rules_autopilots.PX4_PARAMETERS),
     "other": (),
 }
 """Parameters that the rules need from an autopilot, by stack."""

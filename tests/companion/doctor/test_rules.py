@@ -11,7 +11,7 @@ from companion.settings.ship_place import contradiction
 from companion.tools.doctor import rules_log, rules_values
 from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Severity
-from companion.tools.doctor.rules_px4 import event_id
+from companion.tools.doctor.rules_autopilots import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     GimbalSnapshot,
