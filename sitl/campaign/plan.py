@@ -30,7 +30,7 @@ from sitl.campaign.overrides import Overridable, Override
 from sitl.flight.one_flight import Perception, perception_level
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
-from sitl.scenario.scenario import load_set as load_scenario
+from sitl.scenario.scenario import load as load_scenario
 
 _FOLDER = "scenarios/sets"
 _LEVELS = "how the service perceives the pad in this scenario; a set says it for all that do not"

@@ -26,12 +26,11 @@ from companion.base.version import version
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mqtt import encode as encoding
-from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.commands import CommandHandler, ShipReportReader
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.parts.mqtt.outbox import Outbox
-from companion.parts.mqtt.ship_reports import ShipReportReader
 from companion.parts.mqtt.spool import Spool
 from companion.parts.mqtt.topics import Topics
 from companion.settings import secret_files
