@@ -13,13 +13,13 @@ from typing import Any
 
 from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
-from companion.tools.report import estimate_plots, page_parts, ship_plots, tables
-from companion.tools.report.estimate_plots import steering_path
+from companion.tools.report import page_parts, plots
 from companion.tools.report.figures import all_series, error_rows, timing_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series
 from companion.tools.report.layers import Layer, Plot, Section
 from companion.tools.report.page_data import Mark, PadTrack, PageFlight, events, marks, page_data, page_flight, tracks
+from companion.tools.report.plots import steering_path
 from companion.tools.report.video import FilmFile, film_of
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.time import seconds_between
@@ -61,9 +61,9 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
     series, found = all_series(log), innovation_series(log)
     flight = page_flight(log, log.title, FLIGHTS[0], None if film is None else film.began)
     happened = events(log)
-    place, ship, commands = estimate_plots.place(log, series), ship_plots.ship(log), ship_plots.commands(log)
-    velocity, errors = estimate_plots.velocity(log), estimate_plots.errors(log, series)
-    frames, times, innovations = estimate_plots.verdicts(log), ship_plots.delays(log), estimate_plots.innovations(log, found)
+    place, ship, commands = plots.place(log, series), plots.ship(log), plots.commands(log)
+    velocity, errors = plots.velocity(log), plots.errors(log, series)
+    frames, times, innovations = plots.verdicts(log), plots.delays(log), plots.innovations(log, found)
     if not series:
         place.plots.clear()
         velocity.plots.clear()
@@ -81,20 +81,20 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
         f'<div class="flight">{page_parts.films([flight], [film])}{page_parts.beside([flight], [happened])}</div>',
         page_parts.transport(),
         page_parts.help_line(),
-        f"<section><h2>Touchdown and trajectory</h2>{tables.contacts(log)}{ways}"
+        f"<section><h2>Touchdown and trajectory</h2>{page_parts.contacts(log)}{ways}"
         '<p class="note">The pad with its own paints, to scale. A cross is a contact, its line points where the nose did. The '
         "dot is the drone at the cursor, seen from the pad, levelled.</p></section>",
     ]
     if series:
-        body += [drawn(place, numbers), drawn(velocity, numbers), drawn(errors, numbers, tables.errors(log, series))]
+        body += [drawn(place, numbers), drawn(velocity, numbers), drawn(errors, numbers, page_parts.errors(log, series))]
     else:
         body.append('<h2>Place</h2><p class="note">Nothing was estimated.</p>')
     body += [
-        drawn(ship, numbers, tables.deck_errors(log)),
+        drawn(ship, numbers, page_parts.deck_errors(log)),
         drawn(commands, numbers),
-        drawn(frames, numbers, tables.verdicts(log)),
-        drawn(innovations, numbers, tables.innovations(found)),
-        drawn(times, numbers, tables.times(log)),
+        drawn(frames, numbers, page_parts.verdicts(log)),
+        drawn(innovations, numbers, page_parts.innovations(found)),
+        drawn(times, numbers, page_parts.times(log)),
         settings(log),
         f'<p class="note">{page_parts.thinning(columns)}</p>',
     ]
@@ -134,9 +134,9 @@ def _cards(log: FlightLog) -> str:
         return '<p class="note">No touchdown was recorded.</p>'
     return page_parts.cards(
         [
-            ("lateral error at touchdown", tables.length(t.lateral_m)),
-            ("vertical speed", tables.speed(t.vertical_speed_m_s)),
-            ("lateral speed", tables.speed(t.lateral_speed_m_s)),
+            ("lateral error at touchdown", page_parts.length(t.lateral_m)),
+            ("vertical speed", page_parts.speed(t.vertical_speed_m_s)),
+            ("lateral speed", page_parts.speed(t.lateral_speed_m_s)),
             ("stands on the pad", "yes" if t.on_pad else "no"),
             ("after", f"{seconds_between(log.started, t.at):.1f} s"),
         ]
@@ -187,7 +187,7 @@ def render_comparison(logs: Sequence[FlightLog], films: Sequence[FilmFile | None
         page_parts.help_line(),
         "<section><h2>Touchdown and trajectory</h2>",
         *(
-            f"<h3>{escape(flight.label)}</h3>{tables.contacts(log, shift)}"
+            f"<h3>{escape(flight.label)}</h3>{page_parts.contacts(log, shift)}"
             for flight, log, shift in _triples(flights, logs, shifts)
         ),
         page_parts.views("the pad to scale, the ways of both drones, and their contacts"),
@@ -214,14 +214,14 @@ def _sections(log: FlightLog, k: int) -> list[Section]:
     """Return the sections of one flight with what is compared: the path that steered, truth, and single quantities."""
     series, found = all_series(log), innovation_series(log)
     path, shift = steering_path(log), landing_began_s(log)
-    commands = ship_plots.commands(log)
+    commands = plots.commands(log)
     commands.plots[:] = [
         replace(plot, title=f"{plot.title} {layer.name}".replace("turn turn", "turn"), layers=[layer])
         for plot in commands.plots
         for layer in plot.layers
     ]
-    sections = [estimate_plots.place(log, series), estimate_plots.velocity(log), estimate_plots.errors(log, series)]
-    sections += [ship_plots.ship(log), commands, estimate_plots.innovations(log, found), ship_plots.delays(log)]
+    sections = [plots.place(log, series), plots.velocity(log), plots.errors(log, series)]
+    sections += [plots.ship(log), commands, plots.innovations(log, found), plots.delays(log)]
     alike = {path, "filter", "fused", "exposure to belief", "forward", "right", "down", "turn", "north", "east"}
     for section in sections:
         kept = []
