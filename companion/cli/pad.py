@@ -15,8 +15,7 @@ from companion.cli import board_option
 from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
-from companion.tools.print_pad.pdf import pdf
-from companion.tools.print_pad.sheets import PAPERS, sheets, svg
+from companion.tools.print_pad.sheets import PAPERS, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
