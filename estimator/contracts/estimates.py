@@ -67,6 +67,7 @@ class IntegrityAlert(Enum):
     VIEW_FROZEN = "the pad stands still in the image while the body turns"
     IMU_FROZEN = "the IMU repeats its readings"
     ATTITUDE_FROZEN = "the attitude repeats its readings"
+    ATTITUDE = "the attitude turns otherwise than gyro and camera"
     STAMPS = "the stamps of the frames do not hold"
     APART = "the estimate and what the camera sees move apart"
     ELSEWHERE = "a pad is seen in another place"

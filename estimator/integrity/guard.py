@@ -9,7 +9,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -160,6 +160,8 @@ def admit_sighting(
         guard = replace(guard, view=view.watch(guard.view, sighting, attitude, o))
         if guard.view.frozen:
             return guard, Verdict.FROZEN
+    if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
+        guard = replace(guard, inertial=_pictured(guard.inertial, sighting, attitude))
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     following, explained = tracks.associate(guard.tracks, place, expected, o)
@@ -207,6 +209,8 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
         seen = guard.sensors.get(kind)
         if seen is not None and seen.frozen:
             found.append(alert)
+    if guard.inertial.attitude_fault is not None:
+        found.append(IntegrityAlert.ATTITUDE)
     if guard.clock.off("Sighting"):
         found.append(IntegrityAlert.STAMPS)
     if guard.arbiter.apart(now):
@@ -218,6 +222,15 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
     if guard.heights.baro_contradicted:
         found.append(IntegrityAlert.HEIGHT)
     return tuple(found)
+
+
+def _pictured(state: inertial.Inertial, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:
+    """Process the pad's rotation, of whatever pad on the deck."""
+    if sighting.pose6 is None:
+        return state
+    R_ned_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
+    R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
+    return inertial.pictured(state, sighting.stamp.measured_at, attitude.R_ned_body.matrix, R_ned_pad)
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
