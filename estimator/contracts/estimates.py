@@ -68,7 +68,7 @@ class IntegrityAlert(Enum):
     IMU_FROZEN = "the IMU repeats its readings"
     ATTITUDE_FROZEN = "the attitude repeats its readings"
     ATTITUDE = "the attitude turns otherwise than gyro and camera"
-    STAMPS = "the stamps of the frames do not hold"
+    STAMPS = "the stamps of frames or samples do not hold"
     APART = "the estimate and what the camera sees move apart"
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"

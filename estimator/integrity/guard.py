@@ -33,6 +33,8 @@ _ABOVE_M = 0.3
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
+_QUICK = (Imu, Attitude, BodyVelocity)
+"""Samples with a stamp of their own each, many a second."""
 
 
 class IntegrityGuard(Struct, frozen=True):
@@ -89,7 +91,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                 delays = dict(watch.delays)
                 watch = clock.ClockWatch(watch.now, watch.rival, delays)
         if verdict is None:
-            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s)
+            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s, quick=kind in _QUICK)
         if verdict is not None:
             admitted.append(verdict)
             continue
@@ -211,7 +213,7 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
             found.append(alert)
     if guard.inertial.attitude_fault is not None:
         found.append(IntegrityAlert.ATTITUDE)
-    if guard.clock.off("Sighting"):
+    if any(guard.clock.off(kind) for kind in ("Sighting", "Imu", "Attitude")):
         found.append(IntegrityAlert.STAMPS)
     if guard.arbiter.apart(now):
         found.append(IntegrityAlert.APART)
