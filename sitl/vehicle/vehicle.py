@@ -16,8 +16,8 @@ from sitl.core.abi import COMMANDS_MAX, EFFECT_NOISE, FLIGHT_NOISE, ROTORS_MAX, 
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
-from sitl.vehicle.effects import EffectSettings
 from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
