@@ -1,4 +1,4 @@
-"""The unkind effects on a vehicle that a scenario's table `[effects]` switches on, each with its source; all are off unless a key asks.
+"""The unkind effects on a vehicle that a scenario's table `[effects]` switches on, each with its source; all are off by default.
 
 The formulae are the core's, `sitl/core/physics`; docs/sitl.md compares them with published figures.
 """
@@ -52,7 +52,7 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
     video_least_s: Annotated[
         float,
         number(
-            "least delay of a frame, which wanders evenly up to the most within some frames; 90 ms for all if both are 0",
+            "least delay of a frame, which wanders up to the most; 90 ms for all if both are 0",
             "s",
             0.0,
             1.0,

@@ -203,7 +203,7 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
     motion: Annotated[
         str,
         text(
-            "recorded motion in place of the ship's own: a log of NMEA sentences, or a CSV file as a vessel's recording",
+            "recorded motion in place of her own: a log of NMEA sentences, or a CSV file",
             300,
             shortest=0,
         ),
