@@ -66,12 +66,15 @@ from sitl.campaign.store import (
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
+from sitl.campaign.weather_map import AXES, MAP, render_map
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
+
+_MAP_RUNS = 4
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -149,6 +152,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     said = parser.add_argument_group("results")
     said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
     said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
+    said.add_argument(
+        "--map",
+        action="store_true",
+        help=f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
+        f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
+    )
     said.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
     _add_soak_arguments(parser)
 
@@ -164,7 +173,10 @@ def run(args: argparse.Namespace) -> int:
     refuse(args)
     if args.soak:
         return run_soak(args, *_plan(args))
-    args.runs, args.seed = 100 if args.runs is None else args.runs, args.seed or 0
+    if args.map:
+        said = {text.partition("=")[0] for text in args.vary}
+        args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in said)]
+    args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
     if workers < 1:
@@ -406,6 +418,8 @@ def _conclude(
         sys.stderr.write(f"{PARQUET} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
     else:
         files.append(store.put(PARQUET, parquet_bytes(_asked(store, asked), points[-1][0] if points else {})))
+    if args.map:
+        files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
         page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against))
@@ -451,6 +465,9 @@ def _report(args: argparse.Namespace) -> int:
     except OSError as why:
         raise unusable(str(folder / REPORT), why) from why
     sys.stdout.write(f"report: {folder / REPORT}\n")
+    if args.map:
+        write_whole(folder / MAP, render_map(manifest["name"], manifest["perception"], flights_in(path)).encode())
+        sys.stdout.write(f"map: {folder / MAP}\n")
     return 0
 
 

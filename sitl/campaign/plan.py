@@ -264,6 +264,9 @@ def make_plan(
                     files[f"{whose}: {key}{behind}"] = hashlib.blake2b(one.read_bytes(), digest_size=8).hexdigest()
                 if path.suffix == ".toml" and path.parent.parent == SHIPPED:
                     part["file"] = path.stem
+    if scenario.vessel.motion:
+        moved = Path(scenario.vessel.motion)
+        files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)
