@@ -37,6 +37,7 @@ from estimator.vision.regions import (
     Region,
     borders_of,
     circle,
+    depth_in,
     sides_meet,
 )
 
@@ -59,6 +60,8 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     """Lamps that shine upwards, for nights."""
     size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     """Sigma of what was painted or printed against the sizes in this file, m."""
+    ground: str = ""
+    """The paint of the sheet or the deck around; empty where it is not known."""
 
 
 def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
@@ -83,6 +86,9 @@ def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
             )
     for i, lamp in enumerate(file.lamps):
         _check_within(lamp.at_m, f"{where}: lamps[{i}].at_m")
+    if file.ground and file.ground not in file.paints:
+        known = ", ".join(file.paints)
+        raise BadInput(f"{where}: ground {shown(file.ground)} is not in [paints], which has {shown(known)}; add it there")
     check_regions(file.regions, file.paints, where)
     check_lamps(file.lamps, where)
     return file
@@ -122,6 +128,9 @@ def _check_lengths(region: Region, where: str) -> None:
             continue
         if key in ("from_m", "to_m", "points_m", "at_m"):
             _check_within(value, f"{where}.{key}")
+        elif key == "holes_m":
+            for i, hole in enumerate(value):
+                _check_within(hole, f"{where}.{key}[{i}]")
         elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
             raise BadInput(f"{where}.{key} must be {SMALLEST_M:g} to {LARGEST_M:g} m, got {shown(value)}{_cure(value)}")
 
@@ -171,8 +180,21 @@ def _check_shape(region: Region, where: str) -> None:
                     f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, with sides of "
                     f"{SMALLEST_M:g} m at least"
                 )
+            _check_holes(region, where)
         case _:
             pass
+
+
+def _check_holes(region: PaintedPolygon, where: str) -> None:
+    for i, hole in enumerate(region.holes_m):
+        points = np.array(hole, dtype=float).reshape(-1, 2)
+        fits = 3 <= len(points) <= 60 and _is_simple(points)
+        rest = msgspec.structs.replace(region, holes_m=region.holes_m[:i])
+        if not fits or depth_in(rest, points).min() <= _TOUCH_M or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0):
+            raise BadInput(
+                f"{where}.holes_m[{i}] must be 3 to 60 corners of a line that does not touch itself and lies within the polygon, "
+                "beside its other holes"
+            )
 
 
 def _length(points: F64) -> F64:
@@ -205,14 +227,16 @@ class Pad:
     """Sigma of the painted sizes against those of the regions, m: the tolerance of print and deck."""
     lamps: tuple[Lamp, ...] = ()
     """Lamps that shine upwards; their pattern tells its heading."""
+    ground: str = ""
+    """The paint of the sheet or the deck around; empty where it is not known."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints)))
+        object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints), self.ground))
         # A pad is the key of caches that every frame asks.
-        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps)))
+        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground)))
 
     def __hash__(self) -> int:
         return self._hash
@@ -227,7 +251,7 @@ class Pad:
         """
         file: PadFile = pad_file(data, where)
         paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
-        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps)
+        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground)
 
     @property
     def is_identifiable_by_paint(self) -> bool:

