@@ -1,4 +1,4 @@
-"""`decklander pad`: list and check pads, print one or a calibration board to scale."""
+"""`decklander pad`: list, import and check pads, print one or a calibration board to scale."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli import board_option
+from companion.cli import board_option, pad_import
 from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
 from companion.tools.print_pad.pdf import pdf
@@ -29,11 +29,14 @@ from estimator.vision.srgb import LUMA, linear_light
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander pad` to the parser."""
     p = subparsers.add_parser(
-        "pad", help="list, check or print pads", description="List and check pads, print one or a calibration board to scale."
+        "pad",
+        help="list, import, check or print pads",
+        description="List and check pads, make one of a drawing or photograph, print one or a calibration board to scale.",
     )
     actions = p.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("list", help="list the shipped pads", description="List the shipped pads.")
     _add_check(actions)
+    pad_import.add_parser(actions)
     _add_print(actions)
 
 
@@ -76,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
             return 0
         case "check":
             return _check(args)
+        case "import":
+            return pad_import.run(args)
         case _:
             return _print(args)
 

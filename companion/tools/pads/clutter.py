@@ -25,7 +25,7 @@ def view(number: int) -> U8:
     made = _KINDS[number % len(_KINDS)](rng)
     light = (0.3 + 1.1 * float(rng.beta(2.0, 1.5))) * (1.0 + _smooth(rng, 200.0, 0.15)[..., None])
     seen = cv2.GaussianBlur(made * light.astype(np.float32), (0, 0), float(rng.uniform(0.5, 1.6)))
-    noise = rng.normal(0.0, float(rng.uniform(0.5, 5.0)), seen.shape)
+    noise = float(rng.uniform(0.5, 5.0)) * rng.standard_normal(seen.shape, np.float32)
     return np.asarray(np.clip(seen + noise, 0, 255), np.uint8)
 
 
