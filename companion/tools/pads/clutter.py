@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
-WIDTH, HEIGHT = 640, 360
+WIDTH, HEIGHT = 320, 180
 VIEWS = 504
 """Number of views that a pad is priced by."""
 _LETTERS = "HXTLIAVENPRO8305"
@@ -57,7 +57,7 @@ def _place(rng: np.random.Generator) -> tuple[int, int]:
     return int(rng.uniform(0, WIDTH)), int(rng.uniform(0, HEIGHT))
 
 
-def _size(rng: np.random.Generator, least: float = 6.0, most: float = 160.0) -> float:
+def _size(rng: np.random.Generator, least: float = 6.0, most: float = 120.0) -> float:
     return float(np.exp(rng.uniform(math.log(least), math.log(most))))
 
 
@@ -125,7 +125,7 @@ def _grass(rng: np.random.Generator) -> F32:
     dry = float(rng.uniform(0.0, 1.0))
     image = _ground(rng, (45.0, 90.0 + 20.0 * dry, 50.0 + 90.0 * dry), 0.2)
     length = _size(rng, 4.0, 40.0)
-    for _ in range(int(rng.integers(1500, 4000))):
+    for _ in range(int(rng.integers(400, 1000))):
         x, y = _place(rng)
         turn, shade = float(rng.uniform(0.0, math.tau)), float(rng.uniform(0.2, 1.9))
         colour = (40.0 * shade, (95.0 + 15.0 * dry) * shade, (60.0 + 80.0 * dry) * shade)
@@ -137,7 +137,7 @@ def _grass(rng: np.random.Generator) -> F32:
 
 def _asphalt(rng: np.random.Generator) -> F32:
     image = _ground(rng, (90.0, 92.0, 95.0), 0.12)
-    for _ in range(int(rng.integers(800, 3000))):
+    for _ in range(int(rng.integers(200, 800))):
         shade = float(rng.uniform(20.0, 190.0))
         axes = (float(rng.uniform(2, 14)), float(rng.uniform(2, 10)))
         cv2.ellipse(image, (_place(rng), axes, float(rng.uniform(0, 180))), (shade, shade, shade * float(rng.uniform(0.9, 1.1))), -1)
@@ -148,7 +148,7 @@ def _asphalt(rng: np.random.Generator) -> F32:
 
 def _roofs(rng: np.random.Generator) -> F32:
     image = _ground(rng, _colour(rng), 0.08)
-    for _ in range(int(rng.integers(6, 25))):
+    for _ in range(int(rng.integers(4, 14))):
         _box(rng, image)
     for _ in range(int(rng.integers(1, 5))):
         (x, y), step = _place(rng), int(rng.uniform(6, 30))
@@ -173,7 +173,7 @@ def _room(rng: np.random.Generator) -> F32:
 
 def _marks(rng: np.random.Generator) -> F32:
     image = _ground(rng, _colour(rng), 0.04)
-    for _ in range(int(rng.integers(8, 30))):
+    for _ in range(int(rng.integers(5, 16))):
         rng.choice([_round, _outline, _written, _round, _box])(rng, image)
     return _turned(rng, image)
 
