@@ -14,9 +14,11 @@ Source: ROS REP-104 and camera_calibration_parsers; OpenCV, calib3d; Kalibr wiki
 
 import difflib
 import math
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -37,8 +39,7 @@ from estimator.contracts.errors import BadInput, unusable
 from estimator.contracts.geometry import F64
 from estimator.gimbal_history import DOWN
 from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pad_rules import check_for_detection
+from estimator.vision.pad import Calibration, Pad
 
 _DOWN_RPY_DEG = [0.0, 0.0, 90.0]
 _MISFIT_MAX_PX = 0.5
@@ -380,9 +381,27 @@ def _pad(text: str, path: Path) -> Pad:
 
 @lru_cache(maxsize=16)
 def _pad_to_detect(text: str, path: Path) -> Pad:
-    pad = _pad(text, path)
-    check_for_detection(pad.regions, pad.lamps, str(path))
+    pad = with_known_calibration(_pad(text, path))
+    pad.check_for_detection(str(path))
     return pad
+
+
+def with_known_calibration(pad: Pad) -> Pad:
+    """Return a pad with the calibration that was kept for its drawing, if its file has none."""
+    if pad.is_calibrated:
+        return pad
+    try:
+        kept = msgspec.json.decode(calibration_file(pad).read_bytes(), type=Calibration)
+    except (OSError, msgspec.DecodeError):
+        return pad
+    return replace(pad, calibration=kept) if kept.drawing == pad.fingerprint else pad
+
+
+def calibration_file(pad: Pad) -> Path:
+    """Return where the calibration of a drawing is kept: in the service's state, else in the user's cache."""
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    state = os.environ.get("STATE_DIRECTORY")
+    return (Path(state.split(":")[0]) if state else Path(home) / "decklander") / "pads" / f"{pad.fingerprint}.json"
 
 
 def response_model(settings: Settings) -> Response:
