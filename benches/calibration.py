@@ -22,7 +22,7 @@ from companion.tools.calibrate.views import BoardView, Collection  # noqa: E402
 from estimator.contracts.errors import BadInput  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from tests.companion.calibration_images import Studio, lens  # noqa: E402
+from tests.support.calibration_images import Studio, lens  # noqa: E402
 
 BENT = (-0.14, 0.07, 0.0009, -0.0006, 0.0)
 BOARD = Board()

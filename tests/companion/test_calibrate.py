@@ -20,7 +20,7 @@ from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
-from tests.companion.calibration_images import Studio, good_round, lens
+from tests.support.calibration_images import Studio, good_round, lens
 
 CHARUCO = Board()
 CHESSBOARD = Board("chessboard", 8, 5, 0.025)
