@@ -25,7 +25,7 @@ _MOUNT_VAR_MAX_DEG2 = 30.0**2
 _READOUT_MAX_S = 0.1
 _FOCAL_SIGMA_MAX = 0.2
 _WIDEST_RAD = 1.5
-"""Angle from the axis beyond which a fisheye's pixels are taken to look in that direction: the image plane ends at a right angle."""
+"""Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,8 @@ class Camera:
             object.__setattr__(self, "cov_mount", cov)
         known = b"" if self.cov_mount is None else self.cov_mount.tobytes()
         arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes(), known)
-        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.lens, self.focal_sigma, self.readout_s, *arrays)
+        alone = (self.fx, self.fy, self.cx, self.cy, self.focal_sigma, self.readout_s)
+        numbers = (self.width, self.height, self.lens, *alone, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))
 
