@@ -6,8 +6,8 @@
 `companion.settings.model` has the keys; docs/configuration.md is their page.
 
 Camera files of others are read as well: those of ROS (camera_info), OpenCV (FileStorage in YAML or XML) and Kalibr (camchain).
-They say nothing of the mount: the camera then looks straight down with the nose at the image's top. A lens model with more
-coefficients than ours, or another one (rational, fisheye), is fitted by ours over the frame, and refused where that does not fit.
+They say nothing of the mount: the camera then looks straight down with the nose at the image's top. A fisheye (ROS and Kalibr:
+equidistant; OpenCV: fisheye_model) is read as it is. A rational lens is fitted by Brown's, and refused where that does not fit.
 
 Source: ROS REP-104 and camera_calibration_parsers; OpenCV, calib3d; Kalibr wiki, YAML formats.
 """
@@ -107,13 +107,14 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
         raise BadInput(f"{path}: it has no camera matrix (camera_matrix or intrinsics) of four or nine numbers")
     fx, fy, cx, cy = numbers if len(numbers) == 4 else (numbers[k] for k in (0, 4, 2, 5))
     width, height = _size(data, path)
-    kind = str(data.get("distortion_model") or data.get("model") or "")
+    kind = str(data.get("distortion_model") or data.get("model") or ("fisheye" if data.get("fisheye_model") else ""))
     coefficients = _numbers(_first(data, _COEFFICIENTS))
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    distortion = _brown(matrix, (width, height), kind, coefficients, path)
+    size = width, height
+    bent = _fisheye(matrix, size, coefficients, path) if kind in _FISHEYE else _brown(matrix, size, kind, coefficients, path)
     return {
         "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy,
-        "distortion": distortion, "rpy_body_cam_deg": _DOWN_RPY_DEG,
+        "lens": "fisheye" if kind in _FISHEYE else "brown", "distortion": bent, "rpy_body_cam_deg": _DOWN_RPY_DEG,
     }  # fmt: skip
 
 
@@ -136,16 +137,34 @@ def _numbers(value: Any) -> list[float]:
     return flat
 
 
+def _fisheye(matrix: F64, size: tuple[int, int], coefficients: list[float], path: Path) -> list[float]:
+    """Return the four coefficients of a fisheye whose image grows with the angle over the whole frame."""
+    k = [*coefficients, *[0.0] * (4 - len(coefficients))]
+    if len(k) > 4 and not any(k[4:]):
+        k = k[:4]
+    if len(k) > 4:
+        raise BadInput(f"{path}: a fisheye has four coefficients, got {len(k)}")
+    corners = (np.array([(0, 0), (0, size[1] - 1), (size[0] - 1, 0), (size[0] - 1, size[1] - 1)]) - matrix[:2, 2]) / np.diag(
+        matrix
+    )[:2]
+    theta = np.linspace(0.0, 0.5 * np.pi, 200)
+    bent = theta * (1.0 + sum(c * theta ** (2 * n) for n, c in enumerate(k, start=1)))
+    falls = np.flatnonzero(np.diff(bent) <= 0.0)
+    if len(falls) and bent[falls[0]] < np.hypot(*corners.T).max():
+        raise BadInput(f"{path}: its fisheye lens folds the image over within the frame; are the coefficients k1, k2, k3, k4?")
+    return k
+
+
 def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: Path) -> list[float]:
     """Return our five coefficients for a lens of another kind."""
     if kind in _BROWN and len(coefficients) <= 5 and len(coefficients) != 3:
         return [*coefficients, *[0.0] * (5 - len(coefficients))]
     if kind in _BROWN | {"rational_polynomial"} and not any(coefficients[5:]):
         return coefficients[:5]
-    if kind not in _BROWN | _FISHEYE | {"rational_polynomial"}:
+    if kind not in _BROWN | {"rational_polynomial"}:
         raise BadInput(f"{path}: distortion_model {kind!r} is not read; plumb_bob, radtan, rational_polynomial, equidistant are")
     uv = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, _GRID), np.linspace(0, size[1] - 1, _GRID)), axis=2).reshape(-1, 1, 2)
-    xy = _undistorted(uv, matrix, kind, coefficients)
+    xy = _undistorted(uv, matrix, coefficients)
     seen = (uv.reshape(-1, 2) - matrix[:2, 2]) / np.diag(matrix)[:2]
     fitted = _fitted(xy, seen)
     misfit_px = np.linalg.norm((_offsets(xy) @ fitted - (seen - xy).ravel()).reshape(-1, 2) * np.diag(matrix)[:2], axis=1)
@@ -158,14 +177,11 @@ def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[flo
     return [float(v) for v in fitted]
 
 
-def _undistorted(uv: F64, matrix: F64, kind: str, coefficients: list[float]) -> F64:
+def _undistorted(uv: F64, matrix: F64, coefficients: list[float]) -> F64:
     import cv2
 
     known, end = np.array(coefficients, float), (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
-    if kind in _FISHEYE:
-        points = cv2.fisheye.undistortPoints(uv, matrix, known[:4])
-    else:
-        points = cv2.undistortPointsIter(uv, matrix, known, np.eye(3), np.eye(3), end)
+    points = cv2.undistortPointsIter(uv, matrix, known, np.eye(3), np.eye(3), end)
     return np.asarray(points, float).reshape(-1, 2)
 
 
