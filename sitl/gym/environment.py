@@ -13,10 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.guidance.policy import ACTIONS, F32, OBSERVED
 from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
-from sitl.gym.training import ENDS, STEP_S, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
+from sitl.core.abi import ACTION_NUMBERS, VIEW_NUMBERS
+from sitl.gym.training import ENDS, F32, STEP_S, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import Scenario, camera_model, load
 from sitl.world.stage import renderer, sea_and_vessel
 
@@ -47,8 +47,8 @@ def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: 
 
 
 def _spaces() -> tuple[Box, Box]:
-    high = np.full(OBSERVED, _MOST, np.float32)
-    return Box(-high, high, dtype=np.float32), Box(-1.0, 1.0, (ACTIONS,), np.float32)
+    high = np.full(VIEW_NUMBERS, _MOST, np.float32)
+    return Box(-high, high, dtype=np.float32), Box(-1.0, 1.0, (ACTION_NUMBERS,), np.float32)
 
 
 def _info(worlds: TrainingWorlds, index: int) -> dict[str, Any]:
@@ -114,7 +114,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
     def step(self, action: F32) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one step of 20 ms."""
         w = self.worlds
-        w.step(np.asarray(action, np.float32).reshape(1, ACTIONS))
+        w.step(np.asarray(action, np.float32).reshape(1, ACTION_NUMBERS))
         end = int(w.ends[0])
         over = end != _FLYING
         observed = self._observed(w.last_views[0] if over else w.views[0])
@@ -152,7 +152,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
         if self._renderer is None:
             waves, vessel = sea_and_vessel(self.worlds.scenario, [0])
             self._renderer = renderer(self.worlds.scenario, waves, vessel, 0)
-        at = self.worlds.state(0)
+        at = self.worlds.snapshot(0)
         vehicle, deck = at["vehicle"], at["deck"]
         shot = Exposure(
             t_s=float(at["t_s"]),
@@ -202,7 +202,9 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
         self._reward = reward or weighted()
 
-    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[F32, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[F32, dict[str, Any]]:
         """Begin an episode in every world; world i of seed s is the single environment of seed s + i."""
         if isinstance(seed, int) or seed is None:
             super().reset(seed=seed)
@@ -225,7 +227,6 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
 
 def register() -> None:
     """Register the environments; Gymnasium calls this where decklander is installed."""
-    if "Decklander/Land-v0" not in gymnasium.registry:
-        gymnasium.register(
-            "Decklander/Land-v0", entry_point="sitl.gym.environment:LandEnv", vector_entry_point="sitl.gym.environment:LandVectorEnv"
-        )
+    name, here = "Decklander/Land-v0", "sitl.gym.environment:"
+    if name not in gymnasium.registry:
+        gymnasium.register(name, entry_point=f"{here}LandEnv", vector_entry_point=f"{here}LandVectorEnv")

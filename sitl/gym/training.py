@@ -1,8 +1,7 @@
 """Many simulated flights of one scenario in one call of the core, for controllers that learn.
 
-A world begins with its vehicle over the deck and ends with the contact. The sea is that of the scenario, its phases drawn for each
-episode. The estimate is the truth with the filter's errors, dropouts and delay. What a step computes is in
-`sitl/core/training/worlds.c`.
+An episode begins with the vehicle over the deck and ends with the contact. Its sea is the scenario's, with phases of its own. The
+estimate is the truth with the filter's errors, dropouts and delay. The core's part is `sitl/core/training/worlds.c`.
 """
 
 from __future__ import annotations
@@ -10,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.guidance.policy import ACTIONS, F32, OBSERVED, TRIM_TIME_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2
@@ -28,6 +27,7 @@ from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.vessel import Vessel
 from sitl.world.stage import air, airframe, deck_shape, flight_seeds, limits, sea_and_vessel, wind
 
+F32 = NDArray[np.float32]
 Actions = Literal["tilt_thrust", "velocity"]
 Observations = Literal["estimate", "truth"]
 
@@ -36,7 +36,8 @@ STEP_S = 0.02
 _PHYSICS_STEPS = 4
 DOWN_MAX_M_S, YAW_RATE_MAX_RAD_S = 0.5, 0.6
 """Values of a full action: the velocity down against the deck, the turn rate."""
-assert (OBSERVED, ACTIONS) == (VIEW_NUMBERS, ACTION_NUMBERS)
+_TRIM_TIME_S = 2.0
+"""Time constant of the trim."""
 ENDS = tuple(name.removeprefix("EPISODE_").lower() for name in SIM.names("episode_end"))
 """How an episode ends, by the core's number."""
 TERMS = tuple(name.removeprefix("REWARD_").lower() for name in list(SIM.names("reward_term"))[:-1])
@@ -46,10 +47,10 @@ WEIGHTS: Mapping[str, float] = {
 }  # fmt: skip
 """The weights of the shipped reward: the sum of weight times term.
 
-nearer: metres gained, of the distance beside the pad and half of the height over it. outside: -metre seconds outside of a cone over
-the pad in which the camera keeps it in view. effort: -the squared change of the action. time: -seconds. landed: 1 at a soft contact
-on the pad. missed_by: -the distance from the centre at the contact over the pad's radius. speed: -the speeds at the contact over
-their limits. failed: -1 where an episode ends otherwise, but not at its time limit.
+nearer: metres gained, of the distance beside the pad and half of the height over it. outside: -metre seconds outside of a cone
+over the pad in which the camera keeps it in view. effort: -the squared change of the action. time: -seconds. landed: 1 at a soft
+contact on the pad. missed_by: -the distance from the centre at the contact over the pad's radius. speed: -the speeds at the contact
+over their limits. failed: -1 where an episode ends otherwise, but not at its time limit.
 """
 WRONG_SIGMA = {"tilt_p": 0.12, "tilt_d": 0.08, "climb_p": 0.1, "thrust": 0.05, "drag": 0.2, "delay_s": 0.02}
 """Standard deviations of a vehicle against its file: of the logarithm of a factor, of the delay in seconds.
@@ -81,7 +82,7 @@ class TrainingOptions(Struct, frozen=True, kw_only=True):
     wrong_model: float = 1.0
     """Factor on `WRONG_SIGMA`; 0 flies the vehicle of the file."""
     start_low: tuple[float, float, float, float] = (-2.0, -2.0, 2.0, -math.pi)
-    """The least values of the start: the pad forward and right of the body, m; height over it, m; heading against the arrow, rad."""
+    """Least values of the start: the pad forward and right of the body, m; height over it, m; heading against the arrow, rad."""
     start_high: tuple[float, float, float, float] = (2.0, 2.0, 5.0, math.pi)
     time_limit_s: float = 30.0
     vertical_max_m_s: float = 1.0
@@ -129,7 +130,7 @@ class TrainingWorlds:
         self.ends: NDArray[np.int8] = np.zeros(count, np.int8)
         self._actions: F32 = np.zeros((count, ACTION_NUMBERS), np.float32)
         edges = np.linspace(0, count, min(threads, count) + 1).astype(int)
-        self._parts = [self._part(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self._parts = [self._part(int(a), int(b)) for a, b in pairwise(edges)]
         self._pool = ThreadPoolExecutor(len(self._parts) - 1, "worlds") if len(self._parts) > 1 else None
 
     def _part(self, first: int, end: int) -> tuple[int, Any, Any, Any]:
@@ -162,7 +163,7 @@ class TrainingWorlds:
         """The acceleration of a full action."""
         return float(self._rules.acceleration_max_m_s2)
 
-    def state(self, index: int) -> NDArray[Any]:
+    def snapshot(self, index: int) -> NDArray[Any]:
         """Return the core's `sim_training_world` of one world, whose members are read by name."""
         return self._kept[index]  # type: ignore[no-any-return]
 
@@ -207,9 +208,10 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
         harmonics=len(harmonics), physics_steps=_PHYSICS_STEPS, steps_max=round(o.time_limit_s / STEP_S),
         velocity_actions=o.action == "velocity", true_view=o.observation == "truth", view_delay=e.delay_steps, step_s=STEP_S,
         acceleration_max_m_s2=G_M_S2 * math.tan(vehicle.limits.euler_angle_max_rad), velocity_max_m_s=o.velocity_max_m_s,
-        velocity_gain=1.5, down_max_m_s=DOWN_MAX_M_S, yaw_rate_max_rad_s=YAW_RATE_MAX_RAD_S, start_low=o.start_low, start_high=o.start_high, pad_radius_m=pad_model(scenario).disc_radius_m,
+        velocity_gain=1.5, down_max_m_s=DOWN_MAX_M_S, yaw_rate_max_rad_s=YAW_RATE_MAX_RAD_S,
+        start_low=o.start_low, start_high=o.start_high, pad_radius_m=pad_model(scenario).disc_radius_m,
         vertical_max_m_s=o.vertical_max_m_s, lateral_max_m_s=o.lateral_max_m_s, reach_m=o.reach_m,
-        trim_keep=math.exp(-STEP_S / TRIM_TIME_S), place_sigma_m=e.place_m, place_sigma_by_height=e.place_by_height,
+        trim_keep=math.exp(-STEP_S / _TRIM_TIME_S), place_sigma_m=e.place_m, place_sigma_by_height=e.place_by_height,
         velocity_sigma_m_s=e.velocity_m_s, velocity_sigma_by_height=e.velocity_by_height, error_keep=keep, error_fresh=fresh,
         tilt_sigma_rad=math.radians(e.tilt_deg), lost_share=1.0 - math.exp(-e.lost_per_s * STEP_S),
         found_share=1.0 - math.exp(-STEP_S / e.lost_for_s),
