@@ -82,12 +82,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
-    "estimator/relative_estimator.py": {
+    "estimator/pipeline.py": {
         "None if self._newest is None else self.at(self._newest)  ->  self.at(self._newest)": (
             "before the first event there is no pad at any instant"
         ),
+        "True  ->  False": "each path has one result of each event",
     },
-    "estimator/pipeline.py": {"True  ->  False": "each path has one result of each event"},
     "estimator/ekf/filter.py": {
         "self._words.setflags(write=False)  ->  pass": _COPIED,
         "False  ->  True": _COPIED,

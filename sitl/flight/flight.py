@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.health import Health
-from companion.base.mission import FLOWN
+from companion.base.mission import FLOWN, REFUSALS
 from companion.base.observer import Observer, ProcessedFrame, listens
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.arbiter import OperatorArbiter
@@ -45,6 +45,7 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
+from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
@@ -199,6 +200,38 @@ class Flight:
 
     def step(self) -> bool:
         """Run one tick of 5 ms; return False when the flight is over."""
+        now = self._tick()
+        if now is None:
+            return False
+        if self._gone:
+            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+            return not ended and seconds_between(self.world.started, now) < self._limit_s
+        if self._pilot.outcome is not None:
+            return False
+        left_s = self._limit_s - seconds_between(self.world.started, now)
+        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
+
+    def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
+        """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was refused.
+
+        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result of the
+        flight and what observers received are those of the outcome.
+        """
+        world, refused = self.world, None
+        self._observers, self._on_fusion = (), []
+        if self._pilot.outcome in REFUSALS and not self._gone:
+            watch, going = AftermathWatch(world.truth()), True
+            while going and world.at < watch.ends:
+                going = self._tick() is not None
+                if self._ticks % _WATCH_EACH == 0:
+                    watch.step(world.truth(), reached=world.reached)
+            refused = watch.result(world.truth(), world.guidance_phase, None if going else self._grader.died)
+        elif (touch := world.truth().touchdown) is not None:
+            world.advance(after(touch.at, STANDS_AFTER_S))
+        return standing_of(world.truth(), world.pad.disc_radius_m), refused
+
+    def _tick(self) -> MonoNs | None:
+        """Run one tick; return its instant, None where the service died in it."""
         now = MonoNs(self._clock.t + _TICK_NS)
         self._clock.t = now
         self._deliver_commands(now)
@@ -209,8 +242,7 @@ class Flight:
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
-            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
-            return not ended and seconds_between(self.world.started, now) < self._limit_s
+            return now
         try:
             self._serve(now)
         except DecklanderError:
@@ -220,11 +252,8 @@ class Flight:
                 raise
             place = traceback.extract_tb(why.__traceback__)[-1]
             self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-            return False
-        if self._pilot.outcome is not None:
-            return False
-        left_s = self._limit_s - seconds_between(self.world.started, now)
-        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
+            return None
+        return now
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""

@@ -25,6 +25,7 @@ from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, Lig
 from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
+from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
@@ -167,6 +168,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     sea: Sea = Sea()
     vessel: VesselSettings = VesselSettings()
     wind: WindSettings = WindSettings()
+    weather: WeatherSettings = WeatherSettings()
     start: Start = Start()
     camera: CameraView = CameraView()
     gimbal: GimbalSettings = GimbalSettings()
@@ -248,7 +250,9 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         if not isinstance(name, str):
             raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
         base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
-    whole = _merged(base, data)
+    if why := contradicted(data):
+        raise BadInput(f"{path}: {why}")
+    whole = _merged(merged_under(data, base), data)
     try:
         scenario = msgspec.convert(whole, Scenario, strict=True)
     except msgspec.ValidationError as why:
@@ -376,7 +380,7 @@ def ship_model(scenario: Scenario) -> Ship:
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
     v, recorded = scenario.vessel, ship.recorded
-    if scenario.wind.wake and ship.hull.superstructure is None:
+    if scenario.wind.wake and not scenario.weather.given and ship.hull.superstructure is None:
         raise BadInput(f"{where}: wind.wake needs a vessel with a superstructure in its file")
     if recorded is not None:
         if v.moored:
@@ -392,6 +396,20 @@ def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
     if turns and (ship.hull.gm_m is None or ship.hull.kg_m is None):
         raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
     return ship
+
+
+def sea_of(scenario: Scenario) -> Sea:
+    """Return the waves of a scenario: those that its weather raises, or those of its table `sea`."""
+    if not scenario.weather.given:
+        return scenario.sea
+    return scenario.weather.sea(scenario.sea, scenario.wind.from_deg)
+
+
+def wind_of(scenario: Scenario) -> WindSettings:
+    """Return the wind of a scenario: that of its weather, or that of its table `wind`."""
+    if not scenario.weather.given:
+        return scenario.wind
+    return scenario.weather.wind(scenario.wind, superstructure=ship_model(scenario).hull.superstructure is not None)
 
 
 class _One(Struct, frozen=True):

@@ -23,6 +23,8 @@ from sitl.vessel.contact import DeckShape, Ground
 DECK, SEA = TOUCHED_DECK, TOUCHED_SEA
 """Codes of `Vehicle.touched_what`; 0 before any contact."""
 
+_KAIMAL_LAGS = (0.4444, 0.5448, 0.6623)
+"""Correlation of the two lags along, across and up, by their times in `physics/air.c`."""
 _AIR_SEED = 0xA12
 
 
@@ -137,7 +139,7 @@ class Vehicle:
             self.air_noise = NoiseRows.of(
                 np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _AIR_SEED)), FLIGHT_NOISE
             )
-            self._begin_air(self.air_noise)
+            self._begin_air(self.air_noise, air.turbulence == "kaimal")
 
     def _begin_errors(self) -> None:
         """Start the random processes in their steady state."""
@@ -151,19 +153,21 @@ class Vehicle:
             tilt_drift=(drift * start[5], drift * start[6]),
         )  # fmt: skip
 
-    def _begin_air(self, noise: NoiseRows) -> None:
+    def _begin_air(self, noise: NoiseRows, two_lags: bool) -> None:
         """Start turbulence and eddies in their steady state.
 
-        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it.
+        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it. Two lags of the same
+        noise have a correlation of twice the root of their times' product over their sum.
+
+        Args:
+            two_lags: whether each component has two lags of one noise (Kaimal's), instead of a lag of a lag (Dryden's).
         """
         start, second = noise.next(), noise.next()
-        SIM.fill(
-            self.state,
-            air_u=start[0],
-            air_v=(start[1], 0.5 * (start[1] + second[1])),
-            air_w=(start[2], 0.5 * (start[2] + second[2])),
-            eddy=start[3:6],
-        )  # fmt: skip
+        pairs = [
+            (x, rho * x + math.sqrt(1.0 - rho * rho) * y) if two_lags else (x, 0.5 * (x + y))
+            for x, y, rho in zip(start, second, _KAIMAL_LAGS, strict=False)
+        ]
+        SIM.fill(self.state, air_u=pairs[0], air_v=pairs[1], air_w=pairs[2], eddy=start[3:6])
 
     def place(self, p_ned: F64, v_ned: F64, yaw_rad: float) -> None:
         """Put it into the air, hovering and leaning against the steady wind: (3,) m and m/s, and the heading."""

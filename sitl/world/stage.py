@@ -16,7 +16,7 @@ from sitl.camera.light import Light, Mast, Sensor
 from sitl.camera.render.light import Lamps
 from sitl.camera.settings import CLEAR_M
 from sitl.camera.surroundings import Deck, Surroundings
-from sitl.scenario.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, sea_of, ship_model, vehicle_model, wind_of
 from sitl.sea.sea import Waves
 from sitl.vehicle.airframe import Airframe, Avionics, StickLimits
 from sitl.vehicle.disturbances import Wind
@@ -77,13 +77,13 @@ def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
 
 def wind(scenario: Scenario) -> Wind:
     """Return the steady wind with its gusts."""
-    w = scenario.wind
+    w = wind_of(scenario)
     return Wind(wind_from(w.speed_m_s, w.from_deg), w.sigma_m_s, w.time_s)
 
 
 def air(scenario: Scenario, ship: Hull) -> AirModel | None:
     """Return the air, for scenarios that ask for more than a uniform wind with gusts; else None."""
-    return scenario.wind.air(ship, math.radians(scenario.vessel.pad_yaw_deg))
+    return wind_of(scenario).air(ship, math.radians(scenario.vessel.pad_yaw_deg))
 
 
 def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Renderer | Film:
@@ -148,7 +148,7 @@ def _automatics(scenario: Scenario) -> Automatics:
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
     """Return B seas and the B vessels that ride on them, one for each seed."""
     v, ship = scenario.vessel, ship_model(scenario)
-    waves = scenario.sea.waves(seeds)
+    waves = sea_of(scenario).waves(seeds)
     course: dict[str, Any] = {
         "heading_rad": math.radians(v.heading_deg),
         "speed_m_s": v.speed_m_s,
@@ -178,7 +178,7 @@ def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, 
     to_pad = (c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, s.height_m)
     course = math.radians(v.heading_deg)
     speed = v.speed_m_s if s.with_vessel else 0.0
-    north, east = scenario.sea.current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
+    north, east = sea_of(scenario).current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
     along = np.array([speed * math.cos(course) + north, speed * math.sin(course) + east, 0.0])
     vehicle.place(p_pad_ned - to_pad, along, heading)
 

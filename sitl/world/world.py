@@ -28,7 +28,7 @@ from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.faults.timer import FaultTimer
-from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
@@ -145,7 +145,7 @@ class World:
             airframe(scenario), shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
         )
         self._vehicle.limits = limits(scenario)
-        self._vehicle.current = scenario.sea.current_ne_m_s
+        self._vehicle.current = sea_of(scenario).current_ne_m_s
         self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors)
         self._tick = 0
         self.now = start
