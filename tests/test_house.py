@@ -43,7 +43,7 @@ LAB = {
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
-ROS2 = {"companion/tools/ros2/bag.py", "companion/tools/ros2/typestore.py"}
+ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typestore")}
 """What needs the extra `ros2`. It asks `require_rosbags` first."""
 
 COMPARE = {"estimator/constant_velocity.py"}

@@ -18,7 +18,7 @@ import numpy as np
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
 from companion.tools.calibrate import assess
-from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.board import BOARDS, Board
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.guide import Guide, GuideState, add_file, image_files, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
@@ -72,7 +72,10 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="stop the live camera after this many seconds (default: %(default)s)",
     )
     p.add_argument(
-        "--board", default="charuco", choices=["charuco", "chessboard"], help="kind of the printed board (default: %(default)s)"
+        "--board",
+        default="charuco",
+        choices=BOARDS,
+        help="kind of the printed board (default: %(default)s)",
     )
     board_option.add(p)
     p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
@@ -148,7 +151,9 @@ def _run_camera(args: argparse.Namespace) -> int:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         try:
             others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
-            out.write_text(text(solution, f"{source} ({args.board} {args.squares}, {found.grade})", rpy), encoding="utf-8")
+            out.write_text(
+                text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy), encoding="utf-8"
+            )
             for path, content in others.items():
                 path.write_text(content, encoding="utf-8")
         except OSError as why:

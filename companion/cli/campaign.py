@@ -93,6 +93,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of scenario or settings another value"
     )
+    parser.add_argument(
+        "--wrong-model",
+        type=float,
+        metavar="SIGMA",
+        help="let each seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
+    )
     where = parser.add_argument_group("where to fly and to keep")
     where.add_argument("--workers", type=int, metavar="K", help="number of processes (default: one for each core)")
     where.add_argument("--scheduler", metavar="URL", help="fly on the Dask cluster of this scheduler, as tcp://host:8786")
@@ -140,6 +147,8 @@ def run(args: argparse.Namespace) -> int:
         return _report(args)
     if args.folder is not None:
         raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
+    if args.wrong_model is not None:
+        args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
     campaign_soak.refuse(args)
     if args.soak:
         return campaign_soak.run(args, *_plan(args))

@@ -48,6 +48,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
     )
     parser.add_argument(
+        "--wrong-model",
+        type=float,
+        metavar="SIGMA",
+        help="let the seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
+    )
+    parser.add_argument(
         "--base",
         metavar="SCENARIO",
         help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
@@ -90,6 +97,8 @@ def run(args: argparse.Namespace) -> int:
     perception = perception_level(args.perception)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
+    if args.wrong_model is not None:
+        args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
     if args.set and args.follow is not None:
         raise BadInput("--set does not go with --follow")
     if args.pad is not None and args.follow is not None:

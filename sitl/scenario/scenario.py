@@ -26,11 +26,13 @@ from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
+from sitl.scenario.wrong_model import WrongModel
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
 from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
@@ -179,6 +181,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     video: VideoSettings = VideoSettings()
     sensors: SensorSettings = SensorSettings()
     vehicle: VehicleSettings = VehicleSettings()
+    effects: EffectSettings = EffectSettings()
+    wrong_model: WrongModel = WrongModel()
     faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
     expect: Annotated[
         Literal["land", "refuse", "go_around", "hold", "either"],

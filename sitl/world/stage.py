@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.vision.camera import Camera
 from sitl.camera.automatic import Automatics
 from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
@@ -46,10 +47,23 @@ def flight_seeds(seed: int) -> Seeds:
 
 
 def airframe(scenario: Scenario) -> Airframe:
-    """Return the vehicle that a scenario asks for; the inertia is scaled with the mass."""
-    s = scenario.sensors
+    """Return the vehicle that a scenario asks for, as far as it differs from its model; the inertia is scaled with the mass."""
+    s, wrong, believed = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
+    loops, (x, y, z) = believed.loops, believed.drag_per_s
     return replace(
-        scenario.vehicle.airframe(vehicle_model(scenario)),
+        believed,
+        mass_kg=believed.mass_kg + scenario.effects.unknown_mass_kg,
+        loops=replace(
+            loops,
+            tilt_p=loops.tilt_p * wrong.tilt_frequency**2,
+            tilt_d=loops.tilt_d * wrong.tilt_frequency * wrong.tilt_damping,
+            tilt_gain=wrong.tilt_gain,
+        ),
+        drag_per_s=(x * wrong.drag, y * wrong.drag, z * wrong.drag),
+        command_delay_s=max(0.0, believed.command_delay_s + wrong.command_delay_s),
+        effects=msgspec.structs.replace(scenario.effects, drag_per_m=scenario.effects.drag_per_m * wrong.drag),
+        lift_share=wrong.thrust,
+        downwash_share=wrong.downwash,
         avionics=Avionics(
             tilt_bias_sigma_rad=math.radians(s.tilt_bias_sigma_deg),
             tilt_drift_sigma_rad=math.radians(s.tilt_drift_sigma_deg),
@@ -61,6 +75,16 @@ def airframe(scenario: Scenario) -> Airframe:
             flow_sees_deck=s.velocity_over == "seen",
         ),
     )
+
+
+def true_camera(scenario: Scenario) -> Camera:
+    """Return the camera as it is, where focal length and mount differ from its file."""
+    camera, wrong = camera_model(scenario), scenario.wrong_model
+    turned = [math.radians(angle) for angle in (wrong.mount_roll_deg, wrong.mount_pitch_deg, wrong.mount_yaw_deg)]
+    if wrong.focal_length == 1.0 and not any(turned):
+        return camera
+    mount = Transform(Rotation.from_rpy(*turned) @ camera.T_body_cam.R, camera.T_body_cam.t)
+    return replace(camera, fx=camera.fx * wrong.focal_length, fy=camera.fy * wrong.focal_length, T_body_cam=mount)
 
 
 def limits(scenario: Scenario) -> StickLimits:
@@ -118,7 +142,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
     sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e, readout_s=c.readout_s)
     water = Drops(d.rain_per_minute / 60.0, d.spray_per_minute / 60.0, d.spray_drops, d.radius_px, d.stays_s, seed)
     one_by_one = Renderer(
-        camera_model(scenario),
+        true_camera(scenario),
         pad_model(scenario),
         scene,
         light,

@@ -22,6 +22,7 @@ from tests.companion.calibration_images import Studio, good_round, lens
 
 CHARUCO = Board()
 CHESSBOARD = Board("chessboard", 8, 5, 0.025)
+APRILGRID = Board("aprilgrid", 4, 3, 0.052, 0.04)
 BENT = lens(480, 320, 350.0, (-0.14, 0.07, 0.0009, -0.0006, 0.0))
 STRAIGHT = lens(480, 320, 390.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 
@@ -33,6 +34,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for board, camera, distance_m, inset, middle in (
         (CHARUCO, BENT, 0.30, (0.14, 0.2), 0.65),
         (CHESSBOARD, STRAIGHT, 0.70, (0.15, 0.22), 0.5),
+        (APRILGRID, BENT, 0.30, (0.14, 0.2), 0.65),
     ):
         folder = out[board.kind] = tmp_path_factory.mktemp(board.kind)
         for i, px in enumerate(good_round(Studio(camera, board), distance_m, inset, middle)):
@@ -50,7 +52,11 @@ def worst_px(found: Camera, true: Camera) -> float:
 
 @pytest.mark.parametrize(
     ("kind", "true", "more"),
-    [("charuco", BENT, []), ("chessboard", STRAIGHT, ["--board", "chessboard", "--squares", "8x5"])],
+    [
+        ("charuco", BENT, []),
+        ("chessboard", STRAIGHT, ["--board", "chessboard", "--squares", "8x5"]),
+        ("aprilgrid", BENT, ["--board", "aprilgrid", "--squares", "4x3", "--square-mm", "52", "--marker-mm", "40"]),
+    ],
 )
 def test_a_known_camera_is_recovered(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, true: Camera, more: list[str]

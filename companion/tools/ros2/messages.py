@@ -73,6 +73,11 @@ def enu_attitude(R_ned_body: Rotation) -> Rotation:
     return Rotation(_ENU_NED @ R_ned_body.matrix @ UP)
 
 
+def from_enu_attitude(R_map_link: Rotation) -> Rotation:
+    """Return the attitude of a rotation from `base_link` to `map`: the inverse of `enu_attitude`."""
+    return Rotation(_ENU_NED.T @ R_map_link.matrix @ UP)
+
+
 def camera_rotation(R_body_cam: Rotation) -> Rotation:
     """Return the rotation from `camera_optical_frame` to `base_link` of a camera's mount."""
     return Rotation(UP @ R_body_cam.matrix)
