@@ -192,9 +192,9 @@ enum episode_end {
     EPISODE_GOES_ON, EPISODE_LANDED, EPISODE_OFF_PAD, EPISODE_HARD, EPISODE_IN_WATER, EPISODE_LEFT, EPISODE_TIMED_OUT,
 };
 
-/* The numbers of a world that a wrong model changes: each a factor on the vehicle's, or seconds of delay more. */
+/* What a wrong model changes: factors on the vehicle's, and seconds of delay more. */
 enum wrong_number {
-    WRONG_TILT_P, WRONG_TILT_D, WRONG_CLIMB_P, WRONG_THRUST, WRONG_DRAG, WRONG_DELAY_S, WRONG_NUMBERS,
+    WRONG_TILT_FREQUENCY, WRONG_TILT_DAMPING, WRONG_THRUST, WRONG_DRAG, WRONG_COMMAND_DELAY_S, WRONG_NUMBERS,
 };
 
 enum {

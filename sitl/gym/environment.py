@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -42,7 +42,7 @@ def weighted(weights: Mapping[str, float] = WEIGHTS) -> Reward:
 def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: int, options: dict[str, Any]) -> TrainingWorlds:
     chosen = load(scenario) if isinstance(scenario, str) else scenario
     if vehicle is not None:
-        chosen = replace(chosen, vehicle=replace(chosen.vehicle, model=vehicle))
+        chosen = replace(chosen, vehicle=replace(chosen.vehicle, file=vehicle))
     return TrainingWorlds(chosen, count, TrainingOptions(**options), threads)
 
 
@@ -77,7 +77,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
         BadInput: there is no such scenario or vehicle, or its vessel keeps no steady course.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": round(1.0 / STEP_S)}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": round(1.0 / STEP_S)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -92,7 +92,8 @@ class LandEnv(gymnasium.Env[Any, F32]):
     ) -> None:
         seen = "truth" if perception == "truth" or observation == "truth" else "estimate"
         self.worlds = _worlds(scenario, vehicle, 1, 1, {"observation": seen, **options})
-        self.observation_space, self.action_space = _spaces()
+        numbers, self.action_space = _spaces()
+        self.observation_space: gymnasium.Space[Any] = numbers
         self.render_mode, self._pixels, self._reward = render_mode, observation == "pixels", reward or weighted()
         self._grain = np.random.default_rng(_GRAIN)
         self._renderer: Any = None
@@ -181,7 +182,7 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         BadInput: as `LandEnv`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(
         self,

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2
-from sitl.core.abi import ACTION_NUMBERS, HARMONICS_MAX, REWARD_TERMS, VIEW_NUMBERS, VIEWS_MAX, WRONG_NUMBERS
+from sitl.core.abi import ACTION_NUMBERS, HARMONICS_MAX, REWARD_TERMS, VIEW_NUMBERS, VIEWS_MAX
 from sitl.core.library import SIM
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal
+from sitl.scenario.wrong_model import SPREADS
 from sitl.vehicle.disturbances import keep_and_fresh
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.vessel import Vessel
@@ -49,15 +50,11 @@ WEIGHTS: Mapping[str, float] = {
 
 nearer: metres gained, of the distance beside the pad and half of the height over it. outside: -metre seconds outside of a cone
 over the pad in which the camera keeps it in view. effort: -the squared change of the action. time: -seconds. landed: 1 at a soft
-contact on the pad. missed_by: -the distance from the centre at the contact over the pad's radius. speed: -the speeds at the contact
-over their limits. failed: -1 where an episode ends otherwise, but not at its time limit.
+contact on the pad. missed_by: -the distance from the centre at the contact over the pad's radius. speed: -the speeds at the
+contact over their limits. failed: -1 where an episode ends otherwise, but not at its time limit.
 """
-WRONG_SIGMA = {"tilt_p": 0.12, "tilt_d": 0.08, "climb_p": 0.1, "thrust": 0.05, "drag": 0.2, "delay_s": 0.02}
-"""Standard deviations of a vehicle against its file: of the logarithm of a factor, of the delay in seconds.
-
-They are those which an owner's identification leaves (docs/sitl.md, wrong models).
-"""
-assert [f"WRONG_{name.upper()}" for name in WRONG_SIGMA] == list(SIM.names("wrong_number"))[:WRONG_NUMBERS]
+_WRONG = tuple(name.removeprefix("WRONG_").lower() for name in list(SIM.names("wrong_number"))[:-1])
+"""The differences of a wrong model that are drawn for each episode."""
 
 
 class EstimateErrors(Struct, frozen=True, kw_only=True):
@@ -80,7 +77,7 @@ class TrainingOptions(Struct, frozen=True, kw_only=True):
     action: Actions = "tilt_thrust"
     observation: Observations = "estimate"
     wrong_model: float = 1.0
-    """Factor on `WRONG_SIGMA`; 0 flies the vehicle of the file."""
+    """Differences of the vehicle from its file, in standard deviations (`sitl.scenario.wrong_model.SPREADS`); 0 for none."""
     start_low: tuple[float, float, float, float] = (-2.0, -2.0, 2.0, -math.pi)
     """Least values of the start: the pad forward and right of the body, m; height over it, m; heading against the arrow, rad."""
     start_high: tuple[float, float, float, float] = (2.0, 2.0, 5.0, math.pi)
@@ -192,10 +189,10 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
     """
     _, vessel = sea_and_vessel(scenario, [0])
     if type(vessel) is not Vessel:
-        raise BadInput(f"scenario {scenario.name}: training worlds need a vessel on a steady course")
+        raise BadInput("training worlds need a vessel on a steady course")
     harmonics = vessel.harmonics[0]
     if len(harmonics) > HARMONICS_MAX:
-        raise BadInput(f"scenario {scenario.name}: {len(harmonics)} waves, and training worlds hold {HARMONICS_MAX}")
+        raise BadInput(f"the scenario has {len(harmonics)} waves, and training worlds hold {HARMONICS_MAX}")
     physics_s = STEP_S / _PHYSICS_STEPS
     shape = deck_shape(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
     vehicle = Vehicle(airframe(scenario), shape, physics_s, flight_seeds(0).flight, wind(scenario), air(scenario, vessel.hull))
@@ -215,7 +212,7 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
         velocity_sigma_m_s=e.velocity_m_s, velocity_sigma_by_height=e.velocity_by_height, error_keep=keep, error_fresh=fresh,
         tilt_sigma_rad=math.radians(e.tilt_deg), lost_share=1.0 - math.exp(-e.lost_per_s * STEP_S),
         found_share=1.0 - math.exp(-STEP_S / e.lost_for_s),
-        wrong_sigma=[o.wrong_model * sigma for sigma in WRONG_SIGMA.values()],
+        wrong_sigma=[o.wrong_model * SPREADS[name] for name in _WRONG],
     )  # fmt: skip
     SIM.fill(SIM.ffi.addressof(rules, "course"), v=vessel.way_at(0.0), heading_rad=float(vessel.heading_rad[0]))
     SIM.fill(SIM.ffi.addressof(rules, "pad"), d=vessel.d_vessel_pad, R=vessel.R_vessel_pad.matrix)

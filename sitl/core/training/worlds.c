@@ -116,34 +116,35 @@ static void draw_vehicle(const sim_training *o, sim_training_world *w)
     }
     sim_vehicle_params *p = &w->vehicle_params;
     *p = o->vehicle_params;
-    p->tilt_p *= exp(by[WRONG_TILT_P]);
-    p->tilt_d *= exp(by[WRONG_TILT_D]);
-    p->climb_p *= exp(by[WRONG_CLIMB_P]);
-    p->thrust_max_n *= exp(by[WRONG_THRUST]);
+    const double frequency = exp(by[WRONG_TILT_FREQUENCY]);
+    p->tilt_p *= frequency * frequency;
+    p->tilt_d *= frequency * exp(by[WRONG_TILT_DAMPING]);
+    p->effects.lift_share *= exp(by[WRONG_THRUST]);
+    p->effects.on = p->effects.on || o->wrong_sigma[WRONG_THRUST] > 0.0;
     for (int i = 0; i < 3; i++) {
         p->drag_per_s[i] *= exp(by[WRONG_DRAG]);
     }
-    const double steps = fabs(by[WRONG_DELAY_S]) / p->step_s;
+    const double steps = by[WRONG_COMMAND_DELAY_S] / p->step_s;
     p->delay_steps = (int64_t)clip((double)p->delay_steps + rint(steps), 0.0, COMMANDS_MAX);
 }
 
 /* The steady state of turbulence, eddies, gusts and errors (`Vehicle._begin_errors`, `_begin_air`). */
 static void draw_disturbances(const sim_vehicle_params *p, double tilt_sigma_rad, uint64_t random[4], sim_vehicle *v)
 {
-    double n[12];
-    normals(random, 12, n);
+    double n[13];
+    normals(random, 13, n);
     for (int i = 0; i < 2; i++) {
         v->gust[i] = p->gust_sigma_m_s * n[i];
         v->tilt_bias[i] = tilt_sigma_rad * n[2 + i];
     }
     v->gust[2] = 0.5 * p->gust_sigma_m_s * n[4];
-    v->air_u = n[5];
-    v->air_v[0] = n[6];
-    v->air_v[1] = 0.5 * (n[6] + n[7]);
-    v->air_w[0] = n[8];
-    v->air_w[1] = 0.5 * (n[8] + n[9]);
-    v->eddy[0] = n[10];
-    v->eddy[1] = n[11];
+    double *const air[3] = {v->air_u, v->air_v, v->air_w};
+    for (int i = 0; i < 3; i++) {
+        air[i][0] = n[5 + i];
+        air[i][1] = 0.5 * (n[5 + i] + n[8 + i]);
+    }
+    v->eddy[0] = n[11];
+    v->eddy[1] = n[12];
 }
 
 static void quaternion_about_down(double angle, double q[4])
@@ -330,13 +331,16 @@ static void learn_trim(const sim_training *o, sim_training_world *w)
 /* Fly up to the next command, or up to a contact; return whether there was one. */
 static int fly(const sim_training *o, sim_training_world *w)
 {
-    double noise[2][FLIGHT_NOISE];
+    double noise[2][FLIGHT_NOISE], rough[EFFECT_NOISE] = {0.0};
     sim_vehicle *v = &w->vehicle;
     const double before = v->touched_s;
     for (int64_t i = 1; i <= o->physics_steps; i++) {
         deck_between(o, w, (double)i / (double)o->physics_steps, &w->deck);
         normals(w->random, 2 * FLIGHT_NOISE, noise[0]);
-        sim_vehicle_step(&w->vehicle_params, v, &w->deck, 0.0, 0.0, noise[0], noise[1]);
+        if (w->vehicle_params.effects.on) {
+            normals(w->random, EFFECT_NOISE, rough);
+        }
+        sim_vehicle_step(&w->vehicle_params, v, &w->deck, 0.0, 0.0, noise[0], noise[1], rough);
         if (v->touched_what != 0 && v->touched_s != before) {
             return 1;
         }
