@@ -35,7 +35,7 @@ from sitl.vehicle.airframe import load as load_vehicle
 from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
-from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
+from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
@@ -269,6 +269,8 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         said: Any = data.get(table, {})
         if "file" in said:
             whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
+        if said.get("motion"):
+            whole[table]["motion"] = str(path.parent / said["motion"])
     return whole
 
 
@@ -377,9 +379,13 @@ def ship_model(scenario: Scenario) -> Ship:
     """
     v = scenario.vessel
     if v.file is None:
-        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
-    path = _find(v.file, "vessels", Path(), "vessel.file")
-    return _fitting(load_vessel(path), scenario, str(path))
+        ship, where = Ship(hull(v.hull or DEFAULT_HULL)), f"hull {v.hull or DEFAULT_HULL}"
+    else:
+        path = _find(v.file, "vessels", Path(), "vessel.file")
+        ship, where = load_vessel(path), str(path)
+    if v.motion:
+        ship, where = Ship(ship.hull, RecordedMotion.of_file(Path(v.motion), v.motion_smooth_s), random_start=True), v.motion
+    return _fitting(ship, scenario, where)
 
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
