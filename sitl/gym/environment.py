@@ -46,7 +46,7 @@ def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: 
     return TrainingWorlds(chosen, count, TrainingOptions(**options), threads)
 
 
-def _spaces() -> tuple[Box, Box]:
+def _spaces() -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
     high = np.full(VIEW_NUMBERS, _MOST, np.float32)
     return Box(-high, high, dtype=np.float32), Box(-1.0, 1.0, (ACTION_NUMBERS,), np.float32)
 
@@ -92,8 +92,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
     ) -> None:
         seen = "truth" if perception == "truth" or observation == "truth" else "estimate"
         self.worlds = _worlds(scenario, vehicle, 1, 1, {"observation": seen, **options})
-        numbers, self.action_space = _spaces()
-        self.observation_space: gymnasium.Space[Any] = numbers
+        self.observation_space, self.action_space = _spaces()
         self.render_mode, self._pixels, self._reward = render_mode, observation == "pixels", reward or weighted()
         self._grain = np.random.default_rng(_GRAIN)
         self._renderer: Any = None
