@@ -23,8 +23,9 @@ from estimator.contracts.samples import (
     VehicleStatus,
 )
 from estimator.contracts.time import MonoNs
-from estimator.integrity import arbiter, clock, frames, heading, heights, inertial, sensors, tracks, view
+from estimator.integrity import arbiter, clock, heading, heights, inertial, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
+from estimator.integrity.sensors import FrameWatch
 
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
@@ -43,7 +44,7 @@ class IntegrityGuard(Struct, frozen=True):
     options: IntegrityOptions = field(default_factory=IntegrityOptions)
     clock: clock.ClockWatch = field(default_factory=clock.ClockWatch)
     sensors: Mapping[type, sensors.SensorWatch] = field(default_factory=dict)
-    frames: frames.FrameWatch = field(default_factory=frames.FrameWatch)
+    frames: FrameWatch = field(default_factory=FrameWatch)
     view: view.ViewWatch = field(default_factory=view.ViewWatch)
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
     heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
@@ -130,7 +131,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
     """Check one frame before detection; return REPEATED if its pixels were received before."""
-    watch, repeated = frames.watch(guard.frames, frame.px)
+    watch, repeated = sensors.watch_frame(guard.frames, frame.px)
     return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
 
 
