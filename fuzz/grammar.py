@@ -18,8 +18,9 @@ import numpy as np
 
 from companion.settings.load import read_camera
 from drivers.camera.images import ImageRefused, decode
-from drivers.imports import ardrone_capture, dataflash, image_folder, parameter_file, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.log_history import parameters_of
 from drivers.imports.stamps import Tell
 from drivers.nmea.sentences import NmeaReader
 from estimator.contracts.errors import BadInput
@@ -65,7 +66,7 @@ def _heights(read: Callable[[Path, Tell], object]) -> Callable[[Path, Tell], set
 
 
 def _parameters(path: Path, _: Tell) -> set[float]:
-    return {round(value, 6) for value in parameter_file.read_history(path).parameters.values()}
+    return {round(value, 6) for value in parameters_of(path).parameters.values()}
 
 
 def _camera(path: Path, _: Tell) -> set[float]:
