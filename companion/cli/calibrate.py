@@ -90,8 +90,8 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     p.add_argument(
         "--accept",
         default="good",
-        choices=assess.GRADES[:-1],
-        help="write the camera file if the grade is this or better (default: %(default)s)",
+        choices=assess.GRADES,
+        help="write the camera file if the grade is this or better; poor is --force (default: %(default)s)",
     )
     p.add_argument("--force", action="store_true", help="write the camera file even if it is poor, and print what that costs")
     p.add_argument(

@@ -405,7 +405,8 @@ int main(int count, char **files)
     }
     report("dl_law_axis_step dl_law_step");
     simulator();
-    report("sim_vehicle_step sim_vehicle_carry sim_run sim_sensors_read sim_vessel_moved sim_vessel_mounted");
+    report("sim_vehicle_step sim_vehicle_carry sim_run sim_sensors_read sim_vessel_moved sim_vessel_mounted "
+           "sim_training_begin sim_training_step_all");
     return 0;
 }
 #endif

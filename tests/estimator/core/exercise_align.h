@@ -28,7 +28,8 @@ static pad_template random_template(int half, double radius_m)
 
 static camera_lens random_camera(int bent)
 {
-    camera_lens c = {40 + draw() % 60, 30 + draw() % 40, bent, 60.0 + uniform(), 60.0 + uniform(), 40.0, 25.0, {0.0}, {0.0}};
+    camera_lens c = {40 + draw() % 60, 30 + draw() % 40, bent, bent && draw() % 2,
+                     60.0 + uniform(), 60.0 + uniform(), 40.0, 25.0, {0.0}, 0.0, {0.0}};
     for (int k = 0; k < 5 && bent; k++) {
         c.distortion[k] = 0.1 * uniform();
     }

@@ -48,7 +48,7 @@ static void light_frame(const camera_lens *c, const lamp_pattern *pad, const pad
 static void look_for_lamps(int kind)
 {
     camera_lens c = {kind % 6 == 5 ? 1 + draw() % 3 : 20 + draw() % 300, kind % 8 == 7 ? 1 + draw() % 3 : 20 + draw() % 200, kind % 5 == 1,
-                     90.0, 91.0, 0.0, 0.0, {0.02, -0.01, 0.001, 0.002, 0.001}, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
+                     kind % 10 == 1, 90.0, 91.0, 0.0, 0.0, {0.02, -0.01, 0.001, 0.002, 0.001}, 0.0, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
     tilt_prior prior = {1, 0.02 * uniform(), 0.02 * uniform(), {1e-4, 0.0, 0.0, 1e-4}, 0.03};
     lamps_expected at = {{{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.3 + 2.0 * fabs(uniform())}}, 8.0};
     lamp_pattern pad;

@@ -47,7 +47,8 @@ static void sail(int kind, int steps, double poison)
     sim_water *sea = calloc(1, sizeof *sea);
     sim_wave *waves = calloc(3, sizeof *waves);
     sim_deck *decks = calloc((size_t)steps, sizeof *decks);
-    double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps);
+    double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps),
+           *effects = numbers(EFFECT_NOISE * steps);
     vehicle_parameters(o, kind);
     for (int i = 0; i < steps; i++) {
         decks[i].p[2] = -0.5, decks[i].R[0] = decks[i].R[4] = decks[i].R[8] = 1.0;
@@ -61,19 +62,59 @@ static void sail(int kind, int steps, double poison)
     v->phase = kind % 2 ? PHASE_LANDING : PHASE_FLYING, v->q[0] = v->R[0] = v->R[4] = v->R[8] = v->attached_q[0] = 1.0;
     v->p[1] = kind == 6 ? 3.0 : 0.0, v->p[2] = -1.1 * poison, v->airborne_s = 1.0, v->thrust_n = 14.0, v->touched_s = NAN;
     v->driven_n = 10.0;
-    sim_vehicle_step(o, v, decks, 0.0, 0.0, noise, air);
+    sim_vehicle_step(o, v, decks, 0.0, 0.0, noise, air, effects);
     const sim_flight flown = {o, v, e, s, sea, waves, 3};
     for (int done = 0; done < steps;) {
         done += sim_run(&flown, steps - done, decks + done, noise + FLIGHT_NOISE * done, air + FLIGHT_NOISE * done,
-                        sensed + SENSOR_NOISE * done);
+                        effects + EFFECT_NOISE * done, sensed + SENSOR_NOISE * done);
     }
     sim_sensors_read(o, v, e, s, out);
     fold(v->p, 3), fold(v->v, 3), fold(v->air, 3), fold(out->f_body, 3), fold(&out->pressure_pa, 1);
     sim_vehicle_carry(v, decks);
-    void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed};
+    void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed, effects};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
+}
+
+/* Worlds to train in: episodes that end on the deck, beside it and by time, with every kind of action and of view. */
+static void train(int kind, int steps)
+{
+    enum { WORLDS = 3 };
+    sim_training *rules = calloc(1, sizeof *rules);
+    sim_training_world *worlds = calloc(WORLDS, sizeof *worlds);
+    float *views = calloc(WORLDS * VIEW_NUMBERS, sizeof *views), *last = calloc(WORLDS * VIEW_NUMBERS, sizeof *last);
+    float actions[WORLDS * ACTION_NUMBERS], terms[WORLDS * REWARD_TERMS], touchdowns[WORLDS * 3];
+    int8_t ends[WORLDS];
+    const sim_training_step out = {views, terms, last, touchdowns, ends};
+    vehicle_parameters(&rules->vehicle_params, kind);
+    rules->harmonics = kind % 3 ? HARMONICS_MAX : 0, rules->physics_steps = 5, rules->steps_max = 40, rules->step_s = 0.02;
+    rules->velocity_actions = kind % 2, rules->true_view = kind == 3, rules->view_delay = kind % 4 == 1 ? VIEWS_MAX - 1 : kind % 4;
+    rules->acceleration_max_m_s2 = 3.0, rules->velocity_max_m_s = 1.0, rules->velocity_gain = 2.0, rules->down_max_m_s = 0.8;
+    rules->yaw_rate_max_rad_s = 1.0, rules->start_high[0] = rules->start_high[1] = 0.5, rules->start_low[2] = 0.5;
+    rules->start_high[2] = 1.0, rules->pad_radius_m = 0.39, rules->vertical_max_m_s = 1.0, rules->lateral_max_m_s = 0.5;
+    rules->reach_m = kind == 5 ? 0.1 : 10.0, rules->trim_keep = rules->error_keep = 0.9, rules->error_fresh = 0.4;
+    rules->place_sigma_m = rules->tilt_sigma_rad = 0.02, rules->lost_share = 0.1, rules->found_share = 0.3;
+    rules->pad.R[0] = rules->pad.R[4] = rules->pad.R[8] = 1.0;
+    rules->vehicle.phase = PHASE_FLYING, rules->vehicle.q[0] = rules->vehicle.attached_q[0] = 1.0;
+    rules->vehicle.R[0] = rules->vehicle.R[4] = rules->vehicle.R[8] = 1.0, rules->vehicle.thrust_n = 14.0, rules->vehicle.touched_s = NAN;
+    for (int i = 0; i < HARMONICS_MAX; i++) {
+        rules->sway[i].by_re[2] = 0.01, rules->sway[i].turn_re = 0.9998, rules->sway[i].turn_im = 0.02;
+    }
+    for (int i = 0; i < WORLDS; i++) {
+        worlds[i].random[0] = (uint64_t)draw() + 1;
+    }
+    sim_training_begin(rules, WORLDS, worlds, views);
+    for (int n = 0; n < steps; n++) {
+        for (int i = 0; i < WORLDS * ACTION_NUMBERS; i++) {
+            actions[i] = (float)uniform();
+        }
+        sim_training_step_all(rules, WORLDS, worlds, actions, &out);
+    }
+    for (int i = 0; i < WORLDS; i++) {
+        found += ends[i] + terms[i * REWARD_TERMS] * 1e-3;
+    }
+    free(rules), free(worlds), free(views), free(last);
 }
 
 /* A vessel's motion at equal and at other steps of time, and that of a point on her. */
@@ -107,6 +148,7 @@ static void simulator(void)
     for (int kind = 0; kind <= 6; kind++) {
         sail(kind, 1500, 1.0);
         sail(kind, 20, poisons[kind % 4]);
+        train(kind, 120);
         ride(kind, 1 + 20 * kind);
     }
 }
