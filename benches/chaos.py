@@ -54,9 +54,8 @@ _WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))
 _SETPOINT, _HEARTBEAT = 84, 0
 _SO_TIMESTAMPNS = 35
 """Socket option of <asm-generic/socket.h>, which Python does not name."""
-_OWN_GAP = {"link_stalls", "link_moves", "service_stopped"}
-"""Events whose gap is the link's own, or that of the service that was stopped. A listening port answers a vehicle that moved to
-another address once the old one has been silent for 3 s."""
+_OWN_GAP = {"link_stalls", "service_stopped"}
+"""Events whose gap is the link's own, or that of the service that was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
