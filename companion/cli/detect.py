@@ -36,7 +36,6 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
-from estimator.vision.pad_rules import check_for_detection
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
@@ -221,7 +220,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
         pad = Pad.from_mapping(read_toml(path), str(path))
-        check_for_detection(pad.regions, pad.lamps, str(path))
+        pad.check_for_detection(str(path))
     return _Model(camera, camera_source, pad)
 
 

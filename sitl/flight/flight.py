@@ -216,8 +216,8 @@ class Flight:
     def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
         """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was refused.
 
-        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result of the
-        flight and what observers received are those of the outcome.
+        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result
+        of the flight and what observers received are those of the outcome.
         """
         world, refused = self.world, None
         self._observers, self._on_fusion = (), []
@@ -393,7 +393,7 @@ class Flight:
         self._frames_under_way.send(self._expose, self.world.at, self._frame_delay_s())
 
     def _frame_delay_s(self) -> float:
-        """Return how long the frame that is exposed now is on its way: evenly spread in its range, and much like the one before."""
+        """Return the delay of the frame that is exposed now: evenly spread in its range, and much like the one before."""
         effects, wrong, usual_s = self.world.scenario.effects, self.world.scenario.wrong_model, self._timing.frame_delay_s
         if effects.video_most_s > 0.0:
             self._link_wander = 0.9 * self._link_wander + 0.436 * self._link_rng.standard_normal()

@@ -105,7 +105,7 @@ class FlyOptions:
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
     afterwards: bool = True
-    """Whether the flight goes on after its outcome, so that the result says where the vehicle stands and what a refused one did."""
+    """Whether the flight goes on after its outcome: where does the vehicle stand, what does a refused one do."""
     overtime_s: float = 0.0
     """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
 

@@ -35,7 +35,7 @@ from sitl.vehicle.airframe import load as load_vehicle
 from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
-from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
+from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
@@ -106,6 +106,8 @@ def contradictions(
 _EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios that have one fault each."""
+TITLE_MAX = 120
+"""Number of characters of a title."""
 
 
 def _switch(meaning: str) -> Meta:
@@ -165,7 +167,7 @@ class PadView(Struct, frozen=True, forbid_unknown_fields=True):
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     """One flight to simulate."""
 
-    title: Annotated[str, text("one line for people", 120)]
+    title: Annotated[str, text("one line for people", TITLE_MAX)]
     duration_limit_s: Annotated[float, number("longest time of the flight", "s", 1.0, 36000.0)] = 120.0
     sea: Sea = Sea()
     vessel: VesselSettings = VesselSettings()
@@ -269,6 +271,8 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         said: Any = data.get(table, {})
         if "file" in said:
             whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
+        if said.get("motion"):
+            whole[table]["motion"] = str(path.parent / said["motion"])
     return whole
 
 
@@ -377,9 +381,13 @@ def ship_model(scenario: Scenario) -> Ship:
     """
     v = scenario.vessel
     if v.file is None:
-        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
-    path = _find(v.file, "vessels", Path(), "vessel.file")
-    return _fitting(load_vessel(path), scenario, str(path))
+        ship, where = Ship(hull(v.hull or DEFAULT_HULL)), f"hull {v.hull or DEFAULT_HULL}"
+    else:
+        path = _find(v.file, "vessels", Path(), "vessel.file")
+        ship, where = load_vessel(path), str(path)
+    if v.motion:
+        ship, where = Ship(ship.hull, RecordedMotion.of_file(Path(v.motion), v.motion_smooth_s), random_start=True), v.motion
+    return _fitting(ship, scenario, where)
 
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:

@@ -1,4 +1,4 @@
-"""The unkind effects on a vehicle that a scenario's table `[effects]` switches on, each with its source; all are off unless a key asks.
+"""The unkind effects on a vehicle that a scenario's table `[effects]` switches on, each with its source; all are off by default.
 
 The formulae are the core's, `sitl/core/physics`; docs/sitl.md compares them with published figures.
 """
@@ -50,7 +50,13 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
     thing_forward_m: Annotated[float, number("its place along the arrow from the centre", "m", -5.0, 5.0)] = 0.0
     thing_right_m: Annotated[float, number("its place to starboard of the arrow", "m", -5.0, 5.0)] = 0.0
     video_least_s: Annotated[
-        float, number("least delay of a frame, which wanders evenly up to the most within some frames; 90 ms for all if both are 0", "s", 0.0, 1.0)
+        float,
+        number(
+            "least delay of a frame, which wanders up to the most; 90 ms for all if both are 0",
+            "s",
+            0.0,
+            1.0,
+        ),
     ] = 0.0
     video_most_s: Annotated[float, number("most delay of a frame", "s", 0.0, 1.0, "AR.Drone 2.0: 0.06 to 0.15")] = 0.0
 

@@ -16,8 +16,8 @@ from sitl.core.abi import COMMANDS_MAX, EFFECT_NOISE, FLIGHT_NOISE, ROTORS_MAX, 
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
-from sitl.vehicle.effects import EffectSettings
 from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
@@ -166,8 +166,8 @@ class Vehicle:
     def _begin_air(self, noise: NoiseRows, two_lags: bool) -> None:
         """Start turbulence and eddies in their steady state.
 
-        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it. Two lags of the same
-        noise have a correlation of twice the root of their times' product over their sum.
+        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it. Two lags of the
+        same noise have a correlation of twice the root of their times' product over their sum.
 
         Args:
             two_lags: whether each component has two lags of one noise (Kaimal's), instead of a lag of a lag (Dryden's).

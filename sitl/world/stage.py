@@ -25,7 +25,7 @@ from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Hull, Turn
-from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
+from sitl.vessel.vessel import Mooring, Mounted, RecordedVessel, TurningVessel, Vessel
 
 
 class Seeds(NamedTuple):
@@ -190,21 +190,38 @@ def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]
     return waves, Vessel(ship.hull, waves, **course)
 
 
-def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
-    """Put the vehicle at the scenario's start position relative to the pad, (3,) m and (3, 3)."""
+def drift_of(vessel: Vessel) -> F64:
+    """Return the mean velocity of a vessel over its first seconds beyond that of its course, (2,) m/s north and east."""
+    return np.asarray(vessel.pad(np.linspace(0.0, 4.0, 41)).v_ned[0, :, :2].mean(axis=0)) - _course_ne(vessel)
+
+
+def _course_ne(vessel: Vessel) -> F64:
+    heading, speed = float(vessel.heading_rad[0]), float(np.ravel(vessel.speed_m_s)[0])
+    return speed * np.array([math.cos(heading), math.sin(heading)])
+
+
+def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, at: Mounted, drift_ne_m_s: F64) -> None:
+    """Put the vehicle at the scenario's start position relative to the pad.
+
+    Args:
+        at: the pad's motion at the start, with shapes (3,) and (3, 3).
+        drift_ne_m_s: (2,) mean velocity of a vessel that moves as recorded, north and east; zeros for others.
+    """
     s, v = scenario.start, scenario.vessel
     yaw = math.radians(s.heading_deg)
     if s.where == "pad":
         vehicle.stand(ground, np.array([0.0, 0.0, -vehicle.airframe.feet.below_m]), yaw)
         return
-    heading = math.atan2(R_ned_pad[1, 0], R_ned_pad[0, 0]) + yaw
+    heading = math.atan2(at.R_ned[1, 0], at.R_ned[0, 0]) + yaw
     c, n = math.cos(heading), math.sin(heading)
     to_pad = (c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, s.height_m)
     course = math.radians(v.heading_deg)
     speed = v.speed_m_s if s.with_vessel else 0.0
     north, east = sea_of(scenario).current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
     along = np.array([speed * math.cos(course) + north, speed * math.sin(course) + east, 0.0])
-    vehicle.place(p_pad_ned - to_pad, along, heading)
+    if s.with_vessel:
+        along[:2] += drift_ne_m_s
+    vehicle.place(at.p_ned - to_pad, along, heading)
 
 
 def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:

@@ -40,6 +40,7 @@ from sitl.world.stage import (
     air,
     airframe,
     deck_shape,
+    drift_of,
     flight_seeds,
     limits,
     place,
@@ -178,7 +179,8 @@ class World:
         self._decks = decks_of(self._pads)
         """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
         self._deck_next = self._deck_end = 0
-        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at.p_ned, at.R_ned)
+        drift = drift_of(self.vessel) if scenario.vessel.motion else np.zeros(2)
+        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
         self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None

@@ -7,7 +7,7 @@ from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 
 FOREIGN = ("ros", "opencv", "kalibr")
-"""The other kinds of camera file that are written; `companion.settings.camera_file` reads them back."""
+"""The other kinds of camera file that are written; `companion.settings.load` reads them back."""
 
 
 def text(solution: Solution, source: str, rpy_body_cam_deg: tuple[float, float, float]) -> str:
