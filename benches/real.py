@@ -41,7 +41,7 @@ from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene  # n
 U8 = NDArray[np.uint8]
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DOWN = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
-SURE, RIGHT_RANGE, RIGHT_PLACE = 0.5, 0.08, 0.25
+SURE, RIGHT_RANGE, RIGHT_PLACE, RIGHT_SIZE = 0.5, 0.08, 0.25, 0.25
 SHIPPED = ("thesis", "printed", "icao", "helideck", "hospital", "faa_triangle", "apriltag_nest", "aruco_board")
 MARKER_M = 0.18
 OCTAGON = Camera(640, 480, 597.05, 596.62, 306.02, 221.99, np.array([0.107, 0.0548, -0.00735, 0.00446, 1.309]), DOWN)
@@ -179,17 +179,17 @@ def agh(every: int) -> list[Row]:
         radius = 0.25 * (float(row["ring_axis_1_px"]) + float(row["ring_axis_2_px"]))
         found, by = seen(px, AGH, pad), by_contours(px)
         if found is not None:
-            t = AGH.T_body_cam.R.inv @ found.d_body_pad_level
-            place = AGH.project(t[None])[0]
-            good = float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius
+            ring = next(f.uv_px for f in found.features if f.label == "ring")
+            place = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
+            size = float(np.linalg.norm(ring - place, axis=1).max()) / radius
+            good = float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius and abs(size - 1.0) < RIGHT_SIZE
             right, wrong = right + good, wrong + (not good)
-            off.append(AGH.fx / float(t[2]) / radius)
+            off += [100.0 * (size - 1.0)] if good else []
         theirs += by is not None and bool(np.linalg.norm(by[0] - centre) < RIGHT_PLACE * radius)
-    scale = np.median(off) if off else 1.0
     n = len(rows)
     return [
         Row("drone photographs of a user's pad (AGH), grass", str(n),
-            f"{share(right, n)} at their place, {wrong} elsewhere; size {spread([100 * (o / scale - 1) for o in off])}",
+            f"{share(right, n)} at their place, {wrong} sure and wrong; size in the image {spread(off)}",
             share(theirs, n)),
     ]  # fmt: skip
 
