@@ -65,6 +65,11 @@ WORTH_A_TRY = 0.03
 """Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
 _HEADING_PX = 28.0
 """Smallest radius of the disc in the frame that a heading is searched in."""
+_AGREES, _WORTH_ANOTHER, _BETTER = 0.6, 0.85, 0.15
+"""Share of a near pad's visible edges that agree with a registration: below the first the belief's place is searched for anew,
+below the second another start is tried, and the third is the difference by which the other one is better. Edges repeat on a near
+pad, and a registration from a start one edge off holds 0.06 to 0.66 of them at any confidence, from the right one 0.99 and more.
+"""
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
@@ -93,6 +98,8 @@ class _Registered:
     sighting: Sighting
     paint: PaintMemory
     opinions: Opinions | None = None
+    agreement: float = 1.0
+    """Share of a near pad's visible edges that agree with it; 1 of a distant pad, which has no edges of its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,12 +116,17 @@ class _Seen:
         if of is None:
             return self
         if belief.excludes(of.sighting):
-            return self if _surer(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
-        return self if _surer(self.tracked, of) else dataclasses.replace(self, tracked=of)
+            return self if _stays(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
+        return self if _stays(self.tracked, of) else dataclasses.replace(self, tracked=of)
 
     @property
     def is_sure(self) -> bool:
         return self.tracked is not None and self.tracked.sighting.confidence >= SURE
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the tracked pad's edges are where it says, and not some of them on others that look alike."""
+        return self.tracked is not None and self.tracked.agreement >= _AGREES
 
     def settled(self) -> _Seen:
         """Return the tracked pad with what is surer elsewhere; without it if the frame hardly supports it beside that."""
@@ -180,7 +192,7 @@ def together(
 def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -> tuple[_Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
     camera, pad, attitude, alike_yaw_rad = now.tracker.camera, now.tracker.pad, now.attitude, now.memory.alike_yaw_rad
-    left, best = FRESH_SEARCH, _Seen()
+    left, best, doubted = FRESH_SEARCH, _Seen(), False
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else sigma_of(belief)
     if belief is not None and attitude is not None and near_enough(belief, sigma_m, pad, alike_yaw_rad):
@@ -189,12 +201,18 @@ def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -
             options = CLOSE if sigma_m * camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             tracked = verification.TRACKED_LOG_ODDS
             best = best.having(_register_from(now, start, options, tracked, searched=False), place)
+            doubted = options is ROUGH and best.tracked is not None and best.tracked.agreement < _WORTH_ANOTHER
+            if doubted:
+                # The whole drawing, blurred, draws from farther away than edges do.
+                aligned = align_at(start, now.orientation.measured, now.view)
+                if aligned is not None and aligned.score >= WORTH_A_TRY:
+                    best = best.having(_register_from(now, aligned.pose, CLOSE, tracked, searched=False), place)
             if not best.is_sure and _is_small(start, camera, pad):
                 plane = Plane.of(camera, attitude.R_ned_body.without_heading())
                 about = pose_about(*now.view.as_seen(), plane, start)
                 if about is not None and about[1] >= _LEAST_ABOUT:
                     best = best.having(_register_from(now, about[0], CLOSE, tracked, searched=False), place)
-    if not best.is_sure:
+    if not best.is_sure or (doubted and not best.agrees):
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=now.tracker.search_work)
         left = found.memory
@@ -208,7 +226,7 @@ def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -
                 R_level_cam = now.orientation.R_level_body.matrix @ camera.T_body_cam.R.matrix
                 pose = nearest_of_four(pose, R_level_cam, alike_yaw_rad or 0.0)
             best = best.having(_register_from(now, pose, CLOSE, prior, candidate.cut), place)
-            if best.is_sure:
+            if best.is_sure and (best.agrees or not doubted):
                 break
     return best, left
 
@@ -248,6 +266,14 @@ def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCa
     return align_at(flat, orientation.measured, view)
 
 
+def _stays(a: _Registered | None, b: _Registered) -> bool:
+    """Return whether the first of two registrations in the same place is kept: the surer one, or the one whose edges agree."""
+    if a is None:
+        return False
+    both = min(a.sighting.confidence, b.sighting.confidence) >= SURE
+    return a.agreement >= b.agreement if both and abs(a.agreement - b.agreement) > _BETTER else _surer(a, b)
+
+
 def _surer(a: _Registered | None, b: _Registered) -> bool:
     """Return whether the first of two registrations is as sure as the second, or surer."""
     return a is not None and a.sighting.confidence >= b.sighting.confidence
@@ -276,7 +302,9 @@ def _register_from(
     opinions = _second_opinion(now, of) if searched else None
     sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
     learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
-    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions)
+    found = of.found.record["found"]
+    agreement = 1.0 if found["dense"] else float(found["inliers"])
+    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions, agreement)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

@@ -337,14 +337,14 @@ def _one_to_one(camera: Camera) -> bool:
     reach = float(np.linalg.norm((edge - (camera.cx, camera.cy)) / (camera.fx, camera.fy), axis=1).max())
     if camera.lens == "fisheye":
         ideal = np.tan(np.linspace(0.0, 1.5, 400))
-        reach = min(reach, 1.5)
     else:
         ideal = np.linspace(0.0, 2.0 * reach, 400)
     radial = camera if camera.lens == "fisheye" else replace(camera, distortion=camera.distortion * (1, 1, 0, 0, 1))
     bent = radial.distort(np.stack([ideal, 0.0 * ideal], axis=1))[:, 0]
     rising = np.concatenate([[True], np.diff(bent) > 0])
     first_fall = len(ideal) if rising.all() else int(np.argmin(rising))
-    return bool(bent[:first_fall].max() >= 0.999 * reach)
+    seen_whole = camera.lens == "fisheye" and bool(rising.all())
+    return seen_whole or bool(bent[:first_fall].max() >= reach)
 
 
 def _pose(view: BoardView, board: Board, camera: Camera) -> tuple[F64, F64]:

@@ -159,6 +159,25 @@ def test_another_pad_never_takes_the_place_of_one_that_is_hidden(method: Tracker
     assert np.linalg.norm(alone.selected.d_body_pad_level - other) < 0.1, "without a belief the one in full view is the pad"
 
 
+@pytest.mark.parametrize("name", ["thesis", "icao"])
+def test_a_near_track_does_not_settle_on_the_next_edge(name: str) -> None:
+    """Beliefs two to three sigma off at half a metre: some led from edge to like edge, 4 to 65 mm beside at confidence 1."""
+    config = TrackerConfig(CAMERA, shipped_pad(name))
+    seen_from, rng, sure = Stage(CAMERA, shipped_pad(name), seed=11), np.random.default_rng(4), 0
+    for _ in range(5):
+        view = seen_from.view(0.5)
+        told = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * math.radians(1.0) ** 2)
+        for _ in range(5):
+            off_m = rng.normal(0.0, 0.03, 3)
+            believed = belief(view, (off_m[0], off_m[1], off_m[2]), 0.03)
+            believed = replace(believed, yaw_rad=view.yaw_rad + rng.normal(0.0, 0.02))
+            found = track(config, TrackerMemory(), view.frame(), told, believed)[0].selected
+            if found is not None and found.confidence >= 0.5:
+                sure += 1
+                assert np.linalg.norm(found.d_body_pad_level - view.d_body_pad_level) < 3e-3
+    assert sure >= 23
+
+
 def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> None:
     view = stage().view(2.0)
     rng = np.random.default_rng(0)

@@ -1,0 +1,352 @@
+"""Set real recordings beside the simulator and OpenCV: `python -m benches.real [--part NAME] [--every N] [--write DIR]`.
+
+The recordings are of others, are not committed, and lie in `../shared/data`; a part whose files are missing says so. Frames are
+searched as `decklander detect` does it, each on its own. A find is sure from a confidence of 0.5, and right within 8 % of the
+range and a quarter of the disc beside its place. OpenCV's own is what a user writes in thirty lines: the largest of nested
+contours, with an ellipse fitted to it, or its marker detector with sub-pixel corners. The simulator's frames show the same pad at
+the same ranges by the same camera, in drawn light. `--every 4` takes every fourth frame; `--write` leaves evidence.md.
+"""
+
+import argparse
+import csv
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.estimator_flight import PULLED_S  # noqa: E402
+from companion.cli.main import main as decklander  # noqa: E402
+from drivers.nmea.sentences import NmeaReader  # noqa: E402
+from estimator.contracts.estimates import Sighting  # noqa: E402
+from estimator.contracts.geometry import F64, Rotation, Transform  # noqa: E402
+from estimator.contracts.samples import Attitude, Frame  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from sitl.sea.sea import SEA_STATES  # noqa: E402
+from tests.support.mocap_flight import FLYING_S, MocapFilter, load, run, sightings  # noqa: E402
+from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene  # noqa: E402
+
+U8 = NDArray[np.uint8]
+STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+DOWN = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
+SURE, RIGHT_RANGE, RIGHT_PLACE, RIGHT_SIZE = 0.5, 0.08, 0.25, 0.25
+SHIPPED = ("thesis", "printed", "icao", "helideck", "hospital", "faa_triangle", "apriltag_nest", "aruco_board")
+MARKER_M = 0.18
+OCTAGON = Camera(640, 480, 597.05, 596.62, 306.02, 221.99, np.array([0.107, 0.0548, -0.00735, 0.00446, 1.309]), DOWN)
+AGH = Camera(1280, 720, 900.0, 900.0, 639.5, 359.5, np.zeros(5), DOWN)
+"""Nobody calibrated this one: its focal length is a guess, and ranges are judged by the ring's size in the image."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    data: str
+    frames: str
+    ours: str
+    opencv: str = "-"
+    simulator: str = "-"
+
+    def cells(self) -> tuple[str, ...]:
+        return self.data, self.frames, self.ours, self.opencv, self.simulator
+
+
+class MissingDataError(Exception):
+    """A part's recordings are not on this machine."""
+
+
+def needed(*parts: str) -> Path:
+    path = DATA.joinpath(*parts)
+    if not path.exists():
+        raise MissingDataError(f"../shared/data/{'/'.join(parts)} is not on this machine")
+    return path
+
+
+def image(path: Path) -> U8:
+    px = cv2.imread(str(path))
+    assert px is not None, path
+    return np.asarray(px, np.uint8)
+
+
+def seen(px: U8, camera: Camera, pad: Pad, attitude: Attitude | None = None) -> Sighting | None:
+    """Return the find in an image on its own; None below `SURE`."""
+    found = track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
+    return found if found is not None and found.confidence >= SURE else None
+
+
+def by_contours(px: U8) -> tuple[F64, float] | None:
+    """Return the centre (px) and the mean radius of the largest ellipse that holds another one about the same centre."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), (5, 5), 0)
+    binary = [cv2.Canny(grey, 30, 90)]
+    binary += [cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, n, 5) for n in (51, 151)]
+    fits: list[tuple[float, float, float]] = []
+    for contour in (c for b in binary for c in cv2.findContours(b, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0] if len(c) >= 60):
+        (u, v), axes, turn_deg = cv2.fitEllipse(contour)
+        if min(axes) < 16 or max(axes) > min(1.8 * min(axes), 3 * len(px)):
+            continue
+        c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+        along = (contour[:, 0] - (u, v)) @ np.array([[c, -s], [s, c]]) / (0.5 * np.array(axes))
+        if np.sqrt(np.mean((np.hypot(*along.T) - 1.0) ** 2)) < 0.03:
+            fits.append((u, v, 0.25 * (axes[0] + axes[1])))
+    nested = [
+        (r, u, v) for u, v, r in fits if any(math.hypot(u - a, v - b) < 0.08 * r and 0.25 * r < q < 0.93 * r for a, b, q in fits)
+    ]
+    if not nested:
+        return None
+    r, u, v = max(nested)
+    return np.array([u, v]), r
+
+
+def share(n: int, of: int) -> str:
+    return f"{100 * n / max(1, of):.0f} %"
+
+
+def spread(off: list[float]) -> str:
+    return f"{np.median(np.abs(off)):.2f} / {np.percentile(np.abs(off), 95):.2f} %" if off else "-"
+
+
+def photographs(every: int) -> list[Row]:
+    """The thesis' pad, printed, indoors; truth by hand labels, whose own error is 0.4 to 1.8 % of the range."""
+    folder, camera, pad = needed("pad_photos"), load_camera("photos"), load_pad("printed")
+    with (folder / "pose.csv").open() as file:
+        rows = list(csv.DictReader(file))[::every]
+    right, wrong, off, theirs, their_off = 0, 0, [], 0, []
+    simulated, simulated_off = 0, list[float]()
+    for k, row in enumerate(rows):
+        t_cam = np.array([float(row[f"t_cam_{axis}_m"]) for axis in "xyz"])
+        px, range_m = image(folder / "images" / row["frame"]), float(np.linalg.norm(t_cam))
+        found = seen(px, camera, pad)
+        good, e = False, math.nan
+        if found is not None:
+            e = 100.0 * (float(np.linalg.norm(found.d_body_pad_level)) / range_m - 1.0)
+            outline = next(f.uv_px for f in found.features if f.label == "disc")
+            aside_px = float(np.linalg.norm(np.nanmean(outline, axis=0) - camera.project(t_cam[None])[0]))
+            good = abs(e) < 100 * RIGHT_RANGE and aside_px < RIGHT_PLACE * camera.fx * pad.disc_radius_m / float(t_cam[2])
+        right, wrong = right + good, wrong + (found is not None and not good)
+        off += [e] if good else []
+        by = by_contours(px)
+        if by is not None:
+            # The ring's outer edge is what it takes for the pad: the rim of the disc hardly shows.
+            e = 100.0 * (camera.fx * pad.markings.ring_outer_m / by[1] / float(t_cam[2]) - 1.0)
+            theirs += abs(e) < 100 * RIGHT_RANGE
+            their_off += [e] if abs(e) < 100 * RIGHT_RANGE else []
+        scene = pad_scene(np.random.default_rng([31, k]), camera, pad, float(t_cam[2]), "light", 0.2)
+        assert scene.truth is not None
+        drawn = seen(scene.px, camera, pad)
+        if drawn is not None:
+            e = 100.0 * (float(np.linalg.norm(drawn.d_body_pad_level)) / scene.truth.range_m - 1.0)
+            simulated, simulated_off = simulated + (abs(e) < 100 * RIGHT_RANGE), [*simulated_off, e]
+    n = len(rows)
+    return [
+        Row("photographs of the thesis' pad, .5 to 4 m", str(n), f"{share(right, n)} right, {wrong} wrong; {spread(off)}",
+            f"{share(theirs, n)}; {spread(their_off)}", f"{share(simulated, n)}; {spread(simulated_off)}"),
+    ]  # fmt: skip
+
+
+def agh(every: int) -> list[Row]:
+    """A pad of rings and panels on grass; the camera is not calibrated, so place and size in the image are judged."""
+    folder = needed("real_pads", "agh")
+    with tempfile.TemporaryDirectory() as made:
+        out = Path(made) / "agh.toml"
+        try:
+            code = decklander(["pad", "import", str(folder / "landing_pad_marker.svg"), "--size-mm", "420", "--out", str(out)])
+        except SystemExit:
+            code = 2
+        if code != 0:
+            return [Row("drone photographs of a user's pad (AGH)", "37", "not tried: no pad file can be made of its drawing")]
+        from companion.settings.load import read_toml
+
+        pad = Pad.from_mapping(read_toml(out), "agh")
+    with (folder / "truth.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["ring_cx_px"]][::every]
+    right = wrong = theirs = 0
+    off = []
+    for row in rows:
+        px = image(folder / "images" / row["image"])
+        centre = np.array([float(row["ring_cx_px"]), float(row["ring_cy_px"])])
+        radius = 0.25 * (float(row["ring_axis_1_px"]) + float(row["ring_axis_2_px"]))
+        found, by = seen(px, AGH, pad), by_contours(px)
+        if found is not None:
+            ring = next(f.uv_px for f in found.features if f.label == "ring")
+            place = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
+            size = float(np.linalg.norm(ring - place, axis=1).max()) / radius
+            good = float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius and abs(size - 1.0) < RIGHT_SIZE
+            right, wrong = right + good, wrong + (not good)
+            off += [100.0 * (size - 1.0)] if good else []
+        theirs += by is not None and bool(np.linalg.norm(by[0] - centre) < RIGHT_PLACE * radius)
+    n = len(rows)
+    return [
+        Row("drone photographs of a user's pad (AGH), grass", str(n),
+            f"{share(right, n)} at their place, {wrong} sure and wrong; size in the image {spread(off)}",
+            share(theirs, n)),
+    ]  # fmt: skip
+
+
+def strange(every: int) -> list[Row]:
+    """Frames without any pad of ours: sure finds of every shipped pad."""
+    files = [*sorted(needed("not_pads").glob("*.jpg")), *sorted(needed("sea").glob("*.jpg"))]
+    files += sorted(needed("real_pads", "octagon", "images").glob("*.jpg"))
+    files, looks = files[::every], 0
+    false: dict[str, int] = {}
+    for path in files:
+        whole = image(path)
+        px = np.asarray(
+            cv2.resize(whole, (640, round(640 * whole.shape[0] / whole.shape[1])), interpolation=cv2.INTER_AREA), np.uint8
+        )
+        camera = Camera(640, len(px), 512.0, 512.0, 319.5, (len(px) - 1) / 2, np.zeros(5), DOWN)
+        for name in SHIPPED:
+            looks += 1
+            if seen(px, camera, load_pad(name)) is not None:
+                false[name] = false.get(name, 0) + 1
+    named = ", ".join(f"{name} {n}" for name, n in false.items()) or "none"
+    return [
+        Row(
+            f"sea, grass, other pads, rooms; {len(SHIPPED)} shipped pads each", str(len(files)), f"sure of {looks} looks: {named}"
+        )
+    ]
+
+
+@lru_cache
+def marker() -> Pad:
+    region = {
+        "shape": "fiducial",
+        "dictionary": "DICT_6X6_250",
+        "id": 0,
+        "paint": "black",
+        "size_m": MARKER_M,
+        "at_m": [0.0, 0.0],
+    }
+    panel = {"shape": "panel", "paint": "white", "length_m": 0.23, "width_m": 0.23}
+    paints = {"white": [245, 245, 245], "black": [20, 20, 20]}
+    return Pad.from_mapping({"name": "marker", "paints": paints, "regions": [panel, region]}, "marker")
+
+
+def aruco(every: int) -> list[Row]:
+    """A marker of 18 cm beside a pad, a finger over a part of the lens; the truth is OpenCV's, so only differences show."""
+    folder = needed("real_pads", "octagon")
+    with (folder / "attitude.csv").open() as file:
+        tilts = {row["image"]: (float(row["roll_deg"]), float(row["pitch_deg"])) for row in csv.DictReader(file)}
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250), parameters)
+    files = sorted((folder / "aruco").glob("*.jpg"))[::every]
+    both, ours, theirs, off = 0, 0, 0, []
+    h = MARKER_M / 2
+    square = np.array([(-h, h, 0), (h, h, 0), (h, -h, 0), (-h, -h, 0)])
+    for path in files:
+        px = image(path)
+        corners, ids, _ = detector.detectMarkers(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
+        read = ids is not None and 0 in ids
+        roll, pitch = (math.radians(a) for a in tilts[f"aruco/{path.name}"])
+        attitude = Attitude(STAMP, Rotation.from_rpy(roll, pitch, 0.0), np.eye(3) * math.radians(1.0) ** 2)
+        found = seen(px, OCTAGON, marker(), attitude)
+        ours, theirs, both = ours + (found is not None), theirs + read, both + (found is not None and read)
+        if read and found is not None:
+            at = int(np.flatnonzero(np.ravel(ids) == 0)[0])
+            flags = cv2.SOLVEPNP_IPPE_SQUARE
+            _, _, t = cv2.solvePnP(square, corners[at][0].astype(float), OCTAGON.K, OCTAGON.distortion, flags=flags)
+            off.append(100.0 * (float(np.linalg.norm(found.d_body_pad_level)) / float(np.linalg.norm(t)) - 1.0))
+    n = len(files)
+    return [
+        Row("ArUco marker with attitude, blur, a finger", str(n),
+            f"{share(ours, n)}, {ours - both} that OpenCV misses; range by OpenCV's {np.mean(off):+.2f} +- {np.std(off):.2f} %",
+            share(theirs, n)),
+    ]  # fmt: skip
+
+
+def boats(every: int) -> list[Row]:
+    """Boats at sea by RTK: what the service's own reader makes of their sentences, and how they heave."""
+    files = sorted(needed("sea_motion").glob("2*.txt"))[::every]
+    heave, period, lines, read = [], [], 0, 0
+    for path in files:
+        reader, up = NmeaReader(), []
+        for k, line in enumerate(path.read_text().splitlines()):
+            whole = line.startswith("$") and "*" in line
+            lines += whole
+            read += whole and bool(reader.samples((line + "\r\n").encode(), MonoNs(k * 50_000_000)))
+            if line.startswith("$GPGGA") and len(line.split(",")) > 9 and line.split(",")[6] == "4":
+                up.append(float(line.split(",")[9]))
+        z = np.array(up)
+        trend = np.convolve(np.pad(z, 100, mode="edge"), np.ones(201) / 201, mode="valid")
+        z = z - trend
+        power = np.abs(np.fft.rfft(z * np.hanning(len(z)))) ** 2
+        hz = np.fft.rfftfreq(len(z), 0.2)
+        band = (hz > 0.08) & (hz < 0.8)
+        heave.append(148.26 * float(np.median(np.abs(z))))
+        period.append(1.0 / float(hz[band][power[band].argmax()]))
+    simulated = ", ".join(f"{n}: {25.0 * s.hs_m:.0f} cm, {s.tp_s:.0f} s" for n, s in SEA_STATES.items())
+    return [
+        Row("boats at sea, RTK 5 Hz", f"{len(files)} runs",
+            f"{share(read, lines)} of {lines} sentences give samples; heave sd {min(heave):.0f} to {max(heave):.0f} cm, "
+            f"peak period {min(period):.0f} to {max(period):.0f} s", "-", f"surface, by sea state: {simulated}"),
+    ]  # fmt: skip
+
+
+def mocap(_: int) -> list[Row]:
+    """A real AR.Drone flight with motion capture; sightings are synthesised from the capture and levelled by its own attitude."""
+    flight, cells = load(needed("flight_with_mocap")), []
+    t, e, nees = run(flight, MocapFilter(), sightings(flight, 10.0, []), FLYING_S[1])
+    for title, part in (("undisturbed", (t > 18.0) & (t < PULLED_S)), ("pulled", t > PULLED_S)):
+        rms = 100.0 * np.sqrt(np.nanmean(e[part] ** 2, axis=0))
+        cells.append(f"{title} {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} cm (NEES {np.nanmean(nees[part]):.1f}, 3 is right)")
+    return [Row("AR.Drone 2.0 with motion capture, filter's error forward, right, down", "31 s", "; ".join(cells))]
+
+
+PARTS: dict[str, Callable[[int], list[Row]]] = {
+    "photographs": photographs, "agh": agh, "strange": strange, "aruco": aruco, "boats": boats, "mocap": mocap,
+}  # fmt: skip
+HEADER = Row("data", "frames", "ours", "OpenCV's own", "the simulator's")
+NOT_AVAILABLE = (
+    "landings of ours on a real deck, or with any real autopilot in the air",
+    "a real frame of a thermal, near-infrared or fisheye camera",
+    "pictures of a lit pad at night", "an AR.Drone's video of a pad with its navdata", "flights with a Vicon truth of the pad",
+)  # fmt: skip
+
+
+def table(rows: list[Row]) -> list[str]:
+    lines = ["| " + " | ".join(HEADER.cells()) + " |", "|" + "---|" * len(HEADER.cells())]
+    return [*lines, *("| " + " | ".join(row.cells()) + " |" for row in rows)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be repeated")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth frame (default: all)")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write evidence.md there")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    rows: list[Row] = []
+    for name in args.part or PARTS:
+        try:
+            made = PARTS[name](args.every)
+        except MissingDataError as why:
+            made = [Row(name, "0", f"skipped: {why}")]
+        rows += made
+        for row in made:
+            print(" | ".join(row.cells()), flush=True)
+    if args.write is not None:
+        of = f" --every {args.every}" if args.every > 1 else ""
+        lines = [
+            "# Evidence: real recordings", "",
+            f"Made by `python -m benches.real{of} --write docs`. The recordings are others' and not part of this repository.",
+            "Errors are of the range, median / 95th percentile.", "", *table(rows), "",
+            "What was not available, so nothing here speaks of it:", "", *(f"- {what}" for what in NOT_AVAILABLE), "",
+            "The same on rendered frames, by height: [benchmarks.md](benchmarks.md); limits: [limits.md](limits.md).", "",
+        ]  # fmt: skip
+        (args.write / "evidence.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
