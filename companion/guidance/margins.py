@@ -25,6 +25,9 @@ PERIOD_S = 0.02
 """The guidance period that the margins are for, s."""
 MEDIAN_OF_AXIS = math.sqrt(2.0 * math.log(2.0))
 """Median of a distance whose two axes have standard deviation 1 (Rayleigh)."""
+_LATE_M_S2 = 0.6
+"""Acceleration that is unknown while the video is late, m/s^2: 20 flights of sea_state_4 with video 0.26 s late erred by 3.2 cm in
+the median, 20 with 0.09 s by 2.2."""
 _SIGMA_P_M = 0.01
 _AXIS, _MEASURED = ("p", "w", "d", "b", "lean", "rate", "lag"), ("p", "w", "lean", "rate", "a_body")
 """The numbers of an axis of the law before the commands under way, and those that are measured."""
@@ -116,11 +119,9 @@ def expected_error_m(response: TiltResponse, late_s: float) -> float:
     """Return the median distance from the centre to expect at a contact at sea state 4, m.
 
     Args:
-        late_s: delay of the video; until the next frame the place is carried on by accelerations that err.
+        late_s: delay of the video, in which the place is carried on by accelerations that err.
     """
-    around = AxisDisturbances()
-    unknown_m_s2 = math.hypot(around.accel_m_s2.sigma, around.deck_m_s2.sigma, around.tilt_m_s2.sigma)
-    return MEDIAN_OF_AXIS * math.hypot(_own_error_m(response), 0.5 * unknown_m_s2 * late_s**2)
+    return MEDIAN_OF_AXIS * math.hypot(_own_error_m(response), 0.5 * _LATE_M_S2 * late_s**2)
 
 
 def pushed_axis(response: TiltResponse) -> tuple[F64, F64]:
