@@ -7,21 +7,23 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, GROUND, Event, State, StateChange
+from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import held_up, limits, steer, vessel_track
+from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.margins import expected_error_m
-from companion.guidance.mission_step import mission_step, ordered, reported
-from companion.guidance.progress import Progress
+from companion.guidance.mission import TABLES
+from companion.guidance.progress import Progress, entered
+from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
-from companion.guidance.vessel_track import VesselTrack
+from companion.guidance.steer import Aim, aim
+from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
 from companion.settings.guidance import GuidanceOptions
@@ -45,6 +47,83 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
+
+_MOST = 4
+"""Most transitions in one cycle; what is left is taken in the next."""
+
+_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
+"""States whose orders the height is compared with."""
+
+Transitions = tuple[StateChange, ...]
+
+
+def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim, Transitions]:
+    """Run one guidance cycle; return the memory, the aim and what changed.
+
+    Args:
+        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
+    """
+    p = account(p, s, o)
+    changes: list[StateChange] = []
+    while len(changes) < _MOST:
+        moved, change = _first(p, s, o)
+        if change is None:
+            break
+        changes.append(change)
+        p = moved
+    p, wanted = aim(p, s, o, over_ground=over_ground)
+    if p.in_sight and p.state in _ORDERS:
+        rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
+        p = replace(p, course=p.course.ordered(rate))
+    return p, wanted, tuple(changes)
+
+
+def ordered(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    """Take an order of the operator: BEGIN, PAUSE or ABORT."""
+    return _taken(p, event, Reason(ReasonCause.OPERATOR), at, o)
+
+
+def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    """Take the vehicle's report about itself."""
+    at = status.stamp.received_at
+    if status.emergency:
+        return _taken(p, Event.CUT, Reason(ReasonCause.MOTORS_CUT), at, o)
+    if status.flying is False:
+        if p.state in ENDED:
+            return replace(p, stood=True), ()
+        by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
+        return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
+    # A report from before the order to begin tells of the flight before.
+    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
+        return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+    if status.taken is None and p.state is State.TAKEN and not p.stood:
+        return _taken(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
+    if status.flying is None or (p.state in ENDED and not p.stood):
+        return p, ()
+    next_one = p.state in ENDED
+    p, changes = _taken(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
+    if next_one and p.automatic and changes:
+        p, more = _taken(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)
+        changes = (*changes, *more)
+    return p, changes
+
+
+def _taken(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    target = TABLES[o.mission][p.state][event]
+    if target is p.state:
+        return p, ()
+    change = StateChange(at, p.state, event, target, reason)
+    return entered(p, change), (change,)
+
+
+def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
+    """Take the first event of the cycle that leads to another state."""
+    for event, reason in events(p, s, o):
+        moved, changes = _taken(p, event, reason, s.at, o)
+        if changes:
+            return moved, changes[0]
+    return p, None
+
 
 FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
@@ -159,7 +238,7 @@ class LandingGuidance:
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
         if event is Event.BEGIN:
-            self._vessel_track = vessel_track.restarted(self._vessel_track)
+            self._vessel_track = rendezvous.restarted(self._vessel_track)
         self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
@@ -199,7 +278,7 @@ class LandingGuidance:
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
                     continue
             elif type(sample) is GimbalAttitude:
@@ -282,8 +361,8 @@ class LandingGuidance:
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
-            place = vessel_track.position(self._vessel_track, now)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
+            place = rendezvous.position(self._vessel_track, now)
         self._vessel = place
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         near = self._range
@@ -339,7 +418,7 @@ class LandingGuidance:
 
     def vessel_velocity(self, now: MonoNs) -> F64 | None:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
-        return vessel_track.velocity_ned(self._vessel_track, now)
+        return rendezvous.velocity_ned(self._vessel_track, now)
 
 
 def of_ship(sample: Sample) -> bool:

@@ -62,6 +62,10 @@ class Progress(Struct, frozen=True, eq=False):
     was_silent: bool = False
     """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
     in_sight: bool = False
+    deck_rise_m: float = 0.0
+    """Rise of the deck since the newest sight, by its forecast, m."""
+    deck_top_m: float = 0.0
+    """The highest that it has been since then."""
     track: int | None = None
     """Track of the pad that this try flies to."""
     heading: HeadingMemory = field(default_factory=HeadingMemory)

@@ -94,6 +94,9 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
             attempt = attempt.lost()
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
+        deck = s.knowledge.deck
+        rise_m = p.deck_rise_m - (0.0 if deck is None else since_last_s * deck.v_level.item(2))
+        p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
         attempt = attempt.descended(p.seen_height_m - estimate.height_m)
@@ -106,7 +109,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return _judged(
         replace(
             p, attempt=attempt, landing_began=s.at if p.landing_began is None else p.landing_began,
-            in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False,
+            in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False, deck_rise_m=0.0, deck_top_m=0.0,
             seen_height_m=estimate.height_m, track=estimate.track,
             heading=turning, turned=turned or p.turned,
         ),

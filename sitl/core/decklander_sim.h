@@ -45,6 +45,8 @@ enum {
     ECHOES_MAX = 64,
     /* Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many. */
     FLIGHT_NOISE = 7,
+    /* Those that its unkind effects take: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
+    EFFECT_NOISE = 7,
 };
 
 typedef struct {
@@ -56,10 +58,18 @@ typedef struct {
 } sim_gust;
 
 typedef struct {
-    int64_t on, logarithmic, dryden, wake, gusts;
-    double speed_m_s, along[2], roughness_m, log10m, keep_ship, block_m[2], block_size[3], wake_decay, pad_yaw[2];
+    int64_t on, logarithmic, dryden, kaimal, wake, hull_wake, gusts;
+    double speed_m_s, along[2], roughness_m, log10m, keep_ship, block_m[2], block_size[3], wake_decay, pad_yaw[2], deck_m[4],
+        edge_m, edge_decay;
     sim_gust gust[GUSTS_MAX];
 } sim_air_params;
+
+/* Effects that are off unless `on`; loop_mass_kg, tilt_gain and lift_share hold always. */
+typedef struct {
+    int64_t on, saturates, moving_deck;
+    double sag, hover_share, drag_per_m, downwash, downwash_keep, downwash_fresh, cushion_share, induced_m_s, climb_keep, climb_fresh,
+        rate_sigma, loop_mass_kg, tilt_gain, lift_share, thing[4], revolution_hz;
+} sim_effects;
 
 typedef struct {
     int64_t quad_x, rotors, effect_by_rotor, flow_sees_deck, flow_works, motor_driven, all_healthy, delay_steps;
@@ -72,6 +82,7 @@ typedef struct {
         friction, deck_fore_m, deck_aft_m, deck_middle_m, deck_half_m, deck_taper_m, deck_yaw[2], gust_sigma_m_s, gust_keep,
         gust_fresh, flow_keep, flow_fresh, tilt_keep, tilt_fresh, wind[3], tilt_max_rad, extra_wind[3], current[2],
         euler_angle_max_rad, vz_max_m_s, yaw_rate_max_rad_s;
+    sim_effects effects;
     sim_air_params air;
 } sim_vehicle_params;
 
@@ -79,13 +90,13 @@ typedef struct {
     int64_t phase, tied, ditched, touched_what, touched_phase, pending_at, ship_known;
     double seconds, p[3], v[3], q[4], R[9], w[3], a[3], thrust_n, torque_n_m[3], flow[2], integral[3], unasked_w[3],
         unasked[3], z_hold, attached_d[3], attached_q[4], contact_s, airborne_s, touched_s, touched_d[3], touched_v[3],
-        touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u, air_v[2], air_w[2], eddy[3], ship[2], air[3],
-        driven_n, driven_n_m[3], command[5], pending[5 * COMMANDS_MAX];
+        touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u[2], air_v[2], air_w[2], eddy[3], ship[2], air[3],
+        driven_n, driven_n_m[3], rough[3], cushion, climb_error, revolutions, command[5], pending[5 * COMMANDS_MAX];
 } sim_vehicle;
 
 typedef struct {
     int64_t echo_every, echo_delay;
-    double step_s, accel_sigma[2], gyro_sigma[2], accel_bias[3], gyro_bias[3], heading_bias, field_bias[3], field_sigma,
+    double step_s, accel_sigma[2], gyro_sigma[2], accel_scale, gyro_scale, vibration, accel_bias[3], gyro_bias[3], heading_bias, field_bias[3], field_sigma,
         heading_keep, heading_fresh, pressure_keep, pressure_fresh, pressure_sigma, cone_rad, echo_sigma, echo_min_m,
         echo_max_m, battery_life_s, hover_n;
     int64_t motor[4];
@@ -142,11 +153,11 @@ typedef struct {
     int64_t harmonics;
 } sim_flight;
 
-/* Take n steps over a deck, up to a contact after flight; return how many. FLIGHT_NOISE numbers a step, and SENSOR_NOISE. */
+/* Take n steps over a deck, up to a contact after flight; return how many. FLIGHT_NOISE numbers a step, EFFECT_NOISE, SENSOR_NOISE. */
 int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const double *noise, const double *air_noise,
-    const double *sensor_noise);
+    const double *effect_noise, const double *sensor_noise);
 void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
-    const double *air_noise);
+    const double *air_noise, const double *effect_noise);
 void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g);
 void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, const sim_sensors *s, sim_readings *out);
 
@@ -154,6 +165,88 @@ void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const s
  * which is fixed to her, with axes fixed to it. */
 void sim_vessel_moved(int32_t harmonics, const sim_harmonic *h, int32_t n, const double *t_s, sim_vessel_motion *out);
 void sim_vessel_mounted(int32_t n, const sim_vessel_origin *origin, const sim_vessel_motion *m, const sim_mount *at, sim_mounted *out);
+
+/* ---- training/: many flights of one scenario, step by step, for controllers that learn ---- */
+
+/* The numbers of an action, each -1 to 1: acceleration (or velocity) forward and right, velocity down against the deck, yaw rate. */
+enum action_number {
+    ACTION_FORWARD, ACTION_RIGHT, ACTION_DOWN, ACTION_YAW, ACTION_NUMBERS,
+};
+
+/* Where the parts of an observation begin: the pad's place (3) m and its velocity against the body (3) m/s in level axes, the body's
+ * lean and the trim against wind and drag as accelerations (2 + 2) m/s^2 forward and right, the deck's velocity and acceleration down, its roll and pitch
+ * about the body's heading, sine and cosine of the heading against the arrow, the last action, seconds since the last sighting. */
+enum view_number {
+    VIEW_PLACE = 0, VIEW_VELOCITY = 3, VIEW_LEAN = 6, VIEW_TRIM = 8, VIEW_DECK = 10, VIEW_DECK_TILT = 12, VIEW_HEADING = 14,
+    VIEW_ACTION = 16, VIEW_AGE = 20, VIEW_NUMBERS = 21,
+};
+
+/* The terms of a reward, before their weights. */
+enum reward_term {
+    REWARD_NEARER, REWARD_OUTSIDE, REWARD_EFFORT, REWARD_TIME, REWARD_LANDED, REWARD_MISSED_BY, REWARD_SPEED, REWARD_FAILED,
+    REWARD_TERMS,
+};
+
+/* How an episode ended. */
+enum episode_end {
+    EPISODE_GOES_ON, EPISODE_LANDED, EPISODE_OFF_PAD, EPISODE_HARD, EPISODE_IN_WATER, EPISODE_LEFT, EPISODE_TIMED_OUT,
+};
+
+/* What a wrong model changes: factors on the vehicle's, and seconds of delay more. */
+enum wrong_number {
+    WRONG_TILT_FREQUENCY, WRONG_TILT_DAMPING, WRONG_THRUST, WRONG_DRAG, WRONG_COMMAND_DELAY_S, WRONG_NUMBERS,
+};
+
+enum {
+    /* The largest number of harmonics of a vessel's motion. */
+    HARMONICS_MAX = 256,
+    /* The largest number of observations that may be under way. */
+    VIEWS_MAX = 16,
+};
+
+/* A vessel's motion by harmonics: displacement (6) and rate (6) by the real and by the imaginary part of each one's phasor, and by
+ * how much a step of the controller turns it. */
+typedef struct {
+    double by_re[12], by_im[12], turn_re, turn_im;
+} sim_sway;
+
+/* What is the same for all worlds: the scenario, and the rules of the training. */
+typedef struct {
+    int64_t harmonics, physics_steps, steps_max, velocity_actions, true_view, view_delay;
+    double step_s, acceleration_max_m_s2, velocity_max_m_s, velocity_gain, down_max_m_s, yaw_rate_max_rad_s,
+        start_low[4], start_high[4], pad_radius_m, vertical_max_m_s, lateral_max_m_s, reach_m, trim_keep, place_sigma_m, place_sigma_by_height, velocity_sigma_m_s, velocity_sigma_by_height,
+        error_keep, error_fresh, tilt_sigma_rad, lost_share, found_share, wrong_sigma[WRONG_NUMBERS];
+    sim_vessel_origin course;
+    sim_mount pad;
+    sim_vehicle_params vehicle_params;
+    sim_vehicle vehicle;
+    sim_sway sway[HARMONICS_MAX];
+} sim_training;
+
+/* One world: the vehicle, the sea's phasors, the deck at both ends of a step, the errors of the estimate. */
+typedef struct {
+    uint64_t random[4];
+    int64_t steps, lost, view_at;
+    double t_s, deck_at[2][12], error[6], tilt_error[2], trim[2], action[ACTION_NUMBERS], goal_m, phasor_re[HARMONICS_MAX],
+        phasor_im[HARMONICS_MAX];
+    float views[VIEWS_MAX * VIEW_NUMBERS];
+    sim_deck deck;
+    sim_vehicle_params vehicle_params;
+    sim_vehicle vehicle;
+} sim_training_world;
+
+/* What a step of `count` worlds gives: an observation each, the terms of its reward, how its episode ended, and for episodes that did
+ * the last observation and the touchdown's place (lateral distance, m) and speeds (down, along the deck, m/s). */
+typedef struct {
+    float *views, *terms, *last_views, *touchdowns;
+    int8_t *ends;
+} sim_training_step;
+
+/* Begin an episode of every world with its random state; write the observations. */
+void sim_training_begin(const sim_training *rules, int32_t count, sim_training_world *worlds, float *views);
+/* Take one step of the controller in every world by ACTION_NUMBERS each. A world whose episode ends begins the next one. */
+void sim_training_step_all(const sim_training *rules, int32_t count, sim_training_world *worlds, const float *actions,
+    const sim_training_step *out);
 
 /* ---- render/ and sea/: what a camera sees ---- */
 

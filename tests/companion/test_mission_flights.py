@@ -13,7 +13,7 @@ from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission_step import mission_step, ordered, reported
+from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.steer import Aim, never_lower

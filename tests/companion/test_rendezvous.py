@@ -11,7 +11,7 @@ from companion.base.mission import State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance import rendezvous
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission_step import mission_step, reported
+from companion.guidance.landing import mission_step, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.wind import WindOverDrone

@@ -13,8 +13,7 @@ from msgspec.structs import asdict, replace
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.corrupted import ERRORS, FACTS, SIGNALS, UNSIZED, Corrupted, Corruptions, errors_of
-from sitl.faults.random_faults import draw
+from sitl.faults.corrupted import ERRORS, FACTS, SIGNALS, UNSIZED, Corrupted, Corruptions, draw, errors_of
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.with_fault import as_toml, with_random_faults
@@ -125,6 +124,9 @@ def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_holds_the_same(s
     drawn = with_random_faults(base, seed, "model")
     faults = [fault for fault in drawn.faults if isinstance(fault, Corrupted)]
     assert 1 <= len(faults) <= 2
+    words = f"{', '.join(fault.words for fault in faults)}: {base.title}".split()
+    assert len(drawn.title) <= 120
+    assert drawn.title.removesuffix(" ...").split() == words[: len(drawn.title.removesuffix(" ...").split())], "whole words"
     text = as_toml("rendezvous", drawn, faults, ["head"])
     data = tomllib.loads(text)
     assert data.pop("base") == "rendezvous"
