@@ -72,6 +72,8 @@ class ReasonCause(Enum):
 
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
+    SPEED_AHEAD = "{measured:.2f} m/s along the deck at the contact to come (limit {limit:g} m/s)"
+    VIDEO_LATE = "video is {measured:.2f} s late: {limit:.1f} cm expected at the contact"
     SIGMA = "the place is known to {measured:.3f} m (limit {limit:g} m)"
     RELATIVE_SPEED = "{measured:.2f} m/s against the deck (limit {limit:g} m/s)"
     DECK_TILT = "the deck tilts by {measured:.1f} deg (limit {limit:g} deg)"
@@ -90,6 +92,8 @@ class ReasonCause(Enum):
 CONDITIONS = frozenset(
     {
         ReasonCause.RELATIVE_SPEED,
+        ReasonCause.ERROR_AHEAD,
+        ReasonCause.SPEED_AHEAD,
         ReasonCause.DECK_TILT,
         ReasonCause.DECK_RATE,
         ReasonCause.DECK_RISE,

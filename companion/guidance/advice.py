@@ -52,6 +52,8 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.ERROR: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
     _C.ERROR_AHEAD: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
     _C.SIGMA: _LIGHT,
+    _C.SPEED_AHEAD: "Wait for less wind, or let the ship keep her course and speed.",
+    _C.VIDEO_LATE: "Ask for fewer or smaller frames, or a faster link; more delay costs more centimetres.",
     _C.RELATIVE_SPEED: "Wait for less wind, or let the ship keep her course and speed.",
     _C.DECK_TILT: _SEA,
     _C.DECK_RATE: _SEA,

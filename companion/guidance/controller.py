@@ -40,6 +40,17 @@ class Impact(Struct, frozen=True):
     """Whether it may be a spike of the sensor: harder than any landing, or one of several in a row."""
 
 
+class AtContact(Struct, frozen=True):
+    """Where the control law will have the vehicle when its feet meet the deck, if nothing new pushes it."""
+
+    error_m: float
+    """Distance from the pad's centre."""
+    speed_m_s: float
+    """Speed along the deck."""
+    sigma_m: float
+    """Standard deviation of the place, one axis: what the filter does not know, and the gusts until then."""
+
+
 class Knowledge(Struct, frozen=True):
     """What guidance knows in one cycle. `level` is the body's own at `at` throughout."""
 
@@ -58,6 +69,8 @@ class Knowledge(Struct, frozen=True):
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
     climb_max_m_s: float | None = None
     """The fastest climb that the controller asks for; None if it does not say."""
+    at_contact: AtContact | None = None
+    """None from a controller that does not look ahead, and far from the deck."""
 
 
 class Target(Struct, frozen=True, eq=False):
@@ -111,5 +124,12 @@ class Controller(Protocol[Memory]):
         ...
 
     def start(self) -> Memory: ...
+
+    def ahead(self, memory: Memory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
+        """Return how far from the pad's axis, m, and how fast along the deck, m/s, the vehicle will be after so many seconds.
+
+        None from a controller that does not know.
+        """
+        ...
 
     def step(self, memory: Memory, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Memory, Command]: ...

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from msgspec import Struct, field, structs
 from msgspec.structs import replace
 
@@ -22,11 +23,12 @@ from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
+from companion.guidance.tilt_model import tilt_model
 from companion.guidance.view import FieldOfView
 from companion.settings.response import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import fixed_pair, fixed_vector
+from estimator.contracts.geometry import F64, fixed_pair, fixed_vector
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
 
@@ -78,6 +80,10 @@ def tuned(given: TiltResponse, weights: TiltWeights, choice: TuningChoice) -> tu
     return structs.replace(given, delay_s=delay_s), weights._replace(p_m=weights.p_m * softer)
 
 
+def _at_once(response: TiltResponse) -> TiltResponse:
+    return structs.replace(response, delay_s=0.0)
+
+
 class TiltTuning:
     """One response with its gains, each solved when it is first asked for.
 
@@ -92,6 +98,7 @@ class TiltTuning:
         self.under_way = max(1, math.ceil(response.delay_s / period_s - 1e-9))
         self._weights, self._period_s, self._delay_line = weights, period_s, delay_line
         self._solved: dict[float, TiltGains] = {}
+        self._after: dict[tuple[float, int], F64] = {}
 
     def gains(self, sigma_p_m: float) -> TiltGains:
         """Return the gains for a standard deviation of the place: the worse it is known, the softer."""
@@ -101,6 +108,27 @@ class TiltTuning:
             weights = self._weights._replace(p_m=self._weights.p_m * max(1.0, sigma / _STIFF_M))
             self._solved[sigma] = tilt_gains(self.response, weights, self._period_s, delay_line=self._delay_line)
         return self._solved[sigma]
+
+    def after(self, sigma_p_m: float, cycles: int) -> F64:
+        """Return what leads from the state of the closed loop to place and speed some guidance cycles later, (2, n)."""
+        key = chosen(SIGMAS_P_M, sigma_p_m), cycles
+        if key not in self._after:
+            model, gains = (
+                tilt_model(self.response if self._delay_line else _at_once(self.response), self._period_s),
+                self.gains(key[0]),
+            )
+            lag = (gains.lag,) if model.states == 5 else ()
+            K = np.array([gains.p, gains.w, gains.a, gains.rate, *lag, *gains.under_way])
+            self._after[key] = np.linalg.matrix_power(model.A - np.outer(model.B, K), cycles)[:2]
+        return self._after[key]
+
+    def state(self, axis: Any, a_deck: float) -> F64:
+        """Return the state of the closed loop: an axis of the core's memory less what holds it over the deck."""
+        reference = a_deck - axis.d
+        lag = (axis.lag - reference,) if self.response.lag_s > 1e-4 else ()
+        n = self.under_way if self._delay_line else 1
+        under_way = [axis.under_way[k] - reference for k in range(n)]
+        return np.array([axis.p, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
 
     def solve(self) -> TiltTuning:
         """Solve all gains beforehand.
@@ -247,6 +275,22 @@ class FollowDeck:
         if share == 1.0 and wanted != memory.tuning:
             return replace(memory, tuning=wanted, tuning_before=memory.tuning, share=0.0)
         return memory if share == memory.share else replace(memory, share=share)
+
+    def ahead(self, memory: FollowDeckMemory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
+        """Return where the loop has taken the vehicle after so many seconds: distance from the axis, m, and speed, m/s.
+
+        The push of the air and the deck's acceleration stay as they are.
+        """
+        relative, body = knowledge.relative, knowledge.body
+        if memory.at is None or relative is None or body is None:
+            return None
+        tuning = self._tuning(memory.tuning)
+        a_deck = (0.0, 0.0) if knowledge.deck is None else tuple(knowledge.deck.a_level.tolist()[:2])
+        c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
+        a_ned = (c * a_deck[0] - s * a_deck[1], s * a_deck[0] + c * a_deck[1])
+        after = tuning.after(_sigma_m(relative), max(0, round(seconds / self.period_s)))
+        (p_n, w_n), (p_e, w_e) = ((after @ tuning.state(memory.core.axes[axis], a_ned[axis])).tolist() for axis in range(2))
+        return math.hypot(p_n, p_e), math.hypot(w_n, w_e)
 
     def step(
         self, memory: FollowDeckMemory, now: MonoNs, knowledge: Knowledge, target: Target | None

@@ -7,14 +7,15 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, GROUND, Event, State, StateChange
+from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.contact import ContactWatch, watched
-from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
+from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
+from companion.guidance.margins import expected_error_m
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
 from companion.guidance.rendezvous import VesselTrack
@@ -23,7 +24,7 @@ from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
 from companion.guidance.watch import account, events
-from companion.guidance.wind import WindWatch, wind_over_drone
+from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
@@ -44,7 +45,7 @@ from estimator.contracts.samples import (
     VehicleStatus,
     VesselReport,
 )
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 
 _MOST = 4
@@ -146,6 +147,12 @@ _PLAIN = (
 )
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
+_NEAR = (State.GATE, State.COMMIT)
+"""States in which the contact to come is asked for."""
+_DELAY_KEEP = 0.98
+"""Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
+_LATE_VIDEO_S = 0.15
+"""Delay of the camera from which the operator is told what it costs, s."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
@@ -195,6 +202,7 @@ class LandingGuidance:
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
         self._wind, self._tilt = WindWatch(), tilt
+        self._air: WindOverDrone | None = None
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports)
@@ -216,9 +224,16 @@ class LandingGuidance:
         if isinstance(self._vessel, VesselPosition) and self.mission.state is State.RENDEZVOUS:
             return Reason(ReasonCause.VESSEL_AWAY, self._vessel.distance_m).text
         if self.mission.state in _PLAIN:
-            return ""
+            return "" if (late := self._late_video()) is None or self.mission.state not in FLOWN else late.text
         why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
         return "" if why is None else why.text
+
+    def _late_video(self) -> Reason | None:
+        """Return that the video is late, with the error that it leaves to expect; None where it is not."""
+        late_s = self._quality.delay_s
+        if late_s < _LATE_VIDEO_S:
+            return None
+        return Reason(ReasonCause.VIDEO_LATE, late_s, 100.0 * expected_error_m(self._tilt, late_s))
 
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
@@ -314,10 +329,26 @@ class LandingGuidance:
         if self.deck_impossible(now):
             self._forecast = None
             return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
+        seen = Knowledge(now, relative, body, deck)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
-        return Knowledge(now, relative, body, deck, self._forecast, self._impact, self._response.in_use, self._law.climb_max_m_s)
+        return replace(
+            seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
+            climb_max_m_s=self._law.climb_max_m_s, at_contact=self._at_contact(seen),
+        )  # fmt: skip
+
+    def _at_contact(self, seen: Knowledge) -> AtContact | None:
+        """Return what the contact will be like, by the law's memory of the cycle before."""
+        estimate = seen.relative
+        if estimate is None or self.mission.state not in _NEAR:
+            return None
+        left_s = limits.to_contact_s(estimate, self._guidance.cone)
+        ahead = self._law.ahead(self._law_memory, seen, left_s)
+        if ahead is None:
+            return None
+        gust_m_s2 = 0.0 if self._air is None else self._air.gust_m_s * self._tilt.drag_1_s
+        return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), limits.gusts_m(gust_m_s2, left_s)))
 
     def command(self, knowledge: Knowledge) -> Command | None:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""
@@ -325,6 +356,7 @@ class LandingGuidance:
         self._now = max(self._now, now)
         self._wind = watched_wind(self._wind, knowledge)
         wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad)
+        self._air = wind
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
@@ -362,13 +394,16 @@ class LandingGuidance:
         made = self._forecast
         return None if made is None or made.at != now else made
 
-    def on_fused(self, steering: FusionResult, stamp_sigma_s: float) -> None:
+    def on_fused(self, steering: FusionResult, stamp: Stamp) -> None:
         """Note how well a sighting agreed with the steering path's estimate, and how well its time is known."""
+        late_s, known_s = stamp.delay_s, self._quality.delay_s
+        # The least delay of the newest sightings: it falls at once, and rises while all of them are later.
+        delay_s = late_s if late_s < known_s or self._quality.time_sigma_s is None else late_s + _DELAY_KEEP * (known_s - late_s)
         mean = self._quality.normalized_nis
         if math.isfinite(steering.nis):
             now = steering.normalized_nis
             mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
-        self._quality = InputQuality(mean, stamp_sigma_s)
+        self._quality = InputQuality(mean, stamp.sigma_s, delay_s)
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Take the verdict on a frame, whoever gave it."""

@@ -29,7 +29,11 @@ _DECK_SIGMAS = 2.0
 _FRICTION = 0.5
 """Friction between feet and deck, of its weight; wet steel has less, rubber more."""
 _COMMIT_SPEED = 1.5
-"""Speed against the deck that ends a commit while it can, over the gate's limit: feet that meet the deck faster slide."""
+"""Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
+SIGMAS_AHEAD = 2.0
+"""Standard deviations of the place at the contact that count."""
+_GUST_S = 2.0
+"""Time for which a gust lasts, s."""
 ON_PAD = 1.4
 """Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
@@ -44,6 +48,8 @@ class InputQuality(Struct, frozen=True):
     """Recent mean of the sightings' NIS over the number of components; None before the first comparison."""
     time_sigma_s: float | None = None
     """Standard deviation of the newest sighting's time stamp; None before the first."""
+    delay_s: float = 0.0
+    """The camera's constant delay: how old a sighting is at least when it is fused."""
 
 
 def sigma_m(estimate: RelativeState) -> float:
@@ -68,7 +74,7 @@ def gate(
         estimate: a fresh, consistent estimate.
         aligned: whether the heading has to be that of the arrow.
     """
-    to_contact_s = max(0.0, estimate.height_m - cone.feet_below_m) / cone.commit_rate_m_s
+    contact_s = to_contact_s(estimate, cone)
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1])
     comparisons = [
@@ -76,10 +82,11 @@ def gate(
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
         (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
-        (ReasonCause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
-        *_of_the_deck(knowledge, limits, to_contact_s),
+        (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
+        *_at_contact(knowledge, limits, 1.0),
+        *_of_the_deck(knowledge, limits, contact_s),
         (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
-        (ReasonCause.DECK_FALL, _fall_m_s(knowledge, to_contact_s, cone), limits.deck_fall_m_s),
+        (ReasonCause.DECK_FALL, _fall_m_s(knowledge, contact_s, cone), limits.deck_fall_m_s),
     ]
     if aligned:
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))
@@ -130,18 +137,45 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     speed = math.hypot(v[0], v[1]) if turns else None
     return _first(
         [
+            *(_at_contact(knowledge, limits, _COMMIT_SPEED) if turns else ()),
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
-            (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
+            (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
             # What was within the limit at the gate may lean a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
 
 
+def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> list[Comparison]:
+    """Return the comparisons of what the contact will be like; none where nobody looks ahead."""
+    ahead = knowledge.at_contact
+    if ahead is None:
+        return []
+    return [
+        (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m, SIGMAS_AHEAD * ahead.sigma_m), looser * limits.error_m),
+        (ReasonCause.SPEED_AHEAD, ahead.speed_m_s, looser * limits.relative_speed_m_s),
+    ]
+
+
+def to_contact_s(estimate: RelativeState, cone: ConeOptions) -> float:
+    """Return the time until the feet meet the deck at the commit's rate, s."""
+    return max(0.0, estimate.height_m - cone.feet_below_m) / cone.commit_rate_m_s
+
+
+def gusts_m(gust_m_s2: float, seconds: float) -> float:
+    """Return how far gusts push the vehicle until then that nothing has told of yet: standard deviation on one axis, m.
+
+    A Gauss-Markov push that lasts for `_GUST_S` changes as its square root at first, and acts as its double integral.
+    """
+    t = min(seconds, _GUST_S)
+    return gust_m_s2 * math.sqrt(2.0 * t / _GUST_S) * t * t / 4.0
+
+
 def _of_the_sightings(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> list[Comparison]:
     return [
-        (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.sighting_age_s),
+        # What is constant the filter knows: it puts a late frame in at its own instant.
+        (ReasonCause.SIGHTING_AGE, estimate.age_s(now) - quality.delay_s, limits.sighting_age_s),
         (ReasonCause.NIS, quality.normalized_nis, limits.normalized_nis),
     ]
 

@@ -8,6 +8,7 @@ Source: Astrom & Murray, Feedback Systems, 2nd ed., sec. 10.3 (margins), 12.2 (s
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,13 @@ from estimator.core.library import CORE
 
 PERIOD_S = 0.02
 """The guidance period that the margins are for, s."""
+MEDIAN_OF_AXIS = math.sqrt(2.0 * math.log(2.0))
+"""Median of a distance whose two axes have standard deviation 1 (Rayleigh)."""
+_LATE_M_S2 = 0.6
+"""Acceleration that is unknown while the video is late, m/s^2.
+
+The median error of 20 flights of sea_state_4 with video 0.26 s late was 3.2 cm, of 20 with 0.09 s 2.2 cm.
+"""
 _SIGMA_P_M = 0.01
 _AXIS, _MEASURED = ("p", "w", "d", "b", "lean", "rate", "lag"), ("p", "w", "lean", "rate", "a_body")
 """The numbers of an axis of the law before the commands under way, and those that are measured."""
@@ -102,6 +110,20 @@ def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
         true: the vehicle's own.
     """
     return _closed(assumed, true, None, None, True, AxisDisturbances()).errors()[0]
+
+
+@lru_cache(maxsize=64)
+def _own_error_m(response: TiltResponse) -> float:
+    return axis_error_m(response, response)
+
+
+def expected_error_m(response: TiltResponse, late_s: float) -> float:
+    """Return the median distance from the centre to expect at a contact at sea state 4, m.
+
+    Args:
+        late_s: delay of the video, in which the place is carried on by accelerations that err.
+    """
+    return MEDIAN_OF_AXIS * math.hypot(_own_error_m(response), 0.5 * _LATE_M_S2 * late_s**2)
 
 
 def pushed_axis(response: TiltResponse) -> tuple[F64, F64]:

@@ -34,6 +34,9 @@ class PidController:
         """Return the memory before the first cycle."""
         return Pid.start()
 
+    def ahead(self, memory: Pid, knowledge: Knowledge, seconds: float) -> None:
+        """Return None: it knows nothing of what is under way."""
+
     def step(self, memory: Pid, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Pid, Command]:
         """Run one guidance cycle; `Hover` without a target or an estimate."""
         estimate = knowledge.relative

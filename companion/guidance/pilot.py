@@ -274,7 +274,7 @@ class Pilot:
         sighting = seen.selected or seen.elsewhere
         if sighting is None:
             return Verdict.NO_PAD, ()
-        self.landing.on_fused(results[0], sighting.stamp.sigma_s)
+        self.landing.on_fused(results[0], sighting.stamp)
         return results[0].verdict, results
 
     def decide(self, now: MonoNs) -> Decision:

@@ -69,11 +69,24 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range.
     """
 
-    error_m: Annotated[float, number("largest distance from the pad's axis at the gate", "m", 0.01, 2.0, public=True)] = 0.08
+    error_m: Annotated[
+        float,
+        number(
+            "largest distance from the pad's axis at the gate, and with 2 sigma the one expected at the contact",
+            "m",
+            0.01,
+            2.0,
+            public=True,
+        ),
+    ] = 0.08
     commit_error_m: Annotated[float, number("the same in the commit", "m", 0.02, 2.0)] = 0.25
-    relative_speed_m_s: Annotated[float, number("largest horizontal speed against the deck at the gate", "m/s", 0.02, 5.0)] = 0.3
+    relative_speed_m_s: Annotated[
+        float, number("largest speed along the deck expected at the contact, at the gate", "m/s", 0.02, 5.0)
+    ] = 0.2
     sigma_m: Annotated[float, number("largest horizontal standard deviation of the estimate at the gate", "m", 0.01, 2.0)] = 0.15
-    sighting_age_s: Annotated[float, number("largest age of the newest sighting at the gate", "s", 0.05, 5.0)] = 0.3
+    sighting_age_s: Annotated[
+        float, number("largest age of the newest sighting at the gate beyond the camera's own delay", "s", 0.05, 5.0)
+    ] = 0.3
     commit_sighting_age_s: Annotated[
         float, number("the same in the commit, where the pad leaves the camera's view", "s", 0.1, 5.0)
     ] = 1.5

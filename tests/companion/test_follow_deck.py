@@ -13,6 +13,7 @@ from companion.guidance import follow_deck
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice
 from companion.guidance.pid_controller import PidController
+from companion.guidance.tilt_model import tilt_model
 from companion.guidance.view import FieldOfView
 from companion.settings.guidance import PidOptions
 from companion.settings.load import shipped_response
@@ -437,3 +438,28 @@ def test_a_vehicle_that_limits_jerk_comes_to_the_pad_from_aside() -> None:
 @pytest.mark.parametrize(("from_m", "soft"), [(0.099, False), (0.101, True)])
 def test_near_the_pad_the_full_gains_are_flown_at_once(from_m: float, soft: bool) -> None:
     assert come_from(from_m, 1e9, over_ground=True)[1][0].soft is soft
+
+
+@pytest.mark.parametrize(("off_m", "push_m_s2", "seconds"), [(0.05, 0.0, 0.6), (0.0, 0.8, 0.6), (-0.08, 0.5, 0.3)])
+def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: float) -> None:
+    """WHY: the gate opens, and the commit ends, on the error at the contact to come."""
+    model = tilt_model(RESPONSE.tilt, T)
+    x, memory = np.zeros(len(model.A)), LAW.start()
+    x[0] = off_m
+    place: list[float] = []
+    said: tuple[float, float] | None = None
+    after, asked_at = round(seconds / T), 60
+    assert LAW.ahead(memory, known(0.0), seconds) is None, "nothing is under way before the first cycle"
+    for n in range(asked_at + after):
+        k = known(
+            n * T, (x[0], 0.0, 1.0), (x[1], 0.0, 0.0), a=(x[2] + push_m_s2, 0.0), lean=(x[2], 0.0),
+            rates=(0.0, -x[3] / G_M_S2, 0.0), v_deck=(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        memory, command = stepped(memory, k)
+        if n == asked_at:
+            said = LAW.ahead(memory, k, seconds)
+        x = model.A @ x + model.B * float(command.a_level[0] + command.trim_level[0])
+        x[:2] -= push_m_s2 * np.array([0.5 * T * T, T])
+        place.append(abs(float(x[0])))
+    assert said is not None
+    assert said[0] == pytest.approx(place[-1], abs=0.004)

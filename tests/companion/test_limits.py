@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.controller import HORIZONS_S, Knowledge
+from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
 from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, sigma_m, stop_m
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.motion import G_M_S2, DeckMotion
@@ -48,9 +48,10 @@ def shut(
     quality: InputQuality | None = None,
     *,
     aligned: bool = False,
+    contact: AtContact | None = None,
 ) -> Reason | None:
     one = estimate(NOW, **{"d": (0.0, 0.0, CONE.feet_below_m + 0.3)} | (seen or {}))
-    knowledge = Knowledge(ns(NOW), one, deck=deck, forecast=ahead, climb_max_m_s=1.0)
+    knowledge = Knowledge(ns(NOW), one, deck=deck, forecast=ahead, climb_max_m_s=1.0, at_contact=contact)
     return gate(ns(NOW), one, knowledge, quality or InputQuality(), LIMITS, CONE, aligned=aligned)
 
 
@@ -64,6 +65,16 @@ def shut(
         ({"quality": InputQuality(None, 0.03)}, {"quality": InputQuality(None, 0.031)}, ReasonCause.TIME_LOCK, 0.03),
         ({"seen": {"d": (0.05, -0.06, 0.3)}}, {"seen": {"d": (0.06, -0.06, 0.3)}}, ReasonCause.ERROR, 0.08),
         ({"seen": {"v": (0.2, -0.22, 9.0)}}, {"seen": {"v": (0.22, -0.22, 0.0)}}, ReasonCause.RELATIVE_SPEED, 0.3),
+        (
+            {"quality": InputQuality(delay_s=0.3), "seen": {"age": 0.59}},
+            {"quality": InputQuality(delay_s=0.3), "seen": {"age": 0.61}},
+            ReasonCause.SIGHTING_AGE,
+            0.3,
+        ),
+        ({"contact": AtContact(0.079, 0.0, 0.0)}, {"contact": AtContact(0.081, 0.0, 0.0)}, ReasonCause.ERROR_AHEAD, 0.08),
+        ({"contact": AtContact(0.0, 0.0, 0.039)}, {"contact": AtContact(0.0, 0.0, 0.041)}, ReasonCause.ERROR_AHEAD, 0.08),
+        ({"contact": AtContact(0.05, 0.0, 0.03)}, {"contact": AtContact(0.056, 0.0, 0.03)}, ReasonCause.ERROR_AHEAD, 0.08),
+        ({"contact": AtContact(0.0, 0.199, 0.0)}, {"contact": AtContact(0.0, 0.201, 0.0)}, ReasonCause.SPEED_AHEAD, 0.2),
         ({"deck": tilted(1.7, -1.8)}, {"deck": tilted(1.8, -1.8)}, ReasonCause.DECK_TILT, 2.5),
         ({"deck": tilted(down_m_s=1.19)}, {"deck": tilted(down_m_s=1.21)}, ReasonCause.DECK_RATE, 1.2),
         ({"deck": tilted(down_m_s=-1.19)}, {"deck": tilted(down_m_s=-1.21)}, ReasonCause.DECK_RATE, 1.2),
@@ -80,7 +91,7 @@ def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(
     assert shut(**within) is None
     found = shut(**beyond)
     assert found is not None
-    assert (found.cause, found.limit) == (cause, limit)
+    assert (found.cause, found.limit) == (cause, pytest.approx(limit))
     assert found.measured is not None
     assert not found.measured <= limit
     assert math.isnan(found.measured) or cause is ReasonCause.DECK_RISE or found.measured < 1.1 * limit or limit == 12.0
@@ -135,6 +146,16 @@ def test_the_commit_has_limits_of_its_own() -> None:
         assert found.cause is cause
     assert in_commit({}, tilted(2.4)) is None
     assert in_commit({"d": (0.0, 0.0, 1.0)}) is None
+
+
+def test_a_commit_ends_on_the_error_to_come_while_a_climb_comes_before_the_contact() -> None:
+    for height_m, ends in ((0.3, True), (CONE.feet_below_m + 0.1, False)):
+        one = estimate(NOW, (0.0, 0.0, height_m))
+        for contact in (AtContact(0.13, 0.0, 0.0), AtContact(0.0, 0.31, 0.0)):
+            found = commit(ns(NOW), one, Knowledge(ns(NOW), one, at_contact=contact), LIMITS, CONE)
+            assert (found is not None) is ends
+        calm = Knowledge(ns(NOW), one, at_contact=AtContact(0.11, 0.29, 0.0))
+        assert commit(ns(NOW), one, calm, LIMITS, CONE) is None
 
 
 @pytest.mark.parametrize(("longer_s", "more_m"), [(None, 0.0), (-0.1, 0.0), (0.1, 0.1 * CONE.commit_rate_m_s)])

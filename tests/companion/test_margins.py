@@ -8,7 +8,16 @@ import pytest
 from msgspec import structs
 
 from companion.guidance import disturbance
-from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, by_frequency, margins
+from companion.guidance.margins import (
+    MEDIAN_OF_AXIS,
+    PERIOD_S,
+    AxisDisturbances,
+    GaussMarkov,
+    axis_error_m,
+    by_frequency,
+    expected_error_m,
+    margins,
+)
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from companion.guidance.tilt_model import tilt_model
 from companion.settings.load import shipped_response
@@ -170,3 +179,10 @@ def test_of_all_surroundings_together_the_variances_add() -> None:
 def test_the_shipped_vehicle_near_the_deck_at_sea_state_4() -> None:
     found = margins(SHIPPED)
     assert (found.error_m, found.speed_m_s) == pytest.approx((0.01756, 0.04148), rel=1e-3)
+
+
+def test_the_error_to_expect_grows_with_the_delay_of_the_video() -> None:
+    expected = [expected_error_m(SHIPPED, late_s) for late_s in (0.0, 0.09, 0.17, 0.26, 0.4)]
+    assert expected == sorted(expected)
+    assert expected[0] == pytest.approx(MEDIAN_OF_AXIS * axis_error_m(SHIPPED, SHIPPED))
+    assert expected[3] == pytest.approx(0.032, abs=0.002), "as flown"
