@@ -38,7 +38,7 @@ DRAWINGS = {
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
 LAB = {
-    "companion/cli/campaign_progress.py",
+    "companion/cli/progress.py",
     *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""

@@ -10,18 +10,18 @@ from msgspec.structs import replace
 from companion.base.mission import ENDED, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import held_up, limits, steer, vessel_track
+from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
+from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
-from companion.guidance.vessel_track import VesselTrack
 from companion.guidance.watch import account, events
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
@@ -224,7 +224,7 @@ class LandingGuidance:
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
         if event is Event.BEGIN:
-            self._vessel_track = vessel_track.restarted(self._vessel_track)
+            self._vessel_track = rendezvous.restarted(self._vessel_track)
         self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
@@ -266,7 +266,7 @@ class LandingGuidance:
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
                     continue
             elif type(sample) is GimbalAttitude:
@@ -331,8 +331,8 @@ class LandingGuidance:
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
-            place = vessel_track.position(self._vessel_track, now)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
+            place = rendezvous.position(self._vessel_track, now)
         self._vessel = place
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         near = self._range
@@ -385,7 +385,7 @@ class LandingGuidance:
 
     def vessel_velocity(self, now: MonoNs) -> F64 | None:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
-        return vessel_track.velocity_ned(self._vessel_track, now)
+        return rendezvous.velocity_ned(self._vessel_track, now)
 
 
 def of_ship(sample: Sample) -> bool:

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports import ardrone_capture, dataflash, image_folder, parameter_file, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.log_history import parameters_of
 from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu, Range, Sample, VehicleStatus
@@ -125,7 +126,7 @@ def test_a_telemetry_log_gives_samples_and_parameters(tmp_path: Path) -> None:
 def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
     for name, text in PARAMETERS.items():
         (tmp_path / name).write_text(text, newline="")
-        log = parameter_file.read_history(tmp_path / name)
+        log = parameters_of(tmp_path / name)
         assert log.stack == ("PX4" if "px4" in name else "ArduPilot")
         assert kind_of(tmp_path / name) is FileKind.PARAMETERS
     assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
