@@ -26,7 +26,7 @@ static void vehicle_parameters(sim_vehicle_params *o, int kind)
     o->gust_fresh = o->flow_fresh = o->tilt_fresh = 0.01, o->tilt_max_rad = 0.5;
     o->euler_angle_max_rad = 0.21, o->vz_max_m_s = 0.7, o->yaw_rate_max_rad_s = 1.7;
     sim_effects *e = &o->effects;
-    e->on = kind == 1 || kind == 2, e->saturates = e->moving_deck = e->on, e->sag = 0.15, e->hover_share = 0.5, e->drag_per_m = 0.006;
+    e->on = kind == 1 || kind == 2, e->saturates = e->moving_deck = e->rotor_drag = e->on, e->sag = 0.15, e->hover_share = 0.5, e->drag_per_m = 0.006;
     e->downwash = 0.5, e->downwash_keep = 0.99, e->downwash_fresh = 0.1, e->cushion_share = 0.04, e->induced_m_s = 6.0;
     e->climb_keep = 0.99, e->climb_fresh = 0.01, e->rate_sigma = 0.03, e->loop_mass_kg = 1.4, e->tilt_gain = e->lift_share = 1.0;
     e->thing[2] = 0.1, e->thing[3] = 0.02, e->revolution_hz = 60.0;
