@@ -97,8 +97,8 @@ def render_map(name: str, perception: str, flights: Iterable[Flight]) -> str:
     parts = [
         f"<header><h1>What lands: {escape(name)}</h1></header>",
         f'<p class="note">{sum(cell.runs for cell in cells.values()):,} flights ({escape(perception)}). Each cell: landed on the '
-        "pad of flown; median and 95 % of the distance from the centre at which the vehicle stands 5 s after its contact; why others "
-        "were refused. Wind 10 m over the water; waves of the state as that wind's own or as a swell.</p>",
+        "pad of flown; median and 95 % of the distance from the centre at which the vehicle stands 5 s after its contact; "
+        "why others were refused. Wind 10 m over the water; waves of the state as that wind's own or as a swell.</p>",
     ]
     for vehicle in vehicles:
         head = "".join(f"<th>{wind:g} m/s</th>" for wind in winds)

@@ -66,7 +66,7 @@ typedef struct {
 
 /* Effects that are off unless `on`; loop_mass_kg, tilt_gain and lift_share hold always. */
 typedef struct {
-    int64_t on, saturates, moving_deck;
+    int64_t on, saturates, moving_deck, rotor_drag;
     double sag, hover_share, drag_per_m, downwash, downwash_keep, downwash_fresh, cushion_share, induced_m_s, climb_keep, climb_fresh,
         rate_sigma, loop_mass_kg, tilt_gain, lift_share, thing[4], revolution_hz;
 } sim_effects;

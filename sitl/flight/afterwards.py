@@ -154,6 +154,7 @@ class AftermathWatch:
             phase: of guidance, None without a service.
             died: why the service died meanwhile, None if it did not.
         """
+        self.step(truth, reached=self._reached)
         new = truth.contacts[self._known :]
         water = any(contact.surface == "water" for contact in new)
         unsafe = [] if died is None else [f"refused, and then the service died in flight: {died}"]

@@ -256,8 +256,8 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         if not isinstance(name, str):
             raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
         base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
-    if why := contradicted(data):
-        raise BadInput(f"{path}: {why}")
+    if conflict := contradicted(data):
+        raise BadInput(f"{path}: {conflict}")
     whole = _merged(merged_under(data, base), data)
     try:
         scenario = msgspec.convert(whole, Scenario, strict=True)

@@ -22,6 +22,9 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
             "share of its voltage that the battery loses at full thrust", "1", 0.0, 0.4, "3S, 1 Ah, 60 to 100 mOhm: 0.14 to 0.2"
         ),
     ] = 0.0
+    rotor_drag: Annotated[
+        bool, Meta(description="whether the linear drag goes with the rotors' speed, instead of staying when they stand still")
+    ] = False
     drag_per_m: Annotated[
         float, number("quadratic drag: deceleration by the square of the airspeed", "1/m", 0.0, 0.1, "frontal area of 0.015 m^2")
     ] = 0.0

@@ -366,6 +366,7 @@ def _packed_effects(f: Airframe, step_s: float) -> dict[str, Any]:
         "on": e != EffectSettings() or f.lift_share != 1.0,
         "saturates": e.rotor_saturation,
         "moving_deck": e.moving_deck,
+        "rotor_drag": e.rotor_drag,
         "sag": e.battery_sag,
         "hover_share": weight_n / f.thrust_max_n,
         "drag_per_m": e.drag_per_m,

@@ -13,7 +13,7 @@ from sitl.core.library import SIM
 from sitl.scenario.scenario import from_mapping, load
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle
-from sitl.vessel.air import AirModel, GustOnce
+from sitl.vessel.air import AirModel, GustOnce, WakingHull
 from sitl.vessel.contact import DeckShape, Ground, Vec
 from sitl.vessel.seakeeping import Superstructure
 from sitl.world.world import World
@@ -68,6 +68,34 @@ def test_drydens_turbulence_has_the_strength_and_spectra_of_the_specification(he
         for low, high in ((0.1, 0.3), (0.3, 1.0), (1.0, 3.0)):
             band = (f >= low) & (f < high)
             assert power[band].mean() == pytest.approx(expected[band].mean(), rel=0.2)
+
+
+def test_kaimals_turbulence_has_the_spectra_of_the_surface_layer() -> None:
+    """Power n S / u*^2 at f = n z / U along, across and up, of 30 flights of 80 s at 5 m in a wind of 10 m/s to the east."""
+    at = met(AirModel(10.0, math.pi / 2, logarithmic=True, turbulence="kaimal"), 5.0, 80.0)
+    mean = 10.0 * math.log(5.0 / 0.0002) / math.log(10.0 / 0.0002)
+    friction = 0.4 * 10.0 / math.log(10.0 / 0.0002)
+    n = np.fft.rfftfreq(at.shape[0], STEP_S)[1:]
+    f, window = n * 5.0 / mean, np.hanning(at.shape[0])
+    expected = (105 * f / (1 + 33 * f) ** (5 / 3), 17 * f / (1 + 9.5 * f) ** (5 / 3), 2.1 * f / (1 + 5.3 * f ** (5 / 3)))
+    for x, sigma, formula in zip((at[..., 1] - mean, -at[..., 0], at[..., 2]), (2.18, 1.64, 1.24), expected, strict=True):
+        assert x.std() == pytest.approx(sigma * friction, rel=0.12)
+        power = (np.abs(np.fft.rfft(x * window[:, None], axis=0)[1:]) ** 2).mean(axis=1) * 2 * STEP_S / (window**2).sum()
+        for low, high in ((0.02, 0.1), (0.1, 0.5), (0.5, 2.0)):
+            band = (f >= low) & (f < high)
+            assert power[band].mean() == pytest.approx((friction**2 * formula / n)[band].mean(), rel=0.3)
+
+
+def test_the_hulls_windward_edge_slows_the_air_over_the_deck_alone() -> None:
+    hull = WakingHull(3.0, (30.0, 30.0, 10.0, 10.0))
+
+    def share(y: float, z: float) -> float:
+        steps = held(AirModel(10.0, math.pi / 2, hull=hull), (0.0, y, -3.0 - z), (0.0, 0.0, 0.0), 2.0, 60)[..., 1]
+        return 1.0 - float(steps.mean()) / 10.0
+
+    assert share(-12.0, 1.0) == 0.0, "beside the ship to windward there is none"
+    assert share(-5.0, 1.0) > share(-5.0, 5.0) > -0.02
+    assert 0.1 < share(0.0, 1.0) < 0.9
 
 
 def test_the_mean_wind_grows_with_the_logarithm_of_height() -> None:

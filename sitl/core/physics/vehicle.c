@@ -323,8 +323,10 @@ static void accelerate(const sim_vehicle_params *o, const sim_vehicle *v, double
     }
     rotated_back(v->R, past, body);
     const double quadratic = o->effects.drag_per_m > 0.0 ? o->effects.drag_per_m * sqrt(dot(past, past)) : 0.0;
+    /* A rotor's drag goes with its speed, and that with the root of its thrust: what stands with its motors off has none. */
+    const double spin = o->effects.rotor_drag ? sqrt(clip(v->thrust_n / (o->mass_kg * GRAVITY_M_S2), 0.0, 4.0)) : 1.0;
     for (int i = 0; i < 3; i++) {
-        body[i] *= -(o->drag_per_s[i] + quadratic);
+        body[i] *= -(o->drag_per_s[i] * spin + quadratic);
     }
     body[2] -= lift / o->mass_kg;
     rotated(v->R, body, a);

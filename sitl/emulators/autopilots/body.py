@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
 
 from estimator.contracts.errors import BadInput
@@ -14,10 +15,22 @@ from sitl.camera.film import Film, SimulatedExposure, Taken
 from sitl.camera.gimbal import SimulatedGimbal
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.station import OperatorView
-from sitl.scenario.scenario import Scenario, camera_model, pad_model
+from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.vehicle import DECK, SEA, VehiclePhase
 from sitl.vessel.contact import Ground
-from sitl.world.stage import air, airframe, deck_shape, film, flight_seeds, place, renderer, sea_and_vessel, wind
+from sitl.world.stage import (
+    air,
+    airframe,
+    deck_shape,
+    drift_of,
+    film,
+    flight_seeds,
+    place,
+    renderer,
+    sea_and_vessel,
+    true_camera,
+    wind,
+)
 from sitl.world.truth import RenderedFrame
 
 _CHUNK_S = 0.25
@@ -69,8 +82,9 @@ class Body:
     """
 
     def __init__(self, scenario: Scenario, seed: int, step_s: float, curve: float = 0.0) -> None:
+        scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
         self.scenario, self.step_s = scenario, step_s
-        self.pad, self.camera = pad_model(scenario), camera_model(scenario)
+        self.pad, self.camera = pad_model(scenario), true_camera(scenario)
         seeds = flight_seeds(seed)
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
@@ -87,7 +101,7 @@ class Body:
         at = self.vessel.pad_at(0.0)
         self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
         self._sea = (0.0, 0.0)
-        place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
+        place(scenario, self._vehicle, self._ground, at, drift_of(self.vessel) if scenario.vessel.motion else np.zeros(2))
         self._renderer: Film | None = None
         self.exposure: SimulatedExposure | None = None
         """The exposure of the camera where the service drives it."""

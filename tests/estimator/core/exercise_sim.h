@@ -25,8 +25,14 @@ static void vehicle_parameters(sim_vehicle_params *o, int kind)
     o->deck_taper_m = kind % 2, o->deck_yaw[0] = 1.0, o->gust_sigma_m_s = 0.5, o->gust_keep = o->flow_keep = o->tilt_keep = 0.99;
     o->gust_fresh = o->flow_fresh = o->tilt_fresh = 0.01, o->tilt_max_rad = 0.5;
     o->euler_angle_max_rad = 0.21, o->vz_max_m_s = 0.7, o->yaw_rate_max_rad_s = 1.7;
+    sim_effects *e = &o->effects;
+    e->on = kind == 1 || kind == 2, e->saturates = e->moving_deck = e->rotor_drag = e->on, e->sag = 0.15, e->hover_share = 0.5, e->drag_per_m = 0.006;
+    e->downwash = 0.5, e->downwash_keep = 0.99, e->downwash_fresh = 0.1, e->cushion_share = 0.04, e->induced_m_s = 6.0;
+    e->climb_keep = 0.99, e->climb_fresh = 0.01, e->rate_sigma = 0.03, e->loop_mass_kg = 1.4, e->tilt_gain = e->lift_share = 1.0;
+    e->thing[2] = 0.1, e->thing[3] = 0.02, e->revolution_hz = 60.0;
     sim_air_params *air = &o->air;
     air->on = kind > 1, air->logarithmic = kind % 2, air->dryden = kind == 3, air->wake = kind == 2;
+    air->kaimal = kind == 5, air->hull_wake = kind == 6, air->edge_m = 1.2, air->edge_decay = 0.03, air->deck_m[0] = air->deck_m[1] = 2.0;
     air->gusts = kind == 4 ? GUSTS_MAX : 0, air->speed_m_s = 7.0, air->along[0] = -1.0, air->roughness_m = 0.0002;
     air->log10m = 10.8, air->keep_ship = 0.001, air->block_m[0] = -6.0, air->wake_decay = 0.03, air->pad_yaw[0] = 1.0;
     for (int i = 0; i < 3; i++) {
@@ -47,8 +53,8 @@ static void sail(int kind, int steps, double poison)
     sim_water *sea = calloc(1, sizeof *sea);
     sim_wave *waves = calloc(3, sizeof *waves);
     sim_deck *decks = calloc((size_t)steps, sizeof *decks);
-    double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps),
-           *effects = numbers(EFFECT_NOISE * steps);
+    double *noise = numbers(FLIGHT_NOISE * steps), *air = numbers(FLIGHT_NOISE * steps), *sensed = numbers(SENSOR_NOISE * steps);
+    double *rough = numbers(EFFECT_NOISE * steps);
     vehicle_parameters(o, kind);
     for (int i = 0; i < steps; i++) {
         decks[i].p[2] = -0.5, decks[i].R[0] = decks[i].R[4] = decks[i].R[8] = 1.0;
@@ -58,20 +64,20 @@ static void sail(int kind, int steps, double poison)
     }
     sea->every = 5;
     e->echo_every = 1 + kind, e->echo_delay = 15, e->step_s = 0.004, e->cone_rad = 0.7, e->echo_max_m = 6.0;
-    e->battery_life_s = 1200.0, e->hover_n = 3.6;
+    e->battery_life_s = 1200.0, e->hover_n = 3.6, e->accel_scale = e->gyro_scale = 1.0, e->vibration = kind == 1;
     v->phase = kind % 2 ? PHASE_LANDING : PHASE_FLYING, v->q[0] = v->R[0] = v->R[4] = v->R[8] = v->attached_q[0] = 1.0;
     v->p[1] = kind == 6 ? 3.0 : 0.0, v->p[2] = -1.1 * poison, v->airborne_s = 1.0, v->thrust_n = 14.0, v->touched_s = NAN;
     v->driven_n = 10.0;
-    sim_vehicle_step(o, v, decks, 0.0, 0.0, noise, air, effects);
+    sim_vehicle_step(o, v, decks, 0.0, 0.0, noise, air, rough);
     const sim_flight flown = {o, v, e, s, sea, waves, 3};
     for (int done = 0; done < steps;) {
         done += sim_run(&flown, steps - done, decks + done, noise + FLIGHT_NOISE * done, air + FLIGHT_NOISE * done,
-                        effects + EFFECT_NOISE * done, sensed + SENSOR_NOISE * done);
+                        rough + EFFECT_NOISE * done, sensed + SENSOR_NOISE * done);
     }
     sim_sensors_read(o, v, e, s, out);
     fold(v->p, 3), fold(v->v, 3), fold(v->air, 3), fold(out->f_body, 3), fold(&out->pressure_pa, 1);
     sim_vehicle_carry(v, decks);
-    void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed, effects};
+    void *all[] = {o, v, e, s, out, sea, waves, decks, noise, air, sensed, rough};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }

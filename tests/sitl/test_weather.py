@@ -1,0 +1,243 @@
+"""Weather that belongs together, unkind effects, wrong models, and what becomes of a vehicle after its outcome."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.settings.load import shipped
+from estimator.contracts.errors import BadInput
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.time import MonoNs
+from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
+from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import Scenario, from_mapping, load, sea_of, wind_of
+from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
+from sitl.scenario.wrong_model import SPREADS, WrongModel
+from sitl.sea.sea import WMO_3700_M
+from sitl.vehicle.effects import EffectSettings
+from sitl.vessel.logged_motion import read_log
+from sitl.world.stage import airframe, true_camera
+from sitl.world.world import Stick, World
+from tests.sitl.near import NEAR
+from tests.sitl.test_world import CALM, run, with_
+
+UNKIND: dict[str, Any] = {
+    "rotor_saturation": True, "battery_sag": 0.15, "drag_per_m": 0.01, "rotor_drag": True, "downwash_m_s2": 1.0, "moving_deck": True,
+    "vibration_m_s2": 2.0, "loop_climb_sigma_m_s": 0.1, "loop_rate_sigma_deg_s": 2.0, "unknown_mass_kg": 0.2,
+}  # fmt: skip
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(1.0, 20.0), st.floats(1.0, 2000.0))
+def test_a_sea_grows_with_wind_and_fetch_up_to_the_fully_grown_one(wind_m_s: float, fetch_km: float) -> None:
+    grown, young = raised_sea(wind_m_s), raised_sea(wind_m_s, fetch_km)
+    assert young.hs_m <= grown.hs_m + 1e-9
+    assert young.hs_m <= raised_sea(wind_m_s, 2.0 * fetch_km).hs_m + 1e-9
+    assert raising_wind_m_s(young.hs_m, fetch_km) <= wind_m_s + 1e-6
+    assert raising_wind_m_s(grown.hs_m) == pytest.approx(wind_m_s, rel=1e-6)
+
+
+def test_growth_and_roughness_are_those_of_the_sources() -> None:
+    """Pierson & Moskowitz: a peak at 0.877 g / U19.5; JONSWAP: 0.0016 sqrt(x) U^2 / g; Charnock's relation."""
+    grown = raised_sea(9.0)
+    z = roughness_m(9.0)
+    aloft = 9.0 * math.log(19.5 / z) / math.log(10.0 / z)
+    assert math.tau / grown.tp_s == pytest.approx(0.877 * G_M_S2 / aloft, rel=0.01)
+    x = G_M_S2 * 20e3 / 81.0
+    assert raised_sea(9.0, 20.0).hs_m == pytest.approx(0.0016 * math.sqrt(x) * 81.0 / G_M_S2)
+    assert z == pytest.approx(0.0144 * (0.4 * 9.0 / math.log(10.0 / z)) ** 2 / G_M_S2, rel=1e-3)
+
+
+@pytest.mark.parametrize("state", [2, 3, 4, 5, 6])
+def test_the_shipped_weather_has_the_sea_of_its_state_and_the_wind_that_raises_it(state: int) -> None:
+    scenario = load(f"weather_{state}")
+    low, high = WMO_3700_M[state]
+    (system,), air = sea_of(scenario).systems(), wind_of(scenario)
+    assert low <= system.state.hs_m <= high
+    assert system.state.hs_m == pytest.approx(raised_sea(air.speed_m_s).hs_m)
+    assert math.degrees(system.towards_rad) == pytest.approx((air.from_deg + 180.0) % 360.0)
+    assert (air.model, air.profile, air.wake, air.hull_wake) == ("kaimal", "logarithmic", True, True)
+    assert scenario.wrong_model.sigma == 1.0
+
+
+def test_weather_takes_the_place_of_waves_and_wind_and_contradicts_none(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('title = "a"\nbase = "sea_state_4"\n[weather]\nwind_m_s = 8.0\n')
+    scenario = load(tmp_path / "a.toml")
+    assert wind_of(scenario).speed_m_s == 8.0
+    assert wind_of(scenario).from_deg == load("sea_state_4").wind.from_deg
+    assert sea_of(scenario).significant_height_m == pytest.approx(raised_sea(8.0).hs_m)
+    old = load("sea_state_4")
+    assert (sea_of(old), wind_of(old)) == (old.sea, old.wind)
+    (tmp_path / "b.toml").write_text('title = "b"\nbase = "sea_state_4"\n[weather]\nwind_m_s = 8.0\n[sea]\nsea_state = 4\n')
+    with pytest.raises(BadInput, match=r"b\.toml: sea\.sea_state follows from the weather"):
+        load(tmp_path / "b.toml")
+    both = WeatherSettings(wind_m_s=5.0, sea_state=5)
+    assert (both.wind(old.wind, superstructure=False).speed_m_s, both.sea(old.sea, 0.0).significant_height_m) == (5.0, 3.25)
+
+
+def hovered(effects: EffectSettings, height_m: float = 0.6, **more: Any) -> tuple[list[float], tuple[float, ...]]:
+    """Return where a vehicle is after two seconds of flight in 6 m/s of air near the deck, and what it feels."""
+    wind = msgspec.structs.replace(CALM.wind, speed_m_s=6.0)
+    start = msgspec.structs.replace(CALM.start, height_m=height_m)
+    world = World(with_(CALM, effects=effects, wind=wind, start=start, **more), seed=5)
+    world.stick(Stick(pitch=-0.6, roll=0.8, gaz=-0.1, progressive=True))
+    run(world, 2.0)
+    return [round(x, 9) for x in world.truth().p_body_ned.tolist()], world.readings().f_body
+
+
+def test_every_effect_acts_and_without_any_a_flight_is_the_same_to_the_bit() -> None:
+    plain = hovered(EffectSettings())
+    assert hovered(EffectSettings(thing_radius_m=0.5)) == plain, "nothing lies there"
+    assert set(UNKIND) | {"thing_height_m", "video_most_s"} | {
+        "thing_radius_m", "thing_forward_m", "thing_right_m", "video_least_s"
+    } == set(EffectSettings.__struct_fields__)  # fmt: skip
+    for name, value in UNKIND.items():
+        place, felt = hovered(EffectSettings(**{name: value}))
+        if name == "rotor_saturation":
+            continue  # no rotor is at its limit here
+        assert (place, felt) != plain, name
+
+
+def test_a_rotor_at_its_limit_gives_no_more_torque() -> None:
+    """A stick thrown over asks an AR.Drone for more than four rotors of 7.5 N give."""
+
+    def turned(effects: EffectSettings) -> float:
+        world = World(with_(CALM, effects=effects), seed=1)
+        world.limits.euler_angle_max_rad, world.limits.vz_max_m_s = 0.5, 2.0
+        world.stick(Stick(roll=1.0, gaz=1.0, progressive=True))
+        run(world, 0.25)
+        return float(np.abs(world.truth().w_body).max())
+
+    assert turned(EffectSettings(rotor_saturation=True)) < turned(EffectSettings())
+
+
+def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
+    def stands_m(height_m: float) -> float:
+        world = World(with_(CALM, effects=EffectSettings(thing_height_m=height_m, thing_radius_m=0.5)), seed=2)
+        world.land()
+        run(world, 12.0)
+        return float(world.truth().d_body_pad_level[2])
+
+    assert stands_m(0.05) - stands_m(0.0) == pytest.approx(0.05, abs=0.005)
+
+
+def test_a_wrong_model_is_the_seeds_and_leaves_what_the_service_believes() -> None:
+    drawn = WrongModel(sigma=1.0).drawn(7)
+    assert drawn == WrongModel(sigma=1.0).drawn(7) != WrongModel(sigma=1.0).drawn(8)
+    assert set(drawn.as_json()) == set(SPREADS)
+    assert WrongModel().drawn(7) == WrongModel()
+    logs = np.array([math.log(WrongModel(sigma=1.0).drawn(n).tilt_frequency) for n in range(300)])
+    assert logs.std() == pytest.approx(SPREADS["tilt_frequency"], rel=0.15)
+    assert np.abs(logs).max() <= 2.5 * SPREADS["tilt_frequency"] + 1e-4
+    differs = with_(CALM, wrong_model=WrongModel(tilt_frequency=0.8, thrust=0.9, mount_pitch_deg=2.0, focal_length=1.02))
+    assert airframe(differs).loops.tilt_p == pytest.approx(0.64 * airframe(CALM).loops.tilt_p)
+    assert airframe(differs).lift_share == 0.9
+    assert settings_for(differs, None) == settings_for(CALM, None)
+    told, true = true_camera(CALM), true_camera(differs)
+    assert true.fx == pytest.approx(1.02 * told.fx)
+    apart = told.T_body_cam.R.matrix.T @ true.T_body_cam.R.matrix
+    assert math.degrees(math.acos((np.trace(apart) - 1.0) / 2.0)) == pytest.approx(2.0)
+
+
+def near(**over: Any) -> Scenario:
+    import tomllib
+
+    return from_mapping({**tomllib.loads(NEAR), **over}, "near")
+
+
+def test_a_landing_says_where_the_vehicle_stands_and_in_what_it_differs() -> None:
+    scenario = near(wrong_model={"sigma": 1.0})
+    ending = fly("near", scenario, 3, settings_for(scenario, None), "truth").as_json()
+    stands, touch = ending["standing"], ending["touchdown"]
+    assert stands["after_s"] == pytest.approx(STANDS_AFTER_S, abs=0.01)
+    moved = math.dist(stands["p_pad_m"], touch["p_pad_m"])
+    assert stands["slid_m"] == pytest.approx(moved, abs=2e-4)
+    assert stands["lateral_m"] == pytest.approx(math.hypot(*stands["p_pad_m"]), abs=2e-4)
+    assert ending["afterwards"] is None
+    assert ending["wrong_model"] == WrongModel(sigma=1.0).drawn(3).as_json()
+
+
+def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
+    scenario = near(weather={"wind_m_s": 20.0}, expect="refuse")
+    ending = fly("near", scenario, 1, settings_for(scenario, None), "truth").as_json()
+    assert ending["refused"]
+    later = ending["afterwards"]
+    assert later["watched_s"] == pytest.approx(2.0, abs=0.01)
+    assert later["farthest_m"] >= later["end_m"] > 0.0
+    assert ending["duration_s"] < 40.0
+
+
+def test_a_refused_vehicle_that_falls_is_unsafe() -> None:
+    world = World(CALM, seed=1)
+    watch = AftermathWatch(world.truth())
+    world.land()
+    run(world, 12.0)
+    watch.step(world.truth(), reached=True)
+    told = watch.result(world.truth(), "refused", None)
+    assert told.contacts == 1
+    assert told.unsafe == ("refused, and then touched the deck 1 times with turning motors",)
+
+
+def log_line(t_s: float, north_m: float, height_m: float, quality: int = 4) -> str:
+    minutes = 30.0 + north_m / 6_371_000.0 * 180.0 / math.pi * 60.0
+    clock = f"{t_s // 3600:02.0f}{t_s % 3600 // 60:02.0f}{t_s % 60:05.2f}"
+    place = f"22{minutes:011.8f},N,11430.00000000,E,{quality},21,0.7,{height_m:.4f}"
+    return f"$GPGGA,{clock},{place},M,0.0,M,01,0000*00\n$GNHDT,90.0,T*00\n"
+
+
+def test_a_boats_log_is_its_motion(tmp_path: Path) -> None:
+    def heave(t: float) -> float:
+        return 0.1 * math.sin(t)
+
+    times = [0.2 * n for n in range(200)]
+    text = "".join(log_line(t, 0.5 * t, heave(t)) for t in times)
+    (tmp_path / "a.txt").write_text("torn\n" + log_line(86000.0, 0.0, 9.0, quality=1) + text + "$GPGGA,0000")
+    t, eta = read_log(tmp_path / "a.txt", 0.0)
+    assert (len(t), t[-1]) == (200, pytest.approx(39.8))
+    assert eta[-1, 0] - eta[0, 0] == pytest.approx(0.5 * 39.8, abs=0.02)
+    assert eta[:, 2] + np.array([heave(x) for x in times]) == pytest.approx(
+        np.full(200, np.mean([heave(x) for x in times])), abs=2e-4
+    )
+    assert eta[:, 5] == pytest.approx(math.pi / 2.0)
+    _, smooth = read_log(tmp_path / "a.txt", 0.5)
+    assert smooth[20:-20, 2].std() == pytest.approx(eta[20:-20, 2].std() * math.exp(-0.5 * 0.25), rel=0.05)
+    (tmp_path / "b.txt").write_text("nothing\n")
+    with pytest.raises(BadInput, match=r"b\.txt: no 10 s of RTK places"):
+        read_log(tmp_path / "b.txt", 0.0)
+    scenario = near(vessel={"moored": False, "motion": str(tmp_path / "a.txt")}, duration_limit_s=30.0)
+    world = World(scenario, 1)
+    assert world.truth().v_pad_ned[0] == pytest.approx(0.5, abs=0.15)
+    assert world.truth().v_body_ned[0] == pytest.approx(0.5, abs=0.15), "it starts with the boat"
+    world.advance(MonoNs(5_000_000_000))
+
+
+def flight_of(vehicle: str, sea: int, wind: float, lateral_m: float | None) -> dict[str, Any]:
+    refused = None if lateral_m is not None else "it leans by 17.9 deg against the wind (limit 15 deg); frames: none"
+    return {
+        "varied": {VEHICLE: vehicle, SEA: sea, WIND: wind}, "unsafe": [], "landed_on_pad": lateral_m is not None,
+        "refused": refused, "touchdown": None if lateral_m is None else {"lateral_m": 9.0}, "standing": {"lateral_m": lateral_m},
+    }  # fmt: skip
+
+
+def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
+    flights = [flight_of("quad", 4, 6.0, 0.02), flight_of("quad", 4, 6.0, 0.04), flight_of("quad", 4, 9.0, None)]
+    cells = cells_of(flights)
+    assert (cells["quad", 4, 6.0].on_pad, cells["quad", 4, 9.0].on_pad) == (2, 0)
+    page = render_map("weather_4", "model", flights)
+    for said in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
+        assert said in page
+    with pytest.raises(BadInput, match="a map needs flights that vary"):
+        cells_of([{"seed": 1}])
+
+
+def test_the_names_of_old_seas_stay() -> None:
+    assert {f"sea_state_{n}" for n in range(7)} <= set(shipped("scenarios"))
+    assert not any(load(f"sea_state_{n}").weather.given for n in range(7))
