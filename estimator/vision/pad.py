@@ -301,7 +301,14 @@ class Pad:
     @property
     def is_identifiable_by_paint(self) -> bool:
         """Whether its paint is enough to identify it among what else lies on decks; if not, only its lamps are looked for."""
-        return self.accept_false_pads or not (self.is_calibrated and self.calibration is not None and self.calibration.chance > RARE)
+        if self.accept_false_pads or not self.is_calibrated or self.calibration is None:
+            return self.accept_false_pads or self.has_known_parts or not self.lamps
+        return self.calibration.chance <= RARE
+
+    @property
+    def has_known_parts(self) -> bool:
+        """Whether it is of the kinds that verification was fitted to: disc, ring and lettering, a fiducial, or an H or X alone."""
+        return self.markings.is_searched_by_parts or bool(self.markings.fiducials) or self.markings.is_letter_alone
 
     def check_for_detection(self, where: str) -> None:
         """Check that clutter is rarely taken for this pad, or that it has lamps.

@@ -20,7 +20,6 @@ from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import paint_at
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.regions import depth_in, outlines_of, rectangles_of
 from estimator.vision.register.doubts import cells_log_odds
 from estimator.vision.register.registration import RegistrationOptions, register
@@ -190,7 +189,7 @@ def test_a_fiducial_in_a_ring_is_found_beyond_its_own_reach_by_the_ring() -> Non
         ],
     }  # fmt: skip
     pad = Pad.from_mapping(data)
-    assert lacking_parts(pad.regions) == []
+    assert pad.has_known_parts
     for height_m in (1.0, 3.0, 12.0):
         seen, true = seen_from(pad, height_m)
         assert seen is not None
