@@ -46,7 +46,7 @@ def report() -> None:
     """Print the table as Markdown."""
     out = sys.stdout
     out.write(f"{SPEED_M_S} m/s ahead, JONSWAP, spreading s = 10, {len(SEEDS)} seeds\n")
-    out.write("root mean square of heave in m / roll in degrees / pitch in degrees / vertical speed of the pad in m/s\n\n")
+    out.write("root mean square of heave in m/roll in degrees/pitch in degrees/vertical speed of the pad in m/s\n\n")
     out.write("| vessel | sea state | " + " | ".join(f"{name} sea" for name in HEADINGS) + " |\n")
     out.write("|---|---|" + "---|" * len(HEADINGS) + "\n")
     for name, hull in hulls().items():
@@ -54,7 +54,7 @@ def report() -> None:
             cells = []
             for heading in HEADINGS.values():
                 m = rms(hull, SEA_STATES[code], math.radians(heading), SPEED_M_S)
-                cells.append(f"{m[2]:.2f} / {math.degrees(m[3]):.1f} / {math.degrees(m[4]):.1f} / {m[6]:.2f}")
+                cells.append(f"{m[2]:.2f}/{math.degrees(m[3]):.1f}/{math.degrees(m[4]):.1f}/{m[6]:.2f}")
             out.write(f"| {name} | {code} | " + " | ".join(cells) + " |\n")
 
 

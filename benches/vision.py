@@ -274,10 +274,15 @@ def write(folder: Path, rows: list[list[str]], frames: int) -> None:
         *("| " + " | ".join(row) + " |" for row in rows), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
         "processor times come out longer than on a machine at rest, ratios less so.", "",
-        "How vision works, its false pads, photographs and targets: [vision.md](vision.md).", "",
+        _kept(folder / "benchmarks.md"),
     ]  # fmt: skip
     (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")
     plot(folder / "benchmarks.png", rows)
+
+
+def _kept(page: Path) -> str:
+    """Return what the page has of other benches, which this one leaves as it is."""
+    return "## Other benches" + page.read_text(encoding="utf-8").partition("## Other benches")[2].rstrip("\n") + "\n"
 
 
 def plot(path: Path, rows: list[list[str]]) -> None:

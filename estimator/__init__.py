@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from estimator.contracts.time import MonoNs, Stamp
     from estimator.options import EstimatorOptions
     from estimator.pad_tracker import PadTracker
-    from estimator.relative_estimator import RelativeEstimator
+    from estimator.pipeline import RelativeEstimator
     from estimator.vision.camera import Camera
     from estimator.vision.detection import Detection
     from estimator.vision.pad import Pad
@@ -55,7 +55,7 @@ _HOMES = {
     "contracts.time": ("MonoNs", "Stamp"),
     "options": ("EstimatorOptions",),
     "pad_tracker": ("PadTracker",),
-    "relative_estimator": ("RelativeEstimator",),
+    "pipeline": ("RelativeEstimator",),
     "vision.camera": ("Camera",),
     "vision.pad": ("Pad",),
     "vision.detection": ("Detection",),

@@ -55,6 +55,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/rendezvous.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
+        "report.v_vessel_ned is not None and report.cov_v_ned is not None"
+        "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
+        "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
+        "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
     },
     "companion/guidance/clearance.py": {
         "span_s <= 0.0  ->  span_s < 0.0": "over no time nothing is summed",
@@ -68,12 +72,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
     },
-    "companion/guidance/vessel_track.py": {
-        "report.v_vessel_ned is not None and report.cov_v_ned is not None"
-        "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
-        "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
-        "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
-    },
     "companion/guidance/response_course.py": {
         "np.isfinite(u).all  ->  np.isfinite(u).any": "a step is unknown on all axes",
     },
@@ -82,12 +80,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,
     },
-    "estimator/relative_estimator.py": {
+    "estimator/pipeline.py": {
         "None if self._newest is None else self.at(self._newest)  ->  self.at(self._newest)": (
             "before the first event there is no pad at any instant"
         ),
+        "True  ->  False": "each path has one result of each event",
     },
-    "estimator/pipeline.py": {"True  ->  False": "each path has one result of each event"},
     "estimator/ekf/filter.py": {
         "self._words.setflags(write=False)  ->  pass": _COPIED,
         "False  ->  True": _COPIED,

@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from companion.guidance import mission
+from companion.parts.mqtt import messages
 from companion.settings import whole_file
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
@@ -30,14 +31,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "show", help="print a settings file with every default", description="Print a settings file with every default."
     )
     show.add_argument("file", metavar="FILE", help=names)
-    actions.add_parser(
-        "schema", help="print the JSON Schema of settings files", description="Print the JSON Schema of settings files."
+    schema = actions.add_parser(
+        "schema",
+        help="print the JSON Schema of settings files or MQTT messages",
+        description="Print the JSON Schema of settings files or MQTT messages.",
     )
-    actions.add_parser(
+    schema.add_argument("--mqtt", action="store_true", help="print that of the messages over MQTT")
+    reference = actions.add_parser(
         "reference",
         help="print the reference of all settings",
-        description="Print the reference of all settings (docs/configuration.md) in Markdown.",
+        description="Print the reference of the settings (docs/configuration.md) in Markdown.",
     )
+    reference.add_argument("--expert", action="store_true", help="print the expert keys instead")
     actions.add_parser(
         "mission",
         help="print the states and events of a landing",
@@ -64,9 +69,9 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "show":
         sys.stdout.write(whole_file.toml(load(args.file)))
     elif args.action == "schema":
-        sys.stdout.write(whole_file.schema())
+        sys.stdout.write(messages.schema() if args.mqtt else whole_file.schema())
     elif args.action == "mission":
         sys.stdout.write(mission.page())
     else:
-        sys.stdout.write(whole_file.reference())
+        sys.stdout.write(whole_file.reference(expert=args.expert))
     return 0

@@ -13,9 +13,9 @@ import numpy as np
 
 from companion.cli import board_option, pad_import, pad_price
 from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
+from companion.tools.calibrate.board import BOARDS
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
-from companion.tools.print_pad.pdf import pdf
-from companion.tools.print_pad.sheets import PAPERS, sheets, svg
+from companion.tools.print_pad.sheets import PAPERS, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
@@ -57,7 +57,7 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--margin-mm", type=float, default=10.0, metavar="MM", help="margin that the printer cannot reach (default: 10)"
     )
     p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="overlap of neighbouring sheets (default: 10)")
-    p.add_argument("--board", choices=["charuco", "chessboard"], help="print a calibration board instead of the pad")
+    p.add_argument("--board", choices=BOARDS, help="print a calibration board instead of the pad")
     board_option.add(p)
 
 

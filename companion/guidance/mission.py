@@ -102,14 +102,12 @@ _HEAD = """# The mission
 
 <!-- Made by `decklander config mission`; a test compares. -->
 
-One machine flies the landing: `companion/guidance/mission.py` holds its states, its events and the table below. In each guidance
-cycle the events are looked for in the order of their list, and the first one that leads to another state is taken. Each change
-carries its reason as data: a cause, the number that was measured and the limit that it is compared with. The reason is in the
-journal, in MQTT's events, in MAVLink's STATUSTEXT, in the metrics, in the recording and in the report.
+One machine flies the landing (`companion/guidance/mission.py`). In each guidance cycle the events are checked in the order of
+their list, and the first one that leads to another state is taken. Each change carries a cause, the measured number and
+its limit. Log, MQTT, STATUSTEXT, metrics, recording and report show it.
 
-Every state that waits for something has a time, and when it is over the drone goes up or stays, never down. No descent is asked
-for without a fresh, consistent estimate of the pad. Where the drone holds still it does so against the deck; until a landing
-was asked for in this flight, nothing but its own hover is asked of it.
+Every state that waits has a time limit; when it is over the drone goes up or stays, never down. It never descends without a
+fresh, consistent estimate of the pad. It holds still against the deck; before the first order to land it stays in its own hover.
 """
 
 
@@ -149,37 +147,50 @@ def _states() -> Iterator[str]:
 
 
 def _events() -> Iterator[str]:
-    yield from ("## Events", "", "| event | told as a warning |", "|---|---|")
+    yield from ("## Events", "", "| event | a warning |", "|---|---|")
     for event in Event:
         yield f"| {event.value} | {'yes' if event in FAULTS else 'no'} |"
     yield ""
 
 
 def _causes() -> Iterator[str]:
-    yield from ("## What to do", "", "The operator page says it beside the event.", "", "| cause | what to do |", "|---|---|")
-    for cause, words in advised_causes().items():
-        yield f"| {_PLACES.sub('...', cause.value)} | {words} |"
-    for alert, words in advised_alerts().items():
-        yield f"| {alert.value} | {words} |"
+    yield from ("## What to do", "", "The operator page shows it beside the event.", "", "| what to do | causes |", "|---|---|")
+    causes = {_PLACES.sub("...", cause.value): words for cause, words in advised_causes().items()}
+    by_advice: dict[str, list[str]] = {}
+    for cause, words in (causes | {alert.value: words for alert, words in advised_alerts().items()}).items():
+        by_advice.setdefault(words, []).append(cause)
+    for words, named in by_advice.items():
+        yield f"| {words} | {'; '.join(named)} |"
     yield ""
 
 
 def _table(name: str) -> Iterator[str]:
     yield from (f'## Table of the mission "{name}"', "", "An event that is not named leaves the state as it is.", "")
-    yield from ("| state | event | next state |", "|---|---|---|")
-    for state in State:
-        for event, target in TABLES[name][state].items():
-            if target is not state:
-                yield f"| {state.value} | {event.value} | {target.value} |"
-    yield ""
+    yield from _rows(name, {state: dict.fromkeys(Event, state) for state in State})
 
 
 def _thesis() -> Iterator[str]:
-    yield from ('## What differs with `guidance.mission = "thesis"`', "", "| state | event | next state |", "|---|---|---|")
+    yield from ('## What differs with `guidance.mission = "thesis"`', "")
+    yield from _rows("thesis", TABLES["cone"])
+
+
+def _rows(name: str, usual: Table) -> Iterator[str]:
+    """Yield a row for each state: its next states, each with the events that lead there, where they are not the usual ones."""
+    yield from ("| state | next state: events |", "|---|---|")
+    if name == "cone":
+        yield (
+            "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in _LANDING.items()) + " |"
+        )
     for state in State:
-        for event, target in TABLES["thesis"][state].items():
-            if target is not TABLES["cone"][state][event]:
-                yield f"| {state.value} | {event.value} | {target.value} |"
+        ways: dict[State, list[str]] = {}
+        row = TABLES[name][state]
+        shared = _LANDING if _LANDING.items() <= row.items() else {}
+        for event, target in row.items():
+            if target is not usual[state][event] and event not in shared:
+                ways.setdefault(target, []).append(event.value)
+        if ways:
+            cells = (f"**{target.value}**: {', '.join(events)}" for target, events in ways.items())
+            yield f"| {state.value} | {'; '.join(cells)} |"
     yield ""
 
 

@@ -62,6 +62,10 @@ class Progress(Struct, frozen=True, eq=False):
     was_silent: bool = False
     """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
     in_sight: bool = False
+    deck_rise_m: float = 0.0
+    """Rise of the deck since the newest sight, by its forecast, m."""
+    deck_top_m: float = 0.0
+    """The highest that it has been since then."""
     track: int | None = None
     """Track of the pad that this try flies to."""
     heading: HeadingMemory = field(default_factory=HeadingMemory)
@@ -83,6 +87,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Time since which it stands."""
     no_return_until: MonoNs | None = None
     """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
+    windy_since: MonoNs | None = None
+    """Time since which the wind has been beyond what the vehicle can fly; None while it is not."""
     place_known: MonoNs | None = None
     """Time of the newest cycle in which the ship's place was known by reports."""
     on_way: MonoNs | None = None

@@ -45,6 +45,17 @@ def rising_m_s(knowledge: Knowledge) -> float:
     return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
 
 
+def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return how fast the drone climbs before a deck that comes up to it out of sight.
+
+    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
+    further than to the safe height, where no deck reaches it.
+    """
+    if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
+        return 0.0
+    return rising_m_s(s.knowledge)
+
+
 def _falling_m_s(knowledge: Knowledge) -> float:
     """Return how fast the deck falls at least, with two standard deviations; 0 where it may rise."""
     deck = knowledge.deck
@@ -186,7 +197,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     if estimate is None or (p.track is not None and estimate.track != p.track):
         # A deck that rises comes up to a drone that stays where it is.
         if p.state is State.HOLD_BLIND and not over_ground:
-            climb_m_s += rising_m_s(s.knowledge)
+            climb_m_s += _comes_up_m_s(p, s, o)
         return replace(p, held=None), without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

@@ -64,41 +64,47 @@ def _for_experts(node: Any) -> Any:
     return node.replace("#/$defs/", "#/$defs/Expert") if isinstance(node, str) else node
 
 
-def reference() -> str:
-    """Return the reference page in Markdown: a table for each section of the file, and one of the keys of experts."""
+def reference(*, expert: bool = False) -> str:
+    """Return the reference in Markdown: a table for each section of the file, or one table of the expert keys."""
+    if expert:
+        rows = [row for _, _, _, rows in _sections() for row in rows]
+        return "\n".join(["# Expert keys", "", *_EXPERT_WORDS, "", *_HEADER, *rows]) + "\n"
     lines = [
         "# Configuration",
         "",
-        "One TOML file a rig. `decklander config check FILE` says whether a file is good, `config show FILE` prints it with each",
-        "default filled in, `config schema` gives a JSON Schema for editors. This page is the output of `config reference`.",
+        "A rig has one TOML file. `decklander config check FILE` checks it, `config show FILE` prints it with each default",
+        "filled in, and `config schema` prints a JSON Schema for editors. This page is the output of `config reference`.",
         "",
-        "A key that is unknown, of the wrong type or out of range is refused, never guessed. Whole numbers are welcome where a",
-        "number is asked for; text and truth values are not. Where a default is missing the key must be given.",
+        "A key that is unknown, of the wrong type or out of range is refused. Where a default is missing the key must be given.",
     ]
-    expert = []
-    for path, struct in _structs(described(Settings), ()):
-        here = [f for f in fields(struct) if not variants(f.type)]
-        kind = f" with {struct.tag_field} = {value_text(struct.tag)}" if struct.tag_field else ""
-        public = [f for f in here if _is_public(f, struct)]
+    for heading, meaning, public, _ in _sections():
         if public:
-            lines += ["", f"## [{'.'.join(path)}]{kind}", "", _meaning(struct), "", _HEADER, "|---|---|---|---|---|---|"]
-            lines += [_row(f.encode_name, f) for f in public]
-        expert += [_row(".".join((EXPERT, *path, f.encode_name)), f) for f in here if f not in public]
-    lines += [
-        "",
-        "## Expert keys",
-        "",
-        "These describe sensors, filter, timing and limits of the product itself. Their defaults are right for almost everybody.",
-        "They stand in the same tables under `[expert]`: `expert.guidance.cone.slope` is `slope` in `[expert.guidance.cone]`.",
-        "",
-        _HEADER,
-        "|---|---|---|---|---|---|",
-        *expert,
-    ]
+            lines += ["", f"## {heading}", "", meaning, "", *_HEADER, *public]
+    lines += ["", "## Expert keys", "", *_EXPERT_WORDS, "`decklander config reference --expert` prints all of them."]
     return "\n".join(lines) + "\n"
 
 
-_HEADER = "| key | default | range | unit | meaning | source of the default |"
+_EXPERT_WORDS = (
+    "Expert keys describe sensors, filter, timing and limits of the product. Their defaults are right for almost everybody.",
+    "They stand in the same tables under `[expert]`: `expert.guidance.cone.slope` is `slope` in `[expert.guidance.cone]`.",
+)
+
+
+def _sections() -> Iterator[tuple[str, str, list[str], list[str]]]:
+    """Yield the heading, the meaning, the public rows and the expert rows of each table."""
+    for path, struct in _structs(described(Settings), ()):
+        here = [f for f in fields(struct) if not variants(f.type)]
+        public = [f for f in here if _is_public(f, struct)]
+        kind = f" with {struct.tag_field} = {value_text(struct.tag)}" if struct.tag_field else ""
+        yield (
+            f"[{'.'.join(path)}]{kind}",
+            _meaning(struct),
+            [_row(f.encode_name, f) for f in public],
+            [_row(".".join((EXPERT, *path, f.encode_name)), f) for f in here if f not in public],
+        )
+
+
+_HEADER = ("| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|")
 
 
 def _is_public(field: inspect.Field, struct: inspect.StructType) -> bool:

@@ -124,6 +124,10 @@ def _sticks(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, options:
     )
 
 
+def _progressive(sticks: Sticks) -> Pcmd:
+    return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
+
+
 def _within(v: F64, length: float) -> F64:
     """Return the vector, shortened to at most this length."""
     size = float(np.hypot(v[0], v[1]))
@@ -309,19 +313,30 @@ class CommandStreamer:
         heading = None if attitude is None else attitude.R_ned_body.rpy_rad[2]
         if isinstance(motion.wanted, Lean):
             if attitude is None:
-                self._counters.hover_for_blindness += 1
-                return self._hover()
+                return self._unmeasured(motion.wanted)
             self._loop, sticks = lean(motion.wanted, heading, self._o)
         else:
             measured = self._velocity
             if measured is None or not self._recent(measured, now):
-                self._counters.hover_for_blindness += 1
-                return self._hover()
+                return self._unmeasured(motion.wanted)
             dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
             a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
             self._loop, sticks = step(self._loop.at_heading(heading), motion.wanted, measured.v_level, a_level, dt_s, self._o)
         self._stepped = now
-        return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
+        return _progressive(sticks)
+
+    def _unmeasured(self, wanted: Velocity | Lean) -> Pcmd:
+        """Return what flies where nothing measures the motion: a hover, or a climb with the tilt that holds against the wind.
+
+        The firmware's hover keeps the height, and a deck that rises comes up to it.
+        """
+        self._counters.hover_for_blindness += 1
+        climb = float(wanted.v_level[2])
+        if climb >= 0.0:
+            return self._hover()
+        self._stepped = None
+        trim = np.array([self._loop.forward_m_s2, self._loop.right_m_s2])
+        return _progressive(_sticks(trim, climb, 0.0, self._o))
 
     def _recent(self, sample: BodyVelocity | Attitude | None, now: MonoNs) -> bool:
         return sample is not None and seconds_between(sample.stamp.measured_at, now) <= self._o.velocity_timeout_s

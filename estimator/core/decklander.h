@@ -407,9 +407,11 @@ typedef struct {
     edge_zone zones[EDGE_KINDS];
 } pad_shape;
 
+/* A lens: Brown's distortion k1, k2, p1, p2, k3, or a fisheye's k1, k2, k3, k4. focal_sigma is the standard deviation of the
+ * focal length as a fraction of it. */
 typedef struct {
-    int64_t width, height, distorted;
-    double fx, fy, cx, cy, distortion[5], R_body_cam[9];
+    int64_t width, height, distorted, fisheye;
+    double fx, fy, cx, cy, distortion[5], focal_sigma, R_body_cam[9];
 } camera_lens;
 
 typedef struct {

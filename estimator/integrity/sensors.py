@@ -1,10 +1,17 @@
-"""Check readings of the vehicle's sensors for impossible values, impossible steps, and bit-identical repetition."""
+"""Check readings for impossible values, impossible steps and bit-identical repetition, and frames for the last.
+
+A sensor's noise makes every genuine frame different from every other, so frames are compared bit by bit over a subsample of the
+raw pixels. That covers a driver that returns one buffer again, a ring of buffers, and a codec that repeats a frame.
+"""
 
 import math
+import zlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
@@ -117,3 +124,37 @@ def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: Inte
     if kind is Attitude:
         return 2.0 * math.asin(min(1.0, 0.5 * step)) > o.tilt_step_rad + o.tilt_rate_max_rad_s * dt
     return step > o.height_step_m + o.height_rate_max_m_s * dt
+
+
+_EVERY = 16
+"""Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms."""
+_KEPT = 16
+"""Number of frames whose digest is kept: more than the buffer ring of a capture driver holds."""
+_FROZEN_RUN = 3
+
+
+class FrameWatch(NamedTuple):
+    """Digests of the newest distinct frames, and the number of repeats since."""
+
+    digests: tuple[int, ...] = ()
+    run: int = 0
+    """Number of repeats in a row."""
+
+    @property
+    def frozen(self) -> bool:
+        return self.run >= _FROZEN_RUN
+
+
+def digest(px: NDArray[np.uint8]) -> int:
+    """Return a checksum over rows of an image (H, W, 3), spread over its height."""
+    rows = px[_EVERY // 2 :: _EVERY]
+    # An image that repeats one row in memory shows nothing more than that row.
+    return zlib.crc32(np.ascontiguousarray(rows[:1] if rows.strides[0] == 0 else rows).data)
+
+
+def watch_frame(state: FrameWatch, px: NDArray[np.uint8]) -> tuple[FrameWatch, bool]:
+    """Process one frame; return whether it repeats one of the last few."""
+    this = digest(px)
+    if this in state.digests:
+        return FrameWatch(state.digests, state.run + 1), True
+    return FrameWatch((*state.digests, this)[-_KEPT:]), False

@@ -17,7 +17,7 @@ from estimator.contracts.errors import BadInput
 from sitl.campaign.lab import require_lab
 from sitl.campaign.overrides import Overridable
 from sitl.campaign.plan import Job, Point
-from sitl.campaign.task import Flight
+from sitl.campaign.task import Flight, error_m
 
 POINTS_MAX = 1_000_000
 _DIGITS = 9
@@ -234,4 +234,4 @@ def _danger(flight: Flight) -> float:
     """Return how near a flight that did not fail came to failing, 0 to 1 exclusive."""
     if not flight["landed_on_pad"]:
         return 0.0
-    return min(0.99, float(flight["touchdown"]["lateral_m"]) / _FAR_M)
+    return min(0.99, error_m(flight) / _FAR_M)

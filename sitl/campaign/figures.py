@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from sitl.campaign.summary import CampaignTally, cause_of, severity, wilson
-from sitl.campaign.task import Flight, job_of
+from sitl.campaign.task import Flight, error_m, job_of
 
 WORST = 10
 _CELLS = 8
@@ -16,13 +16,13 @@ _CELLS = 8
 
 
 VariedPoint = tuple[dict[str, Any], bool, float]
-"""Varied values of a flight, whether it was good, and its touchdown error in m (nan without a landing on the pad)."""
+"""Varied values of a flight, whether it was good, and its standing error in m (nan without a landing on the pad)."""
 
 
 def varied_point(flight: Flight) -> VariedPoint:
     """Return what the figures of varied keys need of a flight."""
-    error_m = flight["touchdown"]["lateral_m"] if flight["landed_on_pad"] else float("nan")
-    return flight["varied"], flight["grade"] != "failed", error_m
+    stands_m = error_m(flight) if flight["landed_on_pad"] else float("nan")
+    return flight["varied"], flight["grade"] != "failed", stands_m
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class CampaignFigures:
     worst: list[Flight] = field(default_factory=list)
     """The worst flights, the worst first."""
     place_m: list[tuple[float, float, bool]] = field(default_factory=list)
-    """Place of each final contact with the deck: along the arrow, to starboard, and whether its flight was good."""
+    """Where each flight that touched the deck stands: along the arrow, to starboard, and whether the flight was good."""
     lateral_m: list[float] = field(default_factory=list)
     vertical_m_s: list[float] = field(default_factory=list)
     sliding_m_s: list[float] = field(default_factory=list)
@@ -50,12 +50,12 @@ class CampaignFigures:
             self.causes[cause] = self.causes.get(cause, 0) + 1
         touch = flight["touchdown"]
         if touch is not None and touch["surface"] != "water":
-            if (place := touch.get("p_pad_m")) is not None:
+            if (place := (flight.get("standing") or touch).get("p_pad_m")) is not None:
                 self.place_m.append((place[0], place[1], good))
             self.vertical_m_s.append(touch["vertical_speed_m_s"])
             self.sliding_m_s.append(touch["lateral_speed_m_s"])
         if flight["landed_on_pad"]:
-            self.lateral_m.append(touch["lateral_m"])
+            self.lateral_m.append(error_m(flight))
             self.duration_s.append(flight["duration_s"])
         if "varied" in flight:
             self.points.append(varied_point(flight))
@@ -97,7 +97,7 @@ class Effect:
     low: F64
     high: F64
     lateral_m: F64
-    """Median touchdown error at each value, nan where nothing landed."""
+    """Median standing error at each value, nan where nothing landed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +188,7 @@ def _touch(name: str) -> Callable[[Flight], float | None]:
 FIGURES: tuple[tuple[str, str, Callable[[Flight], float | None]], ...] = (
     ("on the pad", "share", lambda f: float(f["grade"] == "on pad")),
     ("failed", "share", lambda f: float(f["grade"] == "failed")),
-    ("touchdown error", "m", _touch("lateral_m")),
+    ("standing error", "m", lambda f: error_m(f) if f["landed_on_pad"] else None),
     ("speed into the deck", "m/s", _touch("vertical_speed_m_s")),
     ("speed along the deck", "m/s", _touch("lateral_speed_m_s")),
     ("duration", "s", lambda f: f["duration_s"]),

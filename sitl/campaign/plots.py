@@ -160,7 +160,7 @@ def _steps(ax: Axes, values: F64, colour: str, width: float) -> None:
 
 
 def effect(of: Effect) -> str:
-    """Draw success and touchdown error against one varied key."""
+    """Draw success and standing error against one varied key."""
 
     def draw(figure: Figure) -> None:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])

@@ -13,7 +13,7 @@ from estimator.vision.pad import Pad
 from sitl.campaign.figures import CampaignFigures, PairedDifference, differences_of, effect_of, figures_of, map_of
 from sitl.campaign.summary import cause_of, name_of, wilson
 from sitl.campaign.tables import HEADINGS, by_scenario, row
-from sitl.campaign.task import Flight
+from sitl.campaign.task import Flight, error_m
 from sitl.scenario.scenario import from_mapping, pad_model
 
 REPORT = "report.html"
@@ -94,11 +94,13 @@ def _cards(figures: CampaignFigures) -> str:
     t = figures.tally
     said = t.summary("", "", 0.0)
     low, high = wilson(t.on_pad, t.runs)
-    median, p95 = said["lateral_median_m"], said["lateral_p95_m"]
+    median, p95 = said["standing_median_m"], said["standing_p95_m"]
+    touched = said["lateral_median_m"]
     cells = [
         (f"on the pad ({100 * low:.1f} to {100 * high:.1f} %)", f"{100 * t.on_pad / t.runs:.1f} %"),
-        ("touchdown error, median", "-" if median is None else f"{100 * median:.1f} cm"),
-        ("touchdown error, 95 %", "-" if p95 is None else f"{100 * p95:.1f} cm"),
+        ("standing error, median", "-" if median is None else f"{100 * median:.1f} cm"),
+        ("standing error, 95 %", "-" if p95 is None else f"{100 * p95:.1f} cm"),
+        ("at the contact, median", "-" if touched is None else f"{100 * touched:.1f} cm"),
         ("contacts outside commit", f"{t.contacts_outside_commit:,}"),
         ("flights in the water", f"{t.in_water:,}"),
         ("unsafe flights", f"{t.unsafe:,}"),
@@ -116,7 +118,7 @@ def _outcomes(figures: CampaignFigures, pad: Pad) -> str:
         drawn += '<p class="note">No flight touched the deck.</p>'
     else:
         drawn += (
-            f"<figure>{plots.touchdowns(pad, figures.place_m)}<figcaption>The last contact of each flight on the pad, from "
+            f"<figure>{plots.touchdowns(pad, figures.place_m)}<figcaption>Where each flight stands on the pad, from "
             "above. Blue dots: good flights; orange crosses: failed ones.</figcaption></figure>"
         )
     return f'<h2>Outcomes and touchdowns</h2><div class="plots">{drawn}</div>'
@@ -126,7 +128,7 @@ def _distributions(figures: CampaignFigures, other: CampaignFigures | None) -> s
     from sitl.campaign import plots
 
     rows = [
-        ("error", "lateral_m", "touchdown error, m"),
+        ("error", "lateral_m", "standing error, m"),
         ("vertical", "vertical_m_s", "speed into the deck, m/s"),
         ("sliding", "sliding_m_s", "speed along the deck, m/s"),
         ("duration", "duration_s", "time to the landing, s"),
@@ -163,7 +165,7 @@ def _varied(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
     )
     return (
         f'<h2>One factor</h2><div class="plots">{one}</div><p class="note">Good flights (on the pad or refused rightly) with '
-        f"Wilson's 95 % interval, and the median touchdown error; over all values of the other keys.</p>{maps}"
+        f"Wilson's 95 % interval, and the median standing error; over all values of the other keys.</p>{maps}"
     )
 
 
@@ -231,7 +233,7 @@ def _worst(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
         good = flight["grade"] != "failed"
         said = flight["grade"] if good else cause_of(flight)
         touch = flight["touchdown"]
-        where = "" if touch is None else f", {100 * touch['lateral_m']:.1f} cm off, {touch['vertical_speed_m_s']:.2f} m/s into it"
+        where = "" if touch is None else f", {100 * error_m(flight):.1f} cm off, {touch['vertical_speed_m_s']:.2f} m/s into it"
         command = escape(fly_again(flight, manifest.get("options", []), manifest.get("places", {})))
         named = escape(name_of(flight))
         items.append(f'<li>{named}: <b class="{"good" if good else ""}">{escape(said)}</b>{where}<code>{command}</code></li>')

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sitl.campaign.task import ERROR, Flight, job_of
+from sitl.campaign.task import ERROR, Flight, error_m, job_of
 
 _Z95 = 1.959963984540054
 """Quantile of the standard normal distribution for 95 % between both tails."""
@@ -61,6 +61,9 @@ class CampaignTally:
         self.contacts_outside_commit = self.in_water = self.unsafe = 0
         self.cpu_s = self.flown_s = 0.0
         self._lateral_m: list[float] = []
+        self._standing_m: list[float] = []
+        self._slid_m: list[float] = []
+        self._after_refusal: Counter[str] = Counter()
         self._unsafe, self._failed = _Named("unsafe"), _Named("because")
         self._hash = 0
 
@@ -82,6 +85,10 @@ class CampaignTally:
         self.flown_s += flight["duration_s"]
         if flight["landed_on_pad"]:
             self._lateral_m.append(flight["touchdown"]["lateral_m"])
+            self._standing_m.append(error_m(flight))
+            self._slid_m.append((flight.get("standing") or {}).get("slid_m", 0.0))
+        if (later := flight.get("afterwards")) is not None:
+            self._after_refusal["in the water" if later["in_water"] else later["vehicle_phase"]] += 1
         own = hashlib.blake2b(f"{job_of(flight).key} {flight['hash']}".encode(), digest_size=_HASH_BITS // 8).digest()
         self._hash = (self._hash + int.from_bytes(own)) % 2**_HASH_BITS
 
@@ -114,6 +121,11 @@ class CampaignTally:
             "on_pad_interval": [round(x, 6) for x in wilson(self.on_pad, self.runs)],
             "lateral_median_m": median,
             "lateral_p95_m": p95,
+            "standing_median_m": _quantile(self._standing_m, 0.5),
+            "standing_p95_m": _quantile(self._standing_m, 0.95),
+            "standing_worst_m": _quantile(self._standing_m, 1.0),
+            "slid_p95_m": _quantile(self._slid_m, 0.95),
+            "after_refusal": dict(sorted(self._after_refusal.items())),
             "contacts_outside_commit": self.contacts_outside_commit,
             "in_water": self.in_water,
             "unsafe": self.unsafe,
@@ -144,8 +156,13 @@ def in_words(summary: dict[str, Any]) -> str:
     ]
     if summary["lateral_median_m"] is not None:
         lines.append(
-            f"touchdown error {100 * summary['lateral_median_m']:.1f} cm median, {100 * summary['lateral_p95_m']:.1f} cm in 95 %"
+            f"standing error {_cm(summary, 'standing_median_m')} cm median, {_cm(summary, 'standing_p95_m')} cm in 95 %, "
+            f"{_cm(summary, 'standing_worst_m')} cm worst; at the contact {_cm(summary, 'lateral_median_m')} and "
+            f"{_cm(summary, 'lateral_p95_m')} cm; slid {_cm(summary, 'slid_p95_m')} cm in 95 %"
         )
+    if summary["after_refusal"]:
+        counts = ", ".join(f"{n} {what}" for what, n in summary["after_refusal"].items())
+        lines.append(f"60 s after the refusal: {counts}")
     lines.append(
         f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
         f"unsafe flights {summary['unsafe']}"
@@ -166,6 +183,10 @@ def in_words(summary: dict[str, Any]) -> str:
     )
     lines.append(f"hash {summary['hash']}")
     return "\n".join(lines)
+
+
+def _cm(summary: Mapping[str, Any], key: str) -> str:
+    return f"{100 * summary[key]:.1f}"
 
 
 def name_of(flight: Mapping[str, Any]) -> str:

@@ -186,6 +186,9 @@ def parquet_bytes(flights: Iterable[Flight], varied: dict[str, Any]) -> bytes:
         **{f"touchdown_{name}": text if name == "surface" else yes if name == "on_pad" else number for name in _TOUCH},
         "touchdown_forward_m": number,
         "touchdown_starboard_m": number,
+        "standing_lateral_m": number,
+        "standing_slid_m": number,
+        "afterwards": text,
         "contacts": text,
         "frames": text,
         **{f"varied_{key}": kinds[type(value)] for key, value in varied.items()},
@@ -200,13 +203,16 @@ def parquet_bytes(flights: Iterable[Flight], varied: dict[str, Any]) -> bytes:
 
 
 def _row(flight: Flight) -> dict[str, Any]:
-    touch = flight["touchdown"] or {}
+    touch, stands = flight["touchdown"] or {}, flight.get("standing") or {}
     forward, starboard = touch.get("p_pad_m") or (None, None)
     return {
-        **{key: value for key, value in flight.items() if key not in ("touchdown", "contacts", "frames", "varied")},
+        **{key: value for key, value in flight.items() if key not in ("touchdown", "standing", "contacts", "frames", "varied")},
         **{f"touchdown_{name}": touch.get(name) for name in _TOUCH},
         "touchdown_forward_m": forward,
         "touchdown_starboard_m": starboard,
+        "standing_lateral_m": stands.get("lateral_m"),
+        "standing_slid_m": stands.get("slid_m"),
+        "afterwards": None if (later := flight.get("afterwards")) is None else json.dumps(later),
         "contacts": json.dumps(flight["contacts"]),
         "frames": json.dumps(flight["frames"]),
         **{f"varied_{key}": value for key, value in flight.get("varied", {}).items()},

@@ -97,6 +97,12 @@ def failed(name: str, job: Job, error: str, cpu_s: float = 0.0) -> Flight:
     }
 
 
+def error_m(flight: Flight) -> float:
+    """Return how far from the pad's centre a landed vehicle stands, m; at its contact where nobody looked later."""
+    stands = flight.get("standing") or flight["touchdown"]
+    return float(stands["lateral_m"])
+
+
 def finished(flight: Flight, job: Job, perception: str) -> Flight:
     """Return a flight's result with what the campaign knows of it, and its hash."""
     flight = {**flight, "perception": perception, **({"varied": dict(job.point)} if job.point else {})}

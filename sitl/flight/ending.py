@@ -2,13 +2,15 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from companion.base.mission import FlightOutcome
 from companion.tools.report.flight_log import FlightLog, LoggedContact
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
+from sitl.flight.afterwards import Aftermath, Standing
 
 STOOD_STILL_MAX_S = 1.0
 FILMED_MIN, REPLACED_MAX, SKIPPED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.7, 0.15
@@ -122,6 +124,12 @@ class Ending:
     load: Load | None = None
     """The load of the machine; None for a flight in virtual time."""
     without_outcome: str = "time ran out"
+    wrong_model: Mapping[str, float] = field(default_factory=dict)
+    """In what the vehicle differed from its model."""
+    standing: Standing | None = None
+    """Where it stands 5 s after the contact; None if it does not, or if nobody looked."""
+    aftermath: Aftermath | None = None
+    """What became of it where it was refused; None if it was not, or if nobody looked."""
 
     @property
     def contact(self) -> Contact | None:
@@ -138,6 +146,18 @@ class Ending:
         """Whether it landed on the pad safely, or refused as its scenario expects."""
         return self.on_pad if self.judged is None else self.judged.grade != "failed"
 
+    def followed(self, standing: Standing | None, aftermath: Aftermath | None, cpu_s: float) -> "Ending":
+        """Return the ending with what came after the outcome, and the CPU time of both; a graded flight may fail by it."""
+        judged = None if self.judged is None else replace(self.judged, cpu_s=cpu_s)
+        unsafe = () if aftermath is None else aftermath.unsafe
+        if judged is not None and unsafe:
+            judged = replace(
+                judged, grade="failed", because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
+            )
+        elif judged is not None and standing is not None and not standing.on_pad and judged.grade == "on pad":
+            judged = replace(judged, grade="failed", because=standing.in_words())
+        return replace(self, standing=standing, aftermath=aftermath, judged=judged)
+
     @property
     def word(self) -> str:
         """The outcome in words, or why there is none."""
@@ -153,12 +173,15 @@ class Ending:
             "refused": None,
             "duration_s": round(self.duration_s, 3),
             "touchdown": None if self.contact is None else _plain(self.contact),
+            "standing": None if self.standing is None else self.standing.as_json(),
+            "afterwards": None if self.aftermath is None else self.aftermath.as_json(),
             "contacts": [self._whole(contact) for contact in self.contacts],
             "contacts_outside_commit": None,
             "in_water": any(contact.surface == "water" for contact in self.contacts),
             **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
             "cpu_s": None,
+            **({"wrong_model": dict(self.wrong_model)} if self.wrong_model else {}),
         }
         if self.judged is not None:
             j = self.judged
@@ -187,6 +210,7 @@ class Ending:
                 + ("" if c.phase is None else f" (guidance: {c.phase})")
                 for c in self.contacts[:-1]
             ]
+        lines += [part.in_words() for part in (self.standing, self.aftermath) if part is not None]
         if self.judged is not None:
             j = self.judged
             lines += [f"fault: {kind} from {at_s:.1f} s on" for kind, at_s in j.faults]
@@ -201,6 +225,10 @@ class Ending:
     def facts(self) -> list[tuple[str, str]]:
         """Return the simulator's facts for the report."""
         out = [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
+        if self.standing is not None:
+            out.append(("standing", self.standing.in_words()))
+        if self.aftermath is not None:
+            out.append(("afterwards", self.aftermath.in_words()))
         if self.judged is not None:
             out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
             out += [("judged", f"{self.judged.grade}: {self.judged.because}")]

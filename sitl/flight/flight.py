@@ -6,6 +6,7 @@ Sockets, the video codec and threads are left out, so that a scenario and a seed
 A simulated person stands beside it and gives the orders of the scenario's `operator` faults to the service's arbiter.
 """
 
+import math
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.health import Health
-from companion.base.mission import FLOWN
+from companion.base.mission import FLOWN, REFUSALS
 from companion.base.observer import Observer, ProcessedFrame, listens
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.arbiter import OperatorArbiter
@@ -45,6 +46,7 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
+from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
 from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
@@ -172,6 +174,7 @@ class Flight:
         self._generation.check_camera(camera_model(scenario))
         link = flight_seeds(self.world.seed).link
         self._arriving = ArrivingFrames(self._generation, self._options, link, rendered=self._perception.level == "pixels")
+        self._link_rng, self._link_wander = np.random.default_rng([self.world.seed, 0x11A7]), 0.0
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
@@ -199,6 +202,38 @@ class Flight:
 
     def step(self) -> bool:
         """Run one tick of 5 ms; return False when the flight is over."""
+        now = self._tick()
+        if now is None:
+            return False
+        if self._gone:
+            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+            return not ended and seconds_between(self.world.started, now) < self._limit_s
+        if self._pilot.outcome is not None:
+            return False
+        left_s = self._limit_s - seconds_between(self.world.started, now)
+        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
+
+    def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
+        """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was refused.
+
+        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result
+        of the flight and what observers received are those of the outcome.
+        """
+        world, refused = self.world, None
+        self._observers, self._on_fusion = (), []
+        if self._pilot.outcome in REFUSALS and not self._gone:
+            watch, going = AftermathWatch(world.truth()), True
+            while going and world.at < watch.ends:
+                going = self._tick() is not None
+                if self._ticks % _WATCH_EACH == 0:
+                    watch.step(world.truth(), reached=world.reached)
+            refused = watch.result(world.truth(), world.guidance_phase, None if going else self._grader.died)
+        elif (touch := world.truth().touchdown) is not None:
+            world.advance(after(touch.at, STANDS_AFTER_S))
+        return standing_of(world.truth(), world.pad.disc_radius_m), refused
+
+    def _tick(self) -> MonoNs | None:
+        """Run one tick; return its instant, None where the service died in it."""
         now = MonoNs(self._clock.t + _TICK_NS)
         self._clock.t = now
         self._deliver_commands(now)
@@ -209,8 +244,7 @@ class Flight:
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
-            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
-            return not ended and seconds_between(self.world.started, now) < self._limit_s
+            return now
         try:
             self._serve(now)
         except DecklanderError:
@@ -220,11 +254,8 @@ class Flight:
                 raise
             place = traceback.extract_tb(why.__traceback__)[-1]
             self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-            return False
-        if self._pilot.outcome is not None:
-            return False
-        left_s = self._limit_s - seconds_between(self.world.started, now)
-        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
+            return None
+        return now
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""
@@ -359,7 +390,18 @@ class Flight:
             return
         own = self._timing.frame_period_s
         self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number(self._generation.frame_rate))
-        self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
+        self._frames_under_way.send(self._expose, self.world.at, self._frame_delay_s())
+
+    def _frame_delay_s(self) -> float:
+        """Return the delay of the frame that is exposed now: evenly spread in its range, and much like the one before."""
+        effects, wrong, usual_s = self.world.scenario.effects, self.world.scenario.wrong_model, self._timing.frame_delay_s
+        if effects.video_most_s > 0.0:
+            self._link_wander = 0.9 * self._link_wander + 0.436 * self._link_rng.standard_normal()
+            share = 0.5 + 0.5 * math.erf(self._link_wander / math.sqrt(2.0))
+            usual_s = effects.video_least_s + share * (effects.video_most_s - effects.video_least_s)
+        if wrong.video_jitter_s > 0.0:
+            usual_s += self._link_rng.uniform(0.0, wrong.video_jitter_s)
+        return max(0.0, usual_s + wrong.video_delay_s)
 
     def _expose(self) -> Callable[[], RenderedFrame]:
         self.exposures += 1

@@ -5,6 +5,7 @@
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ class FlyOptions:
     """Receives the true state every 20 ms, at every exposure of a frame, and at the end."""
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
+    afterwards: bool = True
+    """Whether the flight goes on after its outcome: where does the vehicle stand, what does a refused one do."""
     overtime_s: float = 0.0
     """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
 
@@ -132,6 +135,7 @@ def fly(
     if perception not in PERCEPTIONS:
         raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
     options = options or FlyOptions()
+    scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
     seen_by = perceive(perception, options.perception_model)
     renew = partial(seen_by.pilot, settings, options.shadows)
     timing = Timing(overtime_s=options.overtime_s)
@@ -150,9 +154,13 @@ def fly(
             exposed, exposures = flight.exposures > exposures, flight.exposures
             if on_truth is not None and (exposed or steps % TRUTH_EACH == 0):
                 on_truth(flight.world.truth())
-    if on_truth is not None:
-        on_truth(flight.world.truth())
-    return ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
+        if on_truth is not None:
+            on_truth(flight.world.truth())
+        ending = ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
+        if not options.afterwards:
+            return ending
+        standing, refused = flight.afterwards()
+    return ending.followed(standing, refused, _cpu_s() - began_s)
 
 
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
@@ -171,7 +179,8 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         cpu_s,
         round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
     )
-    return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
+    frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
+    return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)
 
 
 def contact_of(t: Touchdown) -> Contact:

@@ -25,14 +25,17 @@ from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, Lig
 from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
+from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
+from sitl.scenario.wrong_model import WrongModel
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
-from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
+from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
@@ -167,6 +170,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     sea: Sea = Sea()
     vessel: VesselSettings = VesselSettings()
     wind: WindSettings = WindSettings()
+    weather: WeatherSettings = WeatherSettings()
     start: Start = Start()
     camera: CameraView = CameraView()
     gimbal: GimbalSettings = GimbalSettings()
@@ -177,6 +181,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     video: VideoSettings = VideoSettings()
     sensors: SensorSettings = SensorSettings()
     vehicle: VehicleSettings = VehicleSettings()
+    effects: EffectSettings = EffectSettings()
+    wrong_model: WrongModel = WrongModel()
     faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
     expect: Annotated[
         Literal["land", "refuse", "go_around", "hold", "either"],
@@ -248,7 +254,9 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         if not isinstance(name, str):
             raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
         base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
-    whole = _merged(base, data)
+    if why := contradicted(data):
+        raise BadInput(f"{path}: {why}")
+    whole = _merged(merged_under(data, base), data)
     try:
         scenario = msgspec.convert(whole, Scenario, strict=True)
     except msgspec.ValidationError as why:
@@ -261,6 +269,8 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         said: Any = data.get(table, {})
         if "file" in said:
             whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
+        if said.get("motion"):
+            whole[table]["motion"] = str(path.parent / said["motion"])
     return whole
 
 
@@ -369,14 +379,18 @@ def ship_model(scenario: Scenario) -> Ship:
     """
     v = scenario.vessel
     if v.file is None:
-        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
-    path = _find(v.file, "vessels", Path(), "vessel.file")
-    return _fitting(load_vessel(path), scenario, str(path))
+        ship, where = Ship(hull(v.hull or DEFAULT_HULL)), f"hull {v.hull or DEFAULT_HULL}"
+    else:
+        path = _find(v.file, "vessels", Path(), "vessel.file")
+        ship, where = load_vessel(path), str(path)
+    if v.motion:
+        ship, where = Ship(ship.hull, RecordedMotion.of_file(Path(v.motion), v.motion_smooth_s), random_start=True), v.motion
+    return _fitting(ship, scenario, where)
 
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
     v, recorded = scenario.vessel, ship.recorded
-    if scenario.wind.wake and ship.hull.superstructure is None:
+    if scenario.wind.wake and not scenario.weather.given and ship.hull.superstructure is None:
         raise BadInput(f"{where}: wind.wake needs a vessel with a superstructure in its file")
     if recorded is not None:
         if v.moored:
@@ -392,6 +406,20 @@ def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
     if turns and (ship.hull.gm_m is None or ship.hull.kg_m is None):
         raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
     return ship
+
+
+def sea_of(scenario: Scenario) -> Sea:
+    """Return the waves of a scenario: those that its weather raises, or those of its table `sea`."""
+    if not scenario.weather.given:
+        return scenario.sea
+    return scenario.weather.sea(scenario.sea, scenario.wind.from_deg)
+
+
+def wind_of(scenario: Scenario) -> WindSettings:
+    """Return the wind of a scenario: that of its weather, or that of its table `wind`."""
+    if not scenario.weather.given:
+        return scenario.wind
+    return scenario.weather.wind(scenario.wind, superstructure=ship_model(scenario).hull.superstructure is not None)
 
 
 class _One(Struct, frozen=True):

@@ -13,8 +13,7 @@ import numpy as np
 
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
-from sitl.faults import random_faults
-from sitl.faults.corrupted import Corrupted
+from sitl.faults.corrupted import Corrupted, draw
 from sitl.faults.kinds import OperatorActs, ServiceKilled, VesselReports
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios, signals_of, vehicle_model
 
@@ -85,7 +84,7 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
     start = scenario.start
     highest_m = _HIGHEST_M if start.where == "pad" else start.height_m
     lowest_m = vehicle_model(scenario).airframe().feet.below_m + _OVER_FEET_M
-    return with_corrupted(scenario, random_faults.draw(seed, signals, (min(lowest_m, highest_m), highest_m)))
+    return with_corrupted(scenario, draw(seed, signals, (min(lowest_m, highest_m), highest_m)))
 
 
 def with_corrupted(scenario: Scenario, faults: Sequence[Corrupted]) -> Scenario:

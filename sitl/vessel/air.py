@@ -1,4 +1,4 @@
-"""The air over a ship: wind that grows with height, Dryden's turbulence, discrete gusts, and the wake of the superstructure.
+"""The air over a ship: wind that grows with height, Dryden's or Kaimal's turbulence, gusts, wakes of superstructure and hull.
 
 The formulae and their sources are the core's, `sitl/core/physics/air.c`.
 
@@ -16,6 +16,8 @@ from sitl.core.abi import GUSTS_MAX
 from sitl.core.library import SIM
 from sitl.vessel.seakeeping import Hull, Superstructure
 
+_EDGE_SHARE = 0.4
+"""Height of the separated flow over the windward edge by that of the hull's side (assumed, see `physics/air.c`)."""
 _DECK_TIME_S = 5.0
 """The ship's own velocity is that of the deck, smoothed over this time: waves do not move the wake."""
 
@@ -32,6 +34,15 @@ class GustOnce:
 
 
 @dataclass(frozen=True, slots=True)
+class WakingHull:
+    """The side of a hull over which the air separates."""
+
+    freeboard_m: float
+    edges_m: tuple[float, float, float, float]
+    """Distances of the deck's fore, aft, port and starboard edge from the pad's centre."""
+
+
+@dataclass(frozen=True, slots=True)
 class AirModel:
     """What the air is like."""
 
@@ -42,9 +53,11 @@ class AirModel:
     logarithmic: bool = False
     """Whether the mean follows the logarithmic profile; else it is the same at all heights."""
     roughness_m: float = 0.0002
-    dryden: bool = False
+    turbulence: Literal["none", "dryden", "kaimal"] = "none"
     gusts: tuple[GustOnce, ...] = ()
     wake: Superstructure | None = None
+    hull: WakingHull | None = None
+    """The hull that separates the air, None where it does not."""
     pad_m: tuple[float, float] = (0.0, 0.0)
     """The pad's centre forward and to starboard of amidships."""
     pad_yaw_rad: float = 0.0
@@ -59,7 +72,8 @@ class AirModel:
             raise ValueError(f"the air takes {GUSTS_MAX} single gusts, got {len(self.gusts)}")
         made = SIM.new(
             "sim_air_params",
-            on=1, logarithmic=self.logarithmic, dryden=self.dryden, wake=self.wake is not None, gusts=len(self.gusts),
+            on=1, logarithmic=self.logarithmic, dryden=self.turbulence == "dryden", kaimal=self.turbulence == "kaimal",
+            wake=self.wake is not None, hull_wake=self.hull is not None, gusts=len(self.gusts),
             speed_m_s=self.speed_m_s, along=(math.cos(self.towards_rad), math.sin(self.towards_rad)),
             roughness_m=self.roughness_m, log10m=math.log(10.0 / self.roughness_m), keep_ship=step_s / _DECK_TIME_S,
             pad_yaw=(math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)),
@@ -74,6 +88,10 @@ class AirModel:
                 block_size=(block.length_m, block.width_m, block.height_m),
                 wake_decay=0.32 / math.log(block.height_m / self.roughness_m),
             )  # fmt: skip
+        if self.hull is not None:
+            edge_m = _EDGE_SHARE * self.hull.freeboard_m
+            decay = 0.32 / math.log(max(10.0, edge_m / self.roughness_m))
+            SIM.fill(made, deck_m=self.hull.edges_m, edge_m=edge_m, edge_decay=decay)
         return made
 
 
@@ -97,8 +115,11 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
     speed_m_s: Annotated[float, number("mean speed 10 m over the water", "m/s", 0.0, 25.0)] = 2.0
     from_deg: Annotated[float, number("direction from which it blows, clockwise from north", "deg", -360.0, 360.0)] = 0.0
     model: Annotated[
-        Literal["gauss_markov", "dryden"],
-        choice("turbulence: of a given strength everywhere, or MIL-F-8785C's at low altitude, by wind and height"),
+        Literal["gauss_markov", "dryden", "kaimal"],
+        choice(
+            "turbulence: of a given strength everywhere, MIL-F-8785C's at low altitude by wind and height, or Kaimal's over the "
+            "roughness of the sea"
+        ),
     ] = "gauss_markov"
     gust_sigma_m_s: (
         Annotated[
@@ -114,20 +135,25 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("roughness of the sea's surface, for the profile", "m", 1e-5, 0.05, "open sea, DNV-RP-C205")
     ] = 0.0002
     wake: Annotated[bool, choice("whether the vessel's superstructure slows and stirs the air behind it")] = False
+    hull_wake: Annotated[bool, choice("whether the hull's windward edge slows and stirs the air over the deck")] = False
     gusts: Annotated[tuple[DiscreteGust, ...], Meta(max_length=100, description="single gusts, in any order")] = ()
 
     def __post_init__(self) -> None:
-        if self.model == "dryden":
+        if self.model != "gauss_markov":
             for name in ("gust_sigma_m_s", "gust_time_s"):
                 if getattr(self, name) is not None:
-                    raise ValueError(f"{name} belongs to the model gauss_markov: dryden's gusts follow from wind and height")
+                    raise ValueError(
+                        f"{name} belongs to the model gauss_markov: {self.model}'s gusts follow from wind and height"
+                    )
+        if self.model == "kaimal" and self.profile == "uniform":
+            raise ValueError("the model kaimal needs the logarithmic profile, whose roughness its gusts follow")
         if self.profile == "uniform" and self.roughness_m != 0.0002:
             raise ValueError("roughness_m belongs to the logarithmic profile; the profile is uniform")
 
     @property
     def sigma_m_s(self) -> float:
         """Standard deviation of the Gauss-Markov gusts, which the other model does not have."""
-        if self.model == "dryden":
+        if self.model != "gauss_markov":
             return 0.0
         return 0.4 if self.gust_sigma_m_s is None else self.gust_sigma_m_s
 
@@ -138,7 +164,8 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     def air(self, hull: Hull, pad_yaw_rad: float) -> AirModel | None:
         """Return what the air does beyond a uniform wind with Gauss-Markov gusts; None if it does nothing."""
-        if self.model == "gauss_markov" and self.profile == "uniform" and not self.wake and not self.gusts:
+        plain = self.model == "gauss_markov" and self.profile == "uniform"
+        if plain and not self.wake and not self.hull_wake and not self.gusts:
             return None
         gusts = tuple(
             GustOnce(
@@ -154,9 +181,17 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
             math.radians(self.from_deg) + math.pi,
             logarithmic=self.profile == "logarithmic",
             roughness_m=self.roughness_m,
-            dryden=self.model == "dryden",
+            turbulence="none" if self.model == "gauss_markov" else self.model,
             gusts=gusts,
             wake=hull.superstructure if self.wake else None,
+            hull=WakingHull(hull.freeboard_m, _edges_m(hull)) if self.hull_wake else None,
             pad_m=hull.d_vessel_pad_m,
             pad_yaw_rad=pad_yaw_rad,
         )
+
+
+def _edges_m(hull: Hull) -> tuple[float, float, float, float]:
+    """Return the distances of the deck's fore, aft, port and starboard edge from the pad's centre, m."""
+    forward, starboard = hull.d_vessel_pad_m
+    length, beam = (0.5 * size for size in hull.deck_m)
+    return length - forward, length + forward, beam + starboard, beam - starboard

@@ -12,7 +12,7 @@ from msgspec import structs
 from companion.base.mission import Event, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission_step import mission_step, ordered, reported
+from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim

@@ -8,7 +8,7 @@ from msgspec import structs
 
 from companion.base.mission import DESCENDS, ENDED, Event, State
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission_step import mission_step, ordered, reported
+from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.settings.guidance import GuidanceOptions

@@ -9,7 +9,7 @@ from msgspec import structs
 from companion.base.mission import State
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.held_up import ANSWERS_S, HELD_S, HeldUp, commanded, measured, to_deck
-from companion.guidance.mission_step import mission_step
+from companion.guidance.landing import mission_step
 from companion.guidance.situation import GuidanceCycle
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs

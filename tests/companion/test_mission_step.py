@@ -5,9 +5,9 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, Event, State
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance import mission_step as module
+from companion.guidance import landing as module
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission_step import Transitions, mission_step, ordered, reported
+from companion.guidance.landing import Transitions, mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.guidance import GuidanceOptions

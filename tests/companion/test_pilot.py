@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.mission import FlightOutcome
-from companion.guidance.mission_step import mission_step
+from companion.guidance.landing import mission_step
 from companion.guidance.pilot import Pilot, PilotOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle

@@ -13,6 +13,7 @@ from companion.guidance.limits import InputQuality
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
+from companion.guidance.watch import account
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
@@ -173,7 +174,7 @@ def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(
 ) -> None:
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
-    p = Progress(state, automatic=True, begun=True)
+    p = Progress(state, automatic=True, begun=True, seen_height_m=1.0, deck_rise_m=0.3, deck_top_m=0.3)
     _, found = aim(p, GuidanceCycle(knowledge.at, knowledge), guided(), over_ground=over_ground)
     if over_ground:
         assert isinstance(found, Velocity)
@@ -183,6 +184,19 @@ def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(
         assert found.v_level.tolist() == [0.0, 0.0, -rises_m_s]
     else:
         assert found == Hover()
+
+
+@pytest.mark.parametrize("seen_m", [1.0, 2.4, 7.0])
+def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_with_each_wave(seen_m: float) -> None:
+    o, p, climbed_m = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=seen_m), 0.0
+    for i in range(2000):
+        at, up_m_s = NOW + 0.02 * i, 0.8 * math.cos(0.02 * i * math.tau / 8.0)
+        deck = DeckMotion(ns(at), np.array([0.0, 0.0, -up_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
+        s = GuidanceCycle(ns(at), Knowledge(ns(at), None, deck=deck))
+        p, found = aim(account(p, s, o), s, o, over_ground=False)
+        climbed_m -= 0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
+    crest_m, room_m = 0.8 * 8.0 / math.tau, max(0.0, o.tries.safe_height_m - seen_m)
+    assert climbed_m == pytest.approx(min(crest_m, room_m), abs=0.05), "five crests are as high as one"
 
 
 @pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])

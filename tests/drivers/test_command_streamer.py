@@ -155,6 +155,21 @@ def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpi
     assert cockpit.counters.hover_for_blindness == 2
 
 
+def test_a_climb_is_flown_without_a_fresh_measurement_by_the_tilt_that_holds_against_the_wind(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    for t in range(0, 2000, 20):
+        cockpit.measures(t)
+        cockpit.streamer.take(FORWARD, ms(t))
+        cockpit.sends(t + 1)
+    cockpit.streamer.take(Velocity(np.array([0.0, 0.0, -0.5]), 0.0), ms(2300))
+    climbs = _sticks(cockpit, 2301)
+    assert climbs.flags == at.PCMD_PROGRESSIVE
+    assert climbs.gaz > 0.3, "a deck that rises comes up to a hover"
+    assert climbs.pitch < 0.0
+    assert abs(climbs.roll) < 0.05
+    assert cockpit.counters.hover_for_blindness == 1
+
+
 def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.LANDED, nd.NavdataState.COM_WATCHDOG)
     assert cockpit.sends(1) == [at.ComWdg(), GROUND, HOVER]

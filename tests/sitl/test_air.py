@@ -47,7 +47,7 @@ def met(model: AirModel, height_m: float, seconds: float, batch: int = 30) -> F6
 @pytest.mark.parametrize("height_m", [4.0, 30.0])
 def test_drydens_turbulence_has_the_strength_and_spectra_of_the_specification(height_m: float) -> None:
     """Variance and power by frequency of 30 flights of 80 s, hovering in a wind of 10 m/s to the east."""
-    model = AirModel(10.0, math.pi / 2, dryden=True)
+    model = AirModel(10.0, math.pi / 2, turbulence="dryden")
     at = met(model, height_m, 80.0)
     u, v, w = at[..., 1] - 10.0, -at[..., 0], at[..., 2]
     h = max(height_m / 0.3048, 10.0)

@@ -13,8 +13,7 @@ from msgspec.structs import asdict, replace
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.corrupted import ERRORS, FACTS, SIGNALS, UNSIZED, Corrupted, Corruptions, errors_of
-from sitl.faults.random_faults import draw
+from sitl.faults.corrupted import ERRORS, FACTS, SIGNALS, UNSIZED, Corrupted, Corruptions, draw, errors_of
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.with_fault import as_toml, with_random_faults

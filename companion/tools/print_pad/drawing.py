@@ -93,9 +93,9 @@ def board_drawing(board: Board) -> Drawing:
     """Return the calibration board; the paper's margin is its white rim."""
     shapes = tuple(Polygon(1000 * black, BLACK) for black in board.black_m())
     name = f"{board.kind} {board.columns}x{board.rows}, squares {1000 * board.square_m:g} mm"
-    if board.kind == "charuco":
+    if board.kind != "chessboard":
         name += f", markers {1000 * board.marker_m:g} mm"
-    width, height = (1000 * board.square_m * n for n in (board.columns, board.rows))
+    width, height = (1000 * side_m for side_m in board.outline_m)
     return Drawing(name, width, height, shapes)
 
 

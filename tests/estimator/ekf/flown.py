@@ -8,11 +8,11 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
 from estimator.ekf.deck_motion_bank import DeckMotionBank, PackedSea
+from estimator.ekf.history import process_event
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
 from estimator.ekf.params import FilterParams
-from estimator.ekf.process_event import process_event
 from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import Belief, N
 from tests.estimator.ekf.hand import belief

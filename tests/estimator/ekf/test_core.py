@@ -11,11 +11,11 @@ from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core import abi
 from estimator.ekf import state as names
 from estimator.ekf.deck_motion_bank import DeckMotionBank
+from estimator.ekf.history import process_event
 from estimator.ekf.outcome import Outcome
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import packed_event
 from estimator.ekf.params import FilterParams
-from estimator.ekf.process_event import process_event
 from estimator.ekf.state import PAD_YAW, POS_REL, Belief, N
 from tests.estimator.ekf import flown
 from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, learned, params, stamp, state

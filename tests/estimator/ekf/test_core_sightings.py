@@ -14,10 +14,10 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VesselReport
 from estimator.ekf import deck_motion_bank
 from estimator.ekf.deck_motion_bank import DeckMotionBank
+from estimator.ekf.history import process_event
 from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.packed_event import Event, packed_event
 from estimator.ekf.params import FilterParams
-from estimator.ekf.process_event import process_event
 from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     CAMERA_DELAY,

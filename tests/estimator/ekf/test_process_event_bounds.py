@@ -8,8 +8,8 @@ import pytest
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
+from estimator.ekf.history import process_event
 from estimator.ekf.packed_event import Event
-from estimator.ekf.process_event import process_event
 from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     ATT_BIAS,

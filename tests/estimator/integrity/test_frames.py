@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator.integrity.frames import FrameWatch, digest, watch
+from estimator.integrity.sensors import FrameWatch, digest, watch_frame
 
 RNG = np.random.default_rng(3)
 
@@ -15,29 +15,29 @@ def noisy(level: int = 100) -> np.ndarray:
 def test_frames_of_a_still_scene_differ_by_the_sensors_noise_and_are_let_through() -> None:
     state = FrameWatch()
     for _ in range(30):
-        state, repeated = watch(state, noisy())
+        state, repeated = watch_frame(state, noisy())
         assert not repeated
     assert not state.frozen
 
 
 def test_a_frame_that_repeats_is_refused_at_once_and_the_camera_is_frozen_at_the_third() -> None:
     state, still = FrameWatch(), noisy()
-    state, _ = watch(state, still)
+    state, _ = watch_frame(state, still)
     runs = []
     for _ in range(4):
-        state, repeated = watch(state, still.copy())
+        state, repeated = watch_frame(state, still.copy())
         runs.append((repeated, state.frozen))
     assert runs == [(True, False), (True, False), (True, True), (True, True)]
-    state, repeated = watch(state, noisy())
+    state, repeated = watch_frame(state, noisy())
     assert (repeated, state.frozen) == (False, False)
 
 
 def test_a_ring_of_buffers_handed_out_again_and_again_is_frozen() -> None:
     state, ring = FrameWatch(), [noisy() for _ in range(8)]
     for frame in ring:
-        state, _ = watch(state, frame)
+        state, _ = watch_frame(state, frame)
     for frame in ring[:3]:
-        state, repeated = watch(state, frame)
+        state, repeated = watch_frame(state, frame)
         assert repeated
     assert state.frozen
 
@@ -46,17 +46,17 @@ def test_one_pixel_of_a_looked_at_row_makes_a_new_frame() -> None:
     a = noisy()
     b = a.copy()
     b[8, 77, 1] ^= 1
-    state, _ = watch(FrameWatch(), a)
-    assert watch(state, b)[1] is False
+    state, _ = watch_frame(FrameWatch(), a)
+    assert watch_frame(state, b)[1] is False
 
 
 def test_rows_over_the_whole_height_are_looked_at() -> None:
     a = np.zeros((360, 4, 3), np.uint8)
-    state, _ = watch(FrameWatch(), a)
+    state, _ = watch_frame(FrameWatch(), a)
     for row in range(8, 360, 16):
         b = a.copy()
         b[row, 3, 2] = 1
-        assert watch(state, b)[1] is False
+        assert watch_frame(state, b)[1] is False
 
 
 def test_a_frame_is_known_for_fifteen_others() -> None:
@@ -64,9 +64,9 @@ def test_a_frame_is_known_for_fifteen_others() -> None:
     for others, known in ((15, True), (16, False)):
         state = FrameWatch()
         for frame in frames[: others + 1]:
-            state, repeated = watch(state, frame)
+            state, repeated = watch_frame(state, frame)
             assert not repeated
-        assert watch(state, frames[0])[1] is known
+        assert watch_frame(state, frames[0])[1] is known
 
 
 def test_an_image_that_is_one_row_in_memory_is_known_by_that_row() -> None:

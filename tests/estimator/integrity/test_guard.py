@@ -14,9 +14,8 @@ from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Rang
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import IntegrityGuard, IntegrityOptions, admit, admit_frame, admit_sighting, alerts, excludes, judged
 from estimator.integrity.clock import ClockWatch
-from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
-from estimator.integrity.sensors import Repeat, SensorWatch
+from estimator.integrity.sensors import FrameWatch, Repeat, SensorWatch
 from estimator.integrity.tracks import Place, TrackCandidate, Tracks
 from estimator.integrity.view import ViewWatch
 

@@ -201,7 +201,7 @@ def test_campaigns_are_compared_seed_by_seed() -> None:
     ours = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(30)]
     other = [{**flown(seed), "varied": {"wind.speed_m_s": 1.0}} for seed in range(10, 40)]
     rows = {row.name: row for row in differences_of(ours, other)}
-    error = rows["touchdown error"]
+    error = rows["standing error"]
     assert error.pairs == 19, "one of them raises"
     assert error.mean == pytest.approx(0.06, abs=1e-6)
     assert (error.low, error.high) == pytest.approx((0.06, 0.06), abs=1e-6)

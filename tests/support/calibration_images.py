@@ -35,7 +35,7 @@ class Studio:
         self._texture = self._print()
 
     def _print(self) -> NDArray[np.uint8]:
-        wide = np.array([self.board.columns, self.board.rows]) * self.board.square_m + 2 * self._margin
+        wide = np.array(self.board.outline_m) + 2 * self._margin
         paper = np.full((round(wide[1] * PX_PER_M), round(wide[0] * PX_PER_M)), 235, np.uint8)
         for rectangle in self.board.black_m():
             (x0, y0), (x1, y1) = np.round((rectangle[[0, 2]] + self._margin) * PX_PER_M).astype(int)
@@ -55,7 +55,7 @@ class Studio:
     def aim(self, toward_px: tuple[float, float], distance_m: float, rpy_deg: tuple[float, float, float]) -> NDArray[np.uint8]:
         """The board's middle seen at a pixel, so far away, turned (0, 0, 0) as the image lies."""
         R = Rotation.from_rpy(*np.radians(rpy_deg))
-        middle = np.array([self.board.columns, self.board.rows, 0.0]) * self.board.square_m / 2
+        middle = np.array([*self.board.outline_m, 0.0]) / 2
         ray = np.append(self.camera.rays(np.array([toward_px]))[0], 1.0)
         return self.image(R, distance_m * ray - R.matrix @ middle)
 

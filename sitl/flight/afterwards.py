@@ -1,0 +1,176 @@
+"""What becomes of a vehicle after its flight has an outcome: where it stands on the deck, and what a refused one does.
+
+The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind
+that it was refused for, over a ship that goes on.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.flight.safety import outside_commit
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Truth
+
+STANDS_AFTER_S = 5.0
+"""Time after the contact at which the place of a vehicle on the deck is measured."""
+WATCHED_S = 60.0
+"""Time for which a refused vehicle is watched."""
+_ON_DECK = (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """The place of a vehicle on the deck some seconds after its contact."""
+
+    after_s: float
+    """Time since the contact."""
+    on_pad: bool
+    lateral_m: float
+    """Distance of the body's origin from the pad's centre, along the deck."""
+    p_pad_m: tuple[float, float]
+    """Position on the pad: along the arrow, and to starboard of it."""
+    yaw_rad: float
+    """Heading against the arrow, clockwise from above."""
+    slid_m: float
+    """Distance from the place of the contact."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values: m, degrees, s."""
+        return {
+            "on_pad": self.on_pad,
+            "lateral_m": round(self.lateral_m, 4),
+            "p_pad_m": [round(x, 4) for x in self.p_pad_m],
+            "yaw_deg": round(math.degrees(self.yaw_rad), 2),
+            "slid_m": round(self.slid_m, 4),
+            "after_s": round(self.after_s, 2),
+        }
+
+    def in_words(self) -> str:
+        """Return one line for people."""
+        beside = "" if self.on_pad else ", off the pad"
+        return f"stands {100 * self.lateral_m:.1f} cm from the pad's centre, {100 * self.slid_m:.1f} cm from its contact{beside}"
+
+
+@dataclass(frozen=True, slots=True)
+class Aftermath:
+    """What became of a refused vehicle."""
+
+    watched_s: float
+    phase: str | None
+    """Phase of guidance at the end; None without a service."""
+    vehicle_phase: str
+    lowest_m: float
+    """Lowest height over the pad."""
+    highest_m: float
+    farthest_m: float
+    """Largest horizontal distance from the pad's centre, and that at the end."""
+    end_m: float
+    contacts: int
+    """Number of contacts, with deck or water."""
+    in_water: bool
+    unsafe: tuple[str, ...]
+    """What of it is unsafe, one line each."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values: m and s."""
+        lengths = {name: round(getattr(self, name), 2) for name in ("lowest_m", "highest_m", "farthest_m", "end_m")}
+        return {
+            "watched_s": round(self.watched_s, 2),
+            "phase": self.phase,
+            "vehicle_phase": self.vehicle_phase,
+            **lengths,
+            "contacts": self.contacts,
+            "in_water": self.in_water,
+            "unsafe": list(self.unsafe),
+        }
+
+    def in_words(self) -> str:
+        """Return one line for people."""
+        touched = "in the water" if self.in_water else f"{self.contacts} contacts" if self.contacts else "no contact"
+        return (
+            f"{self.watched_s:.0f} s later: {self.vehicle_phase}, {self.end_m:.1f} m from the pad "
+            f"({self.farthest_m:.1f} m at most), {self.lowest_m:.1f} m over it at the lowest, {touched}"
+        )
+
+
+def standing_of(truth: Truth, disc_radius_m: float) -> Standing | None:
+    """Return where a vehicle stands; None where it does not stand on the deck.
+
+    Args:
+        truth: the true state, `STANDS_AFTER_S` after the newest contact or later.
+        disc_radius_m: radius of the pad.
+    """
+    touch = truth.touchdown
+    if touch is None or touch.surface == "water" or truth.phase not in _ON_DECK:
+        return None
+    R = truth.R_ned_pad.matrix
+    d = R.T @ (truth.p_body_ned - truth.p_pad_ned)
+    if float(np.linalg.norm(d - touch.p_body_pad)) > 1e2 or d[2] > 1.0:
+        return None
+    forward, starboard = float(d[0]), float(d[1])
+    lateral_m = math.hypot(forward, starboard)
+    slid_m = math.hypot(forward - touch.p_body_pad[0], starboard - touch.p_body_pad[1])
+    since_s = seconds_between(touch.at, truth.at)
+    return Standing(since_s, lateral_m <= disc_radius_m, lateral_m, (forward, starboard), truth.yaw_rad, slid_m)
+
+
+class AftermathWatch:
+    """Watches a refused vehicle.
+
+    Args:
+        truth: its state when it was refused.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        self._began, self._known = truth.at, len(truth.contacts)
+        self._lowest_m, self._highest_m, self._farthest_m = math.inf, -math.inf, 0.0
+        self._reached = True
+        self.step(truth, reached=True)
+
+    @property
+    def ends(self) -> MonoNs:
+        """Instant at which the watch ends."""
+        return after(self._began, WATCHED_S)
+
+    def step(self, truth: Truth, *, reached: bool) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            reached: whether the service's commands reach the vehicle.
+        """
+        d = truth.d_body_pad_level
+        self._lowest_m, self._highest_m = min(self._lowest_m, float(d[2])), max(self._highest_m, float(d[2]))
+        self._farthest_m = max(self._farthest_m, float(np.hypot(d[0], d[1])))
+        self._reached = self._reached and reached
+
+    def result(self, truth: Truth, phase: str | None, died: str | None) -> Aftermath:
+        """Return what became of it.
+
+        Args:
+            phase: of guidance, None without a service.
+            died: why the service died meanwhile, None if it did not.
+        """
+        new = truth.contacts[self._known :]
+        water = any(contact.surface == "water" for contact in new)
+        unsafe = [] if died is None else [f"refused, and then the service died in flight: {died}"]
+        if self._reached and water:
+            unsafe.append("refused, and then came down in the water")
+        elif self._reached and (strays := outside_commit(new)):
+            unsafe.append(f"refused, and then touched the deck {strays} times with turning motors")
+        d = truth.d_body_pad_level
+        return Aftermath(
+            seconds_between(self._began, truth.at),
+            phase,
+            truth.phase.name.lower(),
+            self._lowest_m,
+            self._highest_m,
+            self._farthest_m,
+            float(np.hypot(d[0], d[1])),
+            len(new),
+            water,
+            tuple(unsafe),
+        )
