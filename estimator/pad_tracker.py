@@ -70,7 +70,8 @@ class PadTracker:
         """Find the pad in one image.
 
         Args:
-            image: (H, W, 3) uint8, BGR as OpenCV reads it, or (H, W) or (H, W, 1) of a mono camera. The caller must not write to it during the call.
+            image: (H, W, 3) uint8, BGR as OpenCV reads it, or (H, W) or (H, W, 1) of a mono camera. The caller must not write to
+                it during the call.
             stamp: the instant of the exposure; the sighting carries it. Needed only where sightings go into an estimator.
             attitude: the vehicle's attitude at the exposure. None takes the vehicle as level, and the covariance grows to match.
             expected: where the pad is believed to be at the exposure, from `RelativeEstimator.at`. The search then begins there,

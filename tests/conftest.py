@@ -39,6 +39,7 @@ SLOW = (
     "tests/sitl/test_flight.py",
     "tests/sitl/test_night.py",
     "tests/sitl/test_lens_blur.py",
+    "tests/companion/test_pad_import.py",
     "tests/estimator/vision/test_lamps.py",
     "tests/sitl/autopilots/test_stand_in_landings.py",
     "tests/sitl/autopilots/test_flight.py",

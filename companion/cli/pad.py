@@ -157,7 +157,7 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     p.add_argument(
         "--views", type=int, metavar="N",
         help="search N generated views without the pad, and write what that tells into the pad's file (default: "
-        f"{pad_price.VIEWS} if the file has no calibration of its drawing, else none)",
+        f"{pad_price.VIEWS} for a pad file without a calibration of its drawing, else none)",
     )  # fmt: skip
     p.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -172,7 +172,10 @@ def _check(args: argparse.Namespace) -> int:
     pad, camera = Pad.from_mapping(read_toml(file), str(file)), read_camera(camera_file)
     if args.views is not None and not (args.views == 0 or 50 <= args.views <= 100_000):
         raise BadInput(f"--views must be 50 to 100000, or 0 for none, got {args.views}")
-    views, found_in = args.views if args.views is not None else 0 if pad.is_calibrated else pad_price.VIEWS, None
+    views, found_in = (
+        args.views if args.views is not None else 0 if pad.is_calibrated or SHIPPED in file.parents else pad_price.VIEWS,
+        None,
+    )
     if views:
         pad, found_in = pad_price.priced(pad, file, views)
     deck = linear_light(_DECKS["grey steel"])

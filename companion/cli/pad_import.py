@@ -23,7 +23,8 @@ def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     p = actions.add_parser(
         "import",
         help="make a pad file of an SVG drawing or a photograph",
-        description="Make a pad file of an SVG drawing, or of a photograph of a painted or printed pad. Up in the picture is along "
+        description="Make a pad file of an SVG drawing, or of a photograph of a painted or printed pad. Up in the picture is "
+        "along "
         "the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, and "
         "judge it with pad check.",
     )
@@ -63,7 +64,10 @@ def run(args: argparse.Namespace) -> int:
     except OSError as why:
         raise BadInput(f"{out}: {why.strerror or why}") from why
     parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
-    sys.stdout.write(f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), ground {pad.ground}\n")
+    sys.stdout.write(
+        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), "
+        f"ground {pad.ground}\n"
+    )
     return 0
 
 
@@ -76,7 +80,9 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
     if px is None:
         raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
     if size_m is None:
-        raise BadInput("--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners")
+        raise BadInput(
+            "--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners"
+        )
     return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path))
 
 

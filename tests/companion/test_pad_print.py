@@ -208,7 +208,7 @@ def test_upper_lettering_and_a_triangle_are_checked_and_printed(
 
 
 @pytest.mark.parametrize("command", ["simulate calm --pad bar.toml", "detect frame.png --camera sim --pad bar.toml"])
-def test_a_pad_that_nothing_tells_apart_is_not_detected(
+def test_a_pad_that_clutter_is_taken_for_is_not_detected(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Why: a bar is a plank."""
@@ -217,10 +217,13 @@ def test_a_pad_that_nothing_tells_apart_is_not_detected(
         'name = "bar"\n[paints]\nwhite = [245, 245, 245]\n[[regions]]\nshape = "stroke"\npaint = "white"\n'
         "from_m = [-0.2, 0.0]\nto_m = [0.2, 0.0]\nwidth_m = 0.1\n"
     )
+    drawing = Pad.from_mapping(read_toml(Path("bar.toml"))).fingerprint
+    with Path("bar.toml").open("a") as file:
+        file.write(f'[calibration]\nleast_told = 5.0\nchance = 0.03\ndrawing = "{drawing}"\n')
     cv2.imwrite("frame.png", np.zeros((36, 64, 3), np.uint8))
     assert main(command.split()) == 2
     said = capsys.readouterr().err
-    assert "regions has no disc and no ring: such a pad is seen where there is none" in said
+    assert "clutter is taken for this pad in 30 of 1,000 frames" in said
     assert said.count("\n") == 1
 
 

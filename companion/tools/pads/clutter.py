@@ -64,7 +64,9 @@ def _size(rng: np.random.Generator, least: float = 6.0, most: float = 120.0) -> 
 def _box(rng: np.random.Generator, image: F32, fill: bool = True) -> None:
     centre, size = _place(rng), _size(rng)
     box = cv2.boxPoints((centre, (size, size * float(rng.uniform(0.2, 1.0))), float(rng.uniform(0, 180)))).astype(np.int32)
-    cv2.polylines(image, [box], True, _colour(rng), int(rng.integers(1, 5))) if not fill else cv2.fillPoly(image, [box], _colour(rng))
+    cv2.polylines(image, [box], True, _colour(rng), int(rng.integers(1, 5))) if not fill else cv2.fillPoly(
+        image, [box], _colour(rng)
+    )
 
 
 def _round(rng: np.random.Generator, image: F32) -> None:
@@ -88,6 +90,10 @@ def _written(rng: np.random.Generator, image: F32) -> None:
     text = "".join(rng.choice(list(_LETTERS), int(rng.integers(1, 4))))
     scale, thick = _size(rng, 0.5, 6.0), int(rng.integers(1, 12))
     cv2.putText(image, text, _place(rng), cv2.FONT_HERSHEY_SIMPLEX, scale, _colour(rng), thick, cv2.LINE_AA)
+
+
+def _one_of(rng: np.random.Generator, image: F32, *makers: Callable[[np.random.Generator, F32], None]) -> None:
+    makers[int(rng.integers(0, len(makers)))](rng, image)
 
 
 def _lines(rng: np.random.Generator, image: F32, n: int) -> None:
@@ -116,7 +122,7 @@ def _deck(rng: np.random.Generator) -> F32:
     for at in range(0, WIDTH, int(rng.uniform(40, 160))):
         cv2.line(image, (at, 0), (at, HEIGHT), _colour(rng), int(rng.integers(1, 4)))
     for _ in range(int(rng.integers(2, 8))):
-        rng.choice([_box, _round, _written, _outline])(rng, image)
+        _one_of(rng, image, _box, _round, _written, _outline)
     _lines(rng, image, int(rng.integers(0, 4)))
     return _turned(rng, image)
 
@@ -129,7 +135,9 @@ def _grass(rng: np.random.Generator) -> F32:
         x, y = _place(rng)
         turn, shade = float(rng.uniform(0.0, math.tau)), float(rng.uniform(0.2, 1.9))
         colour = (40.0 * shade, (95.0 + 15.0 * dry) * shade, (60.0 + 80.0 * dry) * shade)
-        cv2.line(image, (x, y), (int(x + length * math.cos(turn)), int(y + length * math.sin(turn))), colour, int(rng.integers(1, 3)))
+        cv2.line(
+            image, (x, y), (int(x + length * math.cos(turn)), int(y + length * math.sin(turn))), colour, int(rng.integers(1, 3))
+        )
     for _ in range(int(rng.integers(0, 12))):
         cv2.circle(image, _place(rng), int(rng.integers(2, 12)), _colour(rng), -1)
     return image
@@ -140,9 +148,11 @@ def _asphalt(rng: np.random.Generator) -> F32:
     for _ in range(int(rng.integers(200, 800))):
         shade = float(rng.uniform(20.0, 190.0))
         axes = (float(rng.uniform(2, 14)), float(rng.uniform(2, 10)))
-        cv2.ellipse(image, (_place(rng), axes, float(rng.uniform(0, 180))), (shade, shade, shade * float(rng.uniform(0.9, 1.1))), -1)
+        cv2.ellipse(
+            image, (_place(rng), axes, float(rng.uniform(0, 180))), (shade, shade, shade * float(rng.uniform(0.9, 1.1))), -1
+        )
     for _ in range(int(rng.integers(0, 4))):
-        rng.choice([_written, _box, _outline])(rng, image)
+        _one_of(rng, image, _written, _box, _outline)
     return image
 
 
@@ -155,7 +165,9 @@ def _roofs(rng: np.random.Generator) -> F32:
         for i in range(int(rng.integers(2, 9))):
             for j in range(int(rng.integers(2, 9))):
                 at = (x + step * i, y + step * j)
-                cv2.rectangle(image, at, (at[0] + step // 2, at[1] + step // 2), _colour(rng) if i == j == 0 else (40.0, 45.0, 50.0), -1)
+                cv2.rectangle(
+                    image, at, (at[0] + step // 2, at[1] + step // 2), _colour(rng) if i == j == 0 else (40.0, 45.0, 50.0), -1
+                )
     return _turned(rng, image)
 
 
@@ -166,7 +178,7 @@ def _room(rng: np.random.Generator) -> F32:
         cv2.line(image, (at, 0), (at, HEIGHT), (70.0, 75.0, 80.0), 1)
         cv2.line(image, (0, at), (WIDTH, at), (70.0, 75.0, 80.0), 1)
     for _ in range(int(rng.integers(2, 9))):
-        rng.choice([_box, _round, _box, _outline])(rng, image)
+        _one_of(rng, image, _box, _round, _box, _outline)
     image *= np.clip(1.0 + 0.5 * _smooth(rng, 60.0, 0.6), 0.3, 2.0)[..., None]
     return _turned(rng, image)
 
@@ -174,7 +186,7 @@ def _room(rng: np.random.Generator) -> F32:
 def _marks(rng: np.random.Generator) -> F32:
     image = _ground(rng, _colour(rng), 0.04)
     for _ in range(int(rng.integers(5, 16))):
-        rng.choice([_round, _outline, _written, _round, _box])(rng, image)
+        _one_of(rng, image, _round, _outline, _written, _round, _box)
     return _turned(rng, image)
 
 

@@ -26,7 +26,7 @@ _TILT_RAD = math.radians(20.0)
 
 @lru_cache(maxsize=4)
 def _drawing(pad: Pad) -> tuple[F32, float]:
-    """Return the pad's linear blue, green, red and its share of each point, (n, n, 4): row by x, column by y; and the points per m."""
+    """Return the pad's linear blue, green, red and share of each point, (n, n, 4), row by x, column by y; and points per m."""
     half = _SHEET * pad.disc_radius_m
     axis = (np.arange(_FINE) - 0.5 * (_FINE - 1)) * 2.0 * half / _FINE
     gx, gy = np.meshgrid(axis, axis, indexing="ij")
@@ -38,7 +38,7 @@ def _drawing(pad: Pad) -> tuple[F32, float]:
 
 
 def random_pose(rng: np.random.Generator, camera: Camera, pad: Pad, radius_px: float) -> PadPose:
-    """Return a pose in which the pad has a radius in the frame, its centre in view, its plane within 20 degrees of the camera's."""
+    """Return a pose with a radius in the frame, the pad's centre in view, and its plane within 20 degrees of the camera's."""
     depth = camera.fx * pad.disc_radius_m / radius_px
     aside = np.clip(np.array([0.5 * camera.width - radius_px, 0.5 * camera.height - radius_px]), 10.0, None)
     middle = np.array([camera.cx, camera.cy]) + rng.uniform(-1.0, 1.0, 2) * aside
@@ -62,7 +62,9 @@ def planted(px: U8, camera: Camera, pad: Pad, pose: PadPose, rng: np.random.Gene
     source = cv2.GaussianBlur(drawing, (0, 0), 0.5 * shrunk) if shrunk > 1.0 else drawing
     size = fine * camera.width, fine * camera.height
     seen = cv2.warpPerspective(source, S @ H, size, flags=cv2.INTER_LINEAR)
-    seen = cv2.GaussianBlur(cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA), (0, 0), float(rng.uniform(0.5, 1.1)))
+    seen = cv2.GaussianBlur(
+        cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA), (0, 0), float(rng.uniform(0.5, 1.1))
+    )
     under = (px.astype(np.float32) / 255.0) ** 2.2
     light = float(np.exp(rng.uniform(math.log(0.25), math.log(1.1))))
     out = under * (1.0 - seen[..., 3:]) + light * seen[..., :3]

@@ -39,8 +39,12 @@ _EACH = 6
 """Views that the pad is planted in at each size."""
 _FOUND = 0.8
 """Share of those in which it has to be found."""
-_ALL, _LEAST_TOLD = 1e-6, 0.3
-"""What a drawing has to tell where all finds count, and the least that is asked."""
+_ALL = 1e-6
+"""What a drawing has to tell where all finds count."""
+_TOP, _LEAST_SCALE = 0.06, 0.7
+"""Share of the views whose log-odds show how fast they fall, and the least of that: so few views do not show less."""
+_BY_COUNT = 0.01
+"""Least share of the views that may be the pad, over that which was counted: the fall is not followed farther."""
 _DOUBTED = -1.0
 """Log-odds of a find's edges and light from which on it counts as one that might be the pad."""
 _CLEAR_PX, _MISSED, _BELOW = 28.0, 0.2, 0.6
@@ -78,11 +82,12 @@ def price(
     for k in range(views):
         clutter.append(_finds(bare, view(k), k % 2 == 0))
         progress(k + 1, views)
-    tail = _Tail.of(clutter)
+    fewest = replace(pad, calibration=None).least_told
+    tail = _Tail.of(clutter, pad.markings.is_searched_by_parts, 0.5 * fewest)
     shown = {r: [_planted_finds(bare, bare, r, 100 * i + k) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
     clear = [max(find.told for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
     most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
-    least = float(np.clip(tail.exceeded(RARE / FRAMES), _LEAST_TOLD, most))
+    least = float(np.clip(tail.exceeded(RARE / FRAMES), fewest, max(fewest, most)))
     sure = {r: float(np.mean(_surest(finds, least) >= 0.0)) for r, finds in shown.items()}
     least_px = next((r for r in _RADII_PX if all(sure[s] >= _FOUND for s in _RADII_PX if s >= r)), 0.0)
     taken = []
@@ -135,10 +140,25 @@ class _Tail:
     mean: float
 
     @staticmethod
-    def of(views: Sequence[Sequence[_Find]]) -> _Tail:
-        """Return the tail of the finds of some views; one more view than was seen has one, and it tells little."""
-        told = [max(f.told for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)]
-        return _Tail((len(told) + 1.0) / (len(views) + 1.0), (sum(told) + _LEAST_TOLD) / (len(told) + 1.0))
+    def of(views: Sequence[Sequence[_Find]], by_parts: bool, presumed: float) -> _Tail:
+        """Return the tail of the finds of some views, with one more find than was seen.
+
+        Args:
+            by_parts: whether the log-odds are of a pad whose parts verification was fitted to.
+            presumed: what that one more find tells.
+        """
+        told = [
+            max(f.told for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)
+        ]
+        counted = (len(told) + 1.0) / (len(views) + 1.0)
+        # Where none is likely, how fast the log-odds of the likeliest fall says more than that none was seen.
+        likely = np.sort([max((f.log_odds for f in finds), default=-30.0) for finds in views])[::-1]
+        n = max(4, round(_TOP * len(views)))
+        start, scale = float(likely[n]), max(_LEAST_SCALE, float(likely[:n].mean()) - float(likely[n]))
+        falls = n / len(views) * math.exp(min(0.0, start / scale)) if start < 0.0 else 1.0
+        return _Tail(
+            min(counted, max(falls, _BY_COUNT * counted)) if by_parts else counted, (sum(told) + presumed) / (len(told) + 1.0)
+        )
 
     def chance(self, told: float) -> float:
         """Return the chance that a view tells so much."""
@@ -146,4 +166,4 @@ class _Tail:
 
     def exceeded(self, chance: float) -> float:
         """Return what a view tells with a small chance, and more."""
-        return self.mean * math.log(self.share / chance)
+        return max(0.0, self.mean * math.log(self.share / chance))

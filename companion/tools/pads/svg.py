@@ -152,7 +152,9 @@ def _walk(element: ElementTree.Element, M: F64, style: Mapping[str, str], reader
     fill, stroke = (_rgb(of.get(key, "none"), reader.where) for key in ("fill", "stroke"))
     if fill is not None and tag != "line" and of.get("fill-opacity") not in ("0", "0.0"):
         reader.painted.append(PaintedLines(moved, fill))
-    width = (_length(of.get("stroke-width", "1"), None) or _plain(of.get("stroke-width", "1"))) * math.sqrt(abs(np.linalg.det(M[:2, :2])))
+    width = (_length(of.get("stroke-width", "1"), None) or _plain(of.get("stroke-width", "1"))) * math.sqrt(
+        abs(np.linalg.det(M[:2, :2]))
+    )
     if stroke is not None and width > 0.0:
         reader.painted.append(PaintedLines(moved, stroke, float(width), closed))
 
@@ -174,7 +176,9 @@ def _rgb(text: str, where: str) -> Rgb | None:
         if len(values) == 3:
             r, g, b = (max(0, min(255, round(float(v) * (2.55 if percent else 1.0)))) for v, percent in values)
             return r, g, b
-    raise BadInput(f"{where}: the drawing has the colour {text!r}, and plain colours alone are read: take no gradients or patterns")
+    raise BadInput(
+        f"{where}: the drawing has the colour {text!r}, and plain colours alone are read: take no gradients or patterns"
+    )
 
 
 def _transform(text: str) -> F64:
@@ -239,7 +243,9 @@ def _rounded(x: float, y: float, w: float, h: float, rx: float, ry: float) -> F6
         return np.array([(x, y), (x + w, y), (x + w, y + h), (x, y + h)])
     a = np.linspace(0.0, 0.5 * math.pi, _CURVE)
     corners = ((x + w - rx, y + ry, -90), (x + w - rx, y + h - ry, 0), (x + rx, y + h - ry, 90), (x + rx, y + ry, 180))
-    quarters = [np.stack([cx + rx * np.cos(a + math.radians(d)), cy + ry * np.sin(a + math.radians(d))], 1) for cx, cy, d in corners]
+    quarters = [
+        np.stack([cx + rx * np.cos(a + math.radians(d)), cy + ry * np.sin(a + math.radians(d))], 1) for cx, cy, d in corners
+    ]
     return np.concatenate(quarters)
 
 

@@ -30,8 +30,10 @@ _THINNEST = 0.45
 _LEAST_AREA = 4e-4
 """Least area of a part over that of all that is painted: less is a speck."""
 _CORNERS_MOST = 60
-_SPECK_PX = 17
-"""Width of what a photograph shows and what is not traced, px of 1200: lines of less than a pixel from some metres away."""
+_PHOTO_PX = 700.0
+"""Larger side of a rectified photograph, px."""
+_SPECK_PX = 9
+"""Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
 _MARGIN = 0.4
 """How far around the rectangle of a photograph the pad is looked for, in its larger side."""
 _FIRST_OFF, _GROWS = 0.0012, 1.35
@@ -74,7 +76,9 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
     """
     lines = [line for one in drawing.painted for line in one.lines]
     left, top = (float(v) for v in np.maximum(np.min([line.min(axis=0) for line in lines], axis=0), (drawing.left, drawing.top)))
-    right, low = np.minimum(np.max([line.max(axis=0) for line in lines], axis=0), (drawing.left + drawing.width, drawing.top + drawing.height)).tolist()
+    right, low = np.minimum(
+        np.max([line.max(axis=0) for line in lines], axis=0), (drawing.left + drawing.width, drawing.top + drawing.height)
+    ).tolist()
     extent = max(right - left, low - top)
     if not extent > 0.0:
         raise BadInput(f"{where}: nothing is painted on the sheet")
@@ -117,7 +121,7 @@ def photographed(px: U8, corners_px: F64 | None, size_m: tuple[float, float], pa
     if corners_px is not None:
         if not cv2.isContourConvex(corners_px.astype(np.float32)) or cv2.contourArea(corners_px.astype(np.float32)) < 400.0:
             raise BadInput(f"{where}: --corners are not those of a rectangle: give fore left, fore right, aft right, aft left")
-        scale = 1200.0 / max(size_m)
+        scale = _PHOTO_PX / max(size_m)
         w, h = scale * size_m[0], scale * size_m[1]
         aside = _MARGIN * max(w, h)
         to = np.array([(0, 0), (w, 0), (w, h), (0, h)], np.float32) + np.float32(aside)
@@ -125,14 +129,21 @@ def photographed(px: U8, corners_px: F64 | None, size_m: tuple[float, float], pa
         size = round(w + 2 * aside), round(h + 2 * aside)
         px = np.asarray(cv2.warpPerspective(px, H, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)
     else:
-        shrunk = 1200.0 / max(px.shape[:2])
+        shrunk = _PHOTO_PX / max(px.shape[:2])
         px = np.asarray(cv2.resize(px, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA), np.uint8)
         scale = 0.0
     smooth = cv2.medianBlur(cv2.bilateralFilter(px, 9, 40.0, 5.0), 5)
     colours = smooth.reshape(-1, 3).astype(np.float32)
     cv2.setRNGSeed(47)
     some = colours[:: max(1, len(colours) // 40_000)]
-    _, _, means = cv2.kmeans(some, paints, None, (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 0.2), 6, cv2.KMEANS_PP_CENTERS)
+    _, _, means = cv2.kmeans(
+        some,
+        paints,
+        np.zeros((len(some), 1), np.int32),
+        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 0.2),
+        6,
+        cv2.KMEANS_PP_CENTERS,
+    )
     nearest = np.linalg.norm(colours[:, None] - means[None], axis=2).argmin(axis=1).astype(np.uint8).reshape(px.shape[:2])
     image = np.asarray(cv2.medianBlur(nearest, _SPECK_PX), np.uint8)
     rgb: list[Rgb] = [(round(r), round(g), round(b)) for b, g, r in means.tolist()]
@@ -167,7 +178,9 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
         raise BadInput(f"{where}: nothing is painted: all of it has one colour")
     base = parts[0]
     circle = _circle(base.outline, 0.5)
-    inside = [p for p in parts[1:] if cv2.pointPolygonTest(base.outline.astype(np.float32), tuple(p.outline[0].tolist()), False) >= 0]
+    inside = [
+        p for p in parts[1:] if cv2.pointPolygonTest(base.outline.astype(np.float32), tuple(p.outline[0].tolist()), False) >= 0
+    ]
     round_base = circle is not None and len(inside) == len(parts) - 1
     if circle is not None and round_base:
         centre = circle.centre
@@ -184,7 +197,7 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
             regions.append({"shape": "disc", "paint": base.paint, "radius_m": circle.radius * m})
             below = base.paint
         else:
-            below = int(picture.paint[tuple(np.rint(centre + (0.97 * hole.radius, 0.0)).astype(int)[::-1])])
+            below = int(picture.paint[tuple(np.rint(centre + np.array([0.97 * hole.radius, 0.0])).astype(int)[::-1])])
             on_ground = below == picture.ground
             if not on_ground:
                 regions.append({"shape": "disc", "paint": below, "radius_m": hole.radius * m})
@@ -197,7 +210,9 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
                 outer = _circle(part.outline, 0.5)
                 inner = next((c for line in part.holes if outer and (c := _circle(line, -0.5)) and _within(c, outer)), None)
                 if outer and inner and part.paint != below and _within(outer, circle, 0.0):
-                    regions.append({"shape": "ring", "paint": part.paint, "inner_m": inner.radius * m, "outer_m": outer.radius * m})
+                    regions.append(
+                        {"shape": "ring", "paint": part.paint, "inner_m": inner.radius * m, "outer_m": outer.radius * m}
+                    )
                     rest = [p for j, p in enumerate(rest) if j != i and not (p.paint == below and _is_all_of(p, inner))]
                     break
     regions += _lettering(rest, below, centre, m, radius_px, where)
@@ -205,7 +220,8 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
     names = dict(zip(used, _names([picture.paints[i] for i in used]), strict=True))
     rounded = [{key: _rounded(value) for key, value in region.items()} | {"paint": names[region["paint"]]} for region in regions]
     return {
-        "name": name, "ground": names[picture.ground], "paints": {names[i]: list(picture.paints[i]) for i in used}, "regions": rounded,
+        "name": name, "ground": names[picture.ground], "paints": {names[i]: list(picture.paints[i]) for i in used},
+        "regions": rounded,
     }  # fmt: skip
 
 
@@ -224,7 +240,19 @@ def _names(colours: Sequence[Rgb]) -> list[str]:
             name = "black" if high < 85 else "white" if low > 170 else "grey"
         else:
             hue = cv2.cvtColor(np.array([[[b, g, r]]], np.uint8), cv2.COLOR_BGR2HSV)[0, 0, 0]
-            name = next(n for limit, n in ((8, "red"), (22, "orange"), (35, "yellow"), (85, "green"), (130, "blue"), (170, "violet"), (181, "red")) if hue < limit)
+            name = next(
+                n
+                for limit, n in (
+                    (8, "red"),
+                    (22, "orange"),
+                    (35, "yellow"),
+                    (85, "green"),
+                    (130, "blue"),
+                    (170, "violet"),
+                    (181, "red"),
+                )
+                if hue < limit
+            )
         out.append(name if name not in out else f"{name}_{len(out)}")
     return out
 
@@ -281,7 +309,9 @@ def _is_all_of(part: _Part, circle: _Circle) -> bool:
     return abs(part.area / (math.pi * circle.radius**2) - 1.0) < 0.05
 
 
-def _lettering(parts: Sequence[_Part], below: int, centre: F64, m: float, radius_px: float, where: str) -> Iterator[dict[str, Any]]:
+def _lettering(
+    parts: Sequence[_Part], below: int, centre: F64, m: float, radius_px: float, where: str
+) -> Iterator[dict[str, Any]]:
     """Yield the parts beside disc and rings as polygons: those of the paint with the largest area, then those of a second."""
     parts = [p for p in parts if p.paint != below]
     areas: dict[int, float] = {}
@@ -302,7 +332,9 @@ def _lettering(parts: Sequence[_Part], below: int, centre: F64, m: float, radius
                 break
             off *= _GROWS
             if off > 0.2 * radius_px:
-                raise BadInput(f"{where}: the lettering has too many parts to be measured ({len(own)}): draw fewer or simpler ones")
+                raise BadInput(
+                    f"{where}: the lettering has too many parts to be measured ({len(own)}): draw fewer or simpler ones"
+                )
         for line, holes in made:
             region: dict[str, Any] = {"shape": "polygon", "paint": layer, "points_m": _on_pad(line, centre, m)}
             if holes:
@@ -313,7 +345,9 @@ def _lettering(parts: Sequence[_Part], below: int, centre: F64, m: float, radius
 def _is_filled(hole: F64, others: Sequence[_Part]) -> bool:
     """Return whether a hole is where another part lies on this one."""
     area = cv2.contourArea(hole.astype(np.float32))
-    return any(abs(part.area / max(area, 1.0) - 1.0) < 0.1 and np.abs(part.outline.mean(0) - hole.mean(0)).max() < 3.0 for part in others)
+    return any(
+        abs(part.area / max(area, 1.0) - 1.0) < 0.1 and np.abs(part.outline.mean(0) - hole.mean(0)).max() < 3.0 for part in others
+    )
 
 
 def _corners(line: F64, off_px: float) -> F64:
@@ -342,7 +376,13 @@ def _on_pad(line: F64, centre: F64, m: float) -> list[list[float]]:
 
 def file_text(keys: dict[str, Any], comment: str) -> str:
     """Return a pad file's text."""
-    lines = [f"# {comment}", f"name = {msgspec.json.encode(keys['name']).decode()}", f'ground = "{keys["ground"]}"', "", "[paints]"]
+    lines = [
+        f"# {comment}",
+        f"name = {msgspec.json.encode(keys['name']).decode()}",
+        f'ground = "{keys["ground"]}"',
+        "",
+        "[paints]",
+    ]
     lines += [f"{name} = {rgb}" for name, rgb in keys["paints"].items()]
     for region in keys["regions"]:
         lines += ["", "[[regions]]", *(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in region.items())]

@@ -79,7 +79,7 @@ TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else _HAND_SET[n
 
 
 _BY_TOLD = 6.0
-"""Log-odds of what tells twice as much as clutter may. Where clutter tells a number, its chance falls by the exponential of that."""
+"""Log-odds of what tells twice as much as clutter may: what clutter tells is exponentially rare."""
 
 
 def told_log_odds(times_least: float) -> float:

@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from estimator.vision.lamp import CENTRE_PX, lamp_accuracy, points_of
 from estimator.vision.lamp_sighting import detect_lamps, is_dark
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import camera_pose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
@@ -72,12 +72,14 @@ def test_lamps_that_tell_no_heading_or_are_in_millimetres_are_refused_by_path_an
 def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not_looked_for():
     data = file_with(lamps_at(SHAPE))
     disc = Pad.from_mapping({**data, "regions": data["regions"][:1]})
-    bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": []})
+    often = {"least_told": 5.0, "chance": 0.02, "drawing": disc.fingerprint}
+    bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": [], "calibration": often})
 
     assert not disc.is_identifiable_by_paint
     disc.check_for_detection("mine.toml")
-    with pytest.raises(BadInput, match="or add lamps"):
+    with pytest.raises(BadInput, match="accept_false_pads"):
         bare.check_for_detection("mine.toml")
+    replace(bare, accept_false_pads=True).check_for_detection("mine.toml")
     scene = pad_scene(np.random.default_rng(3), CAMERA, disc, 2.0, "plain", 0.1)
     seen, _ = track(TrackerConfig(CAMERA, disc), TrackerMemory(), Frame(STAMP, 0, scene.px), None)
     assert seen.selected is None or seen.chosen == "lamps"

@@ -1,0 +1,127 @@
+"""Pads of one's own: read from drawings and photographs, found where they are planted, and not in clutter."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.cli.main import main
+from companion.settings.load import read_toml
+from companion.tools.pads.clutter import VIEWS, kind_of, view
+from companion.tools.pads.planted import planted
+from companion.tools.pads.price import CAMERA, price
+from companion.tools.pads.svg import read_svg
+from companion.tools.pads.trace import drawn, traced
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.drawing import edges_of
+from estimator.vision.pad import RARE, Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.regions import PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+
+USERS = sorted((Path(__file__).parents[1] / "pads_of_users").glob("*.toml"))
+STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" viewBox="0 0 400 500">
+  <style>.panel {fill: #101010; stroke: none}</style>
+  <g transform="translate(20,-30)">
+    <circle cx="180" cy="280" r="150"/><circle cx="180" cy="280" r="120" style="fill:white"/>
+    <rect class="panel" x="150" y="190" width="60" height="60"/>
+    <path d="m 120,300 h 120 v 60 H 120 Z M 150,315 v 30 h 40 v -30 z" fill="rgb(16,16,16)"/>
+  </g></svg>"""
+
+
+def imported(text: str, size_m: float | None = None) -> Pad:
+    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg"), "a", "a.svg"))
+
+
+def seen(pad: Pad, px: np.ndarray) -> float:
+    found = track(TrackerConfig(CAMERA, pad), TrackerMemory(), Frame(STAMP, 0, px), None)[0].selected
+    return 0.0 if found is None else found.confidence
+
+
+def test_a_drawing_becomes_rings_and_polygons_with_holes_to_a_tenth_of_a_millimetre() -> None:
+    pad = imported(SVG)
+    ring = next(r for r in pad.regions if isinstance(r, PaintedRing))
+    polygons = sorted((r for r in pad.regions if isinstance(r, PaintedPolygon)), key=lambda r: len(r.holes_m))
+    assert (ring.inner_m, ring.outer_m) == pytest.approx((0.120, 0.150), abs=1e-4)
+    assert pad.ground == "white"
+    square, frame = polygons
+    assert np.abs(square.corners()).max(axis=0) == pytest.approx((0.090, 0.030), abs=2e-4)
+    at = np.array([(-0.05, -0.05), (-0.05, 0.0), (-0.05, 0.05)])
+    assert covers(frame, at).tolist() == [True, False, True]
+    assert (depth_in(frame, at) > 0.0).tolist() == [True, False, True]
+    area = sum(cv2.contourArea(piece.astype(np.float32)) for piece in convex_pieces_of(frame))
+    assert area == pytest.approx(0.12 * 0.06 - 0.04 * 0.03, rel=0.01)
+    # The border of the hole is measured, too, and its normal points into the hole.
+    edges = edges_of(pad)
+    inner = np.abs(edges.at_m[:, 1]) < 0.0215
+    assert np.any(inner & (np.abs(edges.at_m[:, 0] + 0.035) < 1e-3) & (edges.normal[:, 0] < -0.9))
+
+
+def test_a_drawing_takes_the_size_that_it_is_given_and_needs_one() -> None:
+    assert imported(SVG, 0.6).disc_radius_m == pytest.approx(0.3, rel=2e-3)
+    with pytest.raises(BadInput, match="--size-mm"):
+        imported(SVG.replace('width="400mm" height="500mm"', ""))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<svg", "no SVG drawing"),
+        ("<html/>", "its root is <html>"),
+        ('<svg viewBox="0 0 9 9"/>', "paints nothing"),
+        ('<svg viewBox="0 0 9 9"><text>H</text></svg>', "convert it to paths"),
+        ('<svg viewBox="0 0 9 9"><rect width="5" height="5" fill="url(#g)"/></svg>', "plain colours alone"),
+        ('<!DOCTYPE svg [<!ENTITY a "b">]><svg viewBox="0 0 9 9"/>', "no entities"),
+    ],
+)
+def test_what_is_no_plain_drawing_is_refused_with_a_cure(text: str, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        read_svg(text, "a.svg")
+
+
+def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_path: Path) -> None:
+    pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "octagon")))
+    pose = PadPose(Rotation.from_rpy(0.2, -0.15, 0.1), np.array([0.02, -0.01, 0.95]))
+    camera = replace(CAMERA, width=640, height=360, fx=512.0, fy=512.0, cx=319.5, cy=179.5)
+    sheet = cv2.resize(view(3), (640, 360))
+    px = planted(np.asarray(sheet, np.uint8), camera, pad, pose, np.random.default_rng(1))
+    corners = camera.project(pose.points(np.array([(0.2, -0.2, 0), (0.2, 0.2, 0), (-0.2, 0.2, 0), (-0.2, -0.2, 0)])))
+    picture, out = tmp_path / "photo.png", tmp_path / "mine.toml"
+    cv2.imwrite(str(picture), px)
+    places = " ".join(f"{u:.2f},{v:.2f}" for u, v in corners)
+    words = ["pad", "import", str(picture), "--corners", places, "--size-mm", "400x400", "--out", str(out)]
+    assert main(words) == 0
+    traced_pad = Pad.from_mapping(read_toml(out))
+    assert traced_pad.disc_radius_m == pytest.approx(pad.disc_radius_m, rel=0.02)
+    found = track(TrackerConfig(camera, traced_pad), TrackerMemory(), Frame(STAMP, 0, px), None)[0].selected
+    assert found is not None
+    assert found.confidence >= 0.5
+    assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+
+
+def test_pads_of_users_can_be_said_and_are_not_seen_in_clutter() -> None:
+    assert len(USERS) == 20
+    assert len({kind_of(k) for k in range(VIEWS)}) == 7
+    views = [view(k) for k in (1, 5, 6)]
+    for file in USERS:
+        pad = Pad.from_mapping(read_toml(file), file.name)
+        sure = [seen(pad, px) for px in views]
+        assert max(sure) < 0.5, file.name
+
+
+def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_drawing() -> None:
+    pad = imported(SVG)
+    found = price(pad, {}, 56)
+    known = found.calibration
+    assert known.chance <= RARE
+    assert found.found[40.0] >= 0.8
+    assert found.found[5.0] <= 0.5
+    assert replace(pad, calibration=known).is_calibrated
+    assert not replace(pad, calibration=known, regions=pad.regions[:2]).is_calibrated
