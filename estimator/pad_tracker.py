@@ -70,7 +70,7 @@ class PadTracker:
         """Find the pad in one image.
 
         Args:
-            image: (H, W, 3) uint8, BGR as OpenCV reads it. The caller must not write to it during the call.
+            image: (H, W, 3) uint8, BGR as OpenCV reads it, or (H, W) or (H, W, 1) of a mono camera. The caller must not write to it during the call.
             stamp: the instant of the exposure; the sighting carries it. Needed only where sightings go into an estimator.
             attitude: the vehicle's attitude at the exposure. None takes the vehicle as level, and the covariance grows to match.
             expected: where the pad is believed to be at the exposure, from `RelativeEstimator.at`. The search then begins there,
@@ -82,12 +82,14 @@ class PadTracker:
             that a fresh `expected` excludes: an estimator refuses that one as `Verdict.ELSEWHERE`.
 
         Raises:
-            ValueError: the image is no (H, W, 3) uint8 array, or not of the camera's size.
+            ValueError: the image is no (H, W, 3), (H, W, 1) or (H, W) uint8 array, or not of the camera's size.
         """
         camera = self._config.camera
         pixels = np.asarray(image)[...]  # a view: Frame makes its array read-only, and the caller's stays writable
         if pixels.shape[:2] != (camera.height, camera.width):
             raise ValueError(f"the camera's images are {camera.width}x{camera.height} px, got an array of shape {pixels.shape}")
+        if pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 1):
+            pixels = np.repeat(pixels.reshape(*pixels.shape[:2], 1), 3, axis=2)
         frame = Frame(stamp or _NO_STAMP, self._seq, pixels)
         self._seq += 1
         self._detection, self._memory = track(self._config, self._memory, frame, attitude, expected)

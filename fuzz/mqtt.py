@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from companion.parts.mqtt import messages, watch_view
-from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.commands import CommandHandler, ShipReportReader, signed
 from companion.parts.mqtt.messages import (
     BeliefReport,
     CommandReply,
@@ -28,8 +28,6 @@ from companion.parts.mqtt.messages import (
     VehicleState,
     encode,
 )
-from companion.parts.mqtt.ship_reports import ShipReportReader
-from companion.parts.mqtt.signature import signed
 from companion.parts.mqtt.spool import Spool
 from companion.parts.mqtt.topics import ROOT, Topics, split
 from companion.parts.mqtt.watch_model import WatchModel

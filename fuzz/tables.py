@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion.base.notify import Manager, watchdog_interval_s
+from companion.base.liveness import Manager, watchdog_interval_s
 from companion.guidance.make_pilot import estimator_options, tracker
 from companion.parts.mavlink.component import ComponentOptions
 from companion.parts.mavlink.signed_links import signed_links

@@ -55,6 +55,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/rendezvous.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
+        "report.v_vessel_ned is not None and report.cov_v_ned is not None"
+        "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
+        "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
+        "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
     },
     "companion/guidance/clearance.py": {
         "span_s <= 0.0  ->  span_s < 0.0": "over no time nothing is summed",
@@ -67,12 +71,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "companion/guidance/tilt_model.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
     "companion/guidance/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
-    },
-    "companion/guidance/vessel_track.py": {
-        "report.v_vessel_ned is not None and report.cov_v_ned is not None"
-        "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
-        "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
-        "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
     },
     "companion/guidance/response_course.py": {
         "np.isfinite(u).all  ->  np.isfinite(u).any": "a step is unknown on all axes",

@@ -159,8 +159,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),
     "companion/guidance/contact.py": ("tests/companion/test_contact.py",),
     "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
-    "companion/guidance/rendezvous.py": ("tests/companion/test_rendezvous_way.py", "tests/companion/test_rendezvous.py"),
-    "companion/guidance/vessel_track.py": (
+    "companion/guidance/rendezvous.py": (
+        "tests/companion/test_rendezvous_way.py",
         "tests/companion/test_vessel_track_bounds.py",
         "tests/companion/test_vessel_track.py",
         "tests/companion/test_rendezvous.py",

@@ -38,12 +38,12 @@ DRAWINGS = {
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
 LAB = {
-    "companion/cli/campaign_progress.py",
+    "companion/cli/progress.py",
     *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
-ROS2 = {"companion/tools/ros2/bag.py", "companion/tools/ros2/typestore.py"}
+ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typestore")}
 """What needs the extra `ros2`. It asks `require_rosbags` first."""
 
 COMPARE = {"estimator/constant_velocity.py"}

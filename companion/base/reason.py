@@ -83,7 +83,7 @@ class ReasonCause(Enum):
     TIME_LOCK = "the frames' time is known to {measured:.3f} s (limit {limit:g} s)"
     HEADING = "the heading is {measured:.0f} deg off the arrow (limit {limit:g} deg)"
     HEADING_TURNED = "the arrow turned by {measured:.0f} deg between two estimates"
-    WIND = "it leans by {measured:.1f} deg against the wind (limit {limit:g} deg)"
+    WIND = "{measured:.1f} m/s of wind over the drone, {detail}: its tilt can fly {limit:.1f}"
     BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
 
 

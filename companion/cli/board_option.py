@@ -3,37 +3,46 @@
 import argparse
 import re
 
-from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.board import Board, BoardKind
 from estimator.contracts.errors import BadInput
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options that describe a calibration board."""
     parser.add_argument(
-        "--squares", default="7x10", metavar="CxR", help="number of squares across and down (default: %(default)s)"
+        "--squares",
+        metavar="CxR",
+        help="number of squares, or of an AprilGrid's tags, across and down (default: 7x10, of tags 6x6)",
     )
     parser.add_argument(
         "--square-mm",
         type=float,
         default=25.0,
         metavar="MM",
-        help="side of a square as measured on the print (default: %(default)s)",
+        help="side of a square, or the distance from one tag to the next, as measured on the print (default: %(default)s)",
     )
-    parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a ChArUco marker (default: 0.72 of a square)")
+    parser.add_argument(
+        "--marker-mm",
+        type=float,
+        metavar="MM",
+        help="side of a ChArUco marker (default: 0.72 of a square) or of a tag (default: the distance / 1.3)",
+    )
 
 
-def board(args: argparse.Namespace, kind: str) -> Board:
+def board(args: argparse.Namespace, kind: BoardKind) -> Board:
     """Return the board that the options describe.
 
     Raises:
         BadInput: no such board.
     """
-    match = re.fullmatch(r"(\d{1,3})[xX](\d{1,3})", args.squares)
+    squares = args.squares or ("6x6" if kind == "aprilgrid" else "7x10")
+    match = re.fullmatch(r"(\d{1,3})[xX](\d{1,3})", squares)
     if match is None:
-        raise BadInput(f"--squares must be two numbers such as 7x10, got {args.squares!r}")
-    marker_mm = 0.72 * args.square_mm if args.marker_mm is None else args.marker_mm
+        raise BadInput(f"--squares must be two numbers such as 7x10, got {squares!r}")
+    usual_mm = args.square_mm / 1.3 if kind == "aprilgrid" else 0.72 * args.square_mm
+    marker_mm = usual_mm if args.marker_mm is None else args.marker_mm
     return Board(
-        "charuco" if kind == "charuco" else "chessboard",
+        kind,
         int(match[1]),
         int(match[2]),
         args.square_mm / 1000.0,

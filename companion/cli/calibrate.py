@@ -12,16 +12,18 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
 from companion.tools.calibrate import assess
-from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.board import BOARDS, Board
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.guide import Guide, GuideState, add_file, image_files, watch
-from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
+from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
+from companion.tools.calibrate.touchdown_cost import of_distance
 from companion.tools.calibrate.views import Collection
 from companion.tools.report.drawing import require_drawing
 from drivers.camera.images import PICTURES
@@ -53,9 +55,8 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="measure intrinsics and distortion with a printed board",
         description="Measure intrinsics and distortion with images of a printed board (decklander pad print --board charuco). "
         "The result "
-        "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor. If the "
-        "grade is "
-        "worse than --accept, write no file, list what the images lack, and return exit code 1.",
+        "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor, if the numbers "
+        "do not hold. If the grade is worse than --accept, write no file, list what the images lack, and return exit code 1.",
     )
     p.add_argument("paths", nargs="*", metavar="PATH", help="images, folders of images, or videos")
     p.add_argument("--device", metavar="NAME", help="use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
@@ -77,7 +78,10 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="stop the live camera after this many seconds (default: %(default)s)",
     )
     p.add_argument(
-        "--board", default="charuco", choices=["charuco", "chessboard"], help="kind of the printed board (default: %(default)s)"
+        "--board",
+        default="charuco",
+        choices=BOARDS,
+        help="kind of the printed board (default: %(default)s)",
     )
     board_option.add(p)
     p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
@@ -91,8 +95,15 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     p.add_argument(
         "--accept",
         default="good",
-        choices=assess.GRADES,
+        choices=assess.GRADES[:-1],
         help="write the camera file if the grade is this or better (default: %(default)s)",
+    )
+    p.add_argument("--force", action="store_true", help="write the camera file even if it is poor, and print what that costs")
+    p.add_argument(
+        "--lens",
+        default="auto",
+        choices=get_args(LensChoice),
+        help="model of the lens; auto takes a fisheye where the views speak for it (default: %(default)s)",
     )
     p.add_argument("--figures", metavar="DIR", help="write coverage.png and residuals.png into this folder")
     p.add_argument(
@@ -141,19 +152,21 @@ def _run_camera(args: argparse.Namespace) -> int:
             )
         _say(args, collection, None, assess.Assessment(tuple(lacks), ()), written=False)
         return 1
-    solution = solve(collection.views, board, size, mount)
+    solution = solve(collection.views, board, size, mount, args.lens)
     if args.figures is not None:
         from companion.tools.calibrate import figures
 
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
     found = assess.assess(solution, size)
-    accepted = assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
+    accepted = args.force or assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
     if accepted:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         try:
             others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
-            out.write_text(text(solution, f"{source} ({args.board} {args.squares}, {found.grade})", rpy), encoding="utf-8")
+            out.write_text(
+                text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy), encoding="utf-8"
+            )
             for path, content in others.items():
                 path.write_text(content, encoding="utf-8")
         except OSError as why:
@@ -226,14 +239,31 @@ def _say(
             f"cx {c.cx:.2f} +- {s[2]:.2f}, cy {c.cy:.2f} +- {s[3]:.2f} px",
             f"error {solution.rms_px:.3f} px rms over {len(solution.fits)} views, {len(solution.left_out)} left out; "
             f"distortion {solution.model}",
+            _worth(solution, cost=found.grade == "poor"),
         ]
     if written:
         lines.append(f"{found.grade}: written to {args.out}" + ("; it would be better with:" if found.missing else ""))
     else:
-        hint = "" if solution is None else f" (--accept {found.grade} writes it all the same)"
+        flag = "--force" if found.grade == "poor" else f"--accept {found.grade}"
+        hint = "" if solution is None else f" ({flag} writes it all the same)"
         lines.append(f"{found.grade}: nothing written{hint}; it lacks:")
     lines += [f"  - {lack}" for lack in found.missing]
     sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _worth(solution: Solution, *, cost: bool) -> str:
+    """Return what the distances measured with a camera are worth, with what that costs at touchdown if that is wanted."""
+    share = solution.distances_right_to
+    if share >= 1.0:
+        return "Distances are not known: these views tell no focal length, and no landing can be made with it"
+    text = f"Distances are right to {100.0 * share:.2g} % (95 %)"
+    height, aside = of_distance(share)
+    if cost:
+        text += (
+            f": {height.touchdown_cm:.1f} cm of height and {aside.touchdown_cm:.1f} cm aside at touchdown, "
+            f"{height.approach_cm:.0f} cm of height where the descent begins"
+        )
+    return text
 
 
 def _record(
@@ -252,7 +282,7 @@ def _record(
         c, s = solution.camera, solution.sigma
         record |= {
             "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "distortion": c.distortion.tolist(),
-            "sigma_fx_fy_cx_cy": s[:4].tolist(),
+            "sigma_fx_fy_cx_cy": s[:4].tolist(), "lens": c.lens, "distances_right_to": solution.distances_right_to,
             "rms_px": solution.rms_px, "model": solution.model, "left_out": [f.view.name for f in solution.left_out],
         }  # fmt: skip
     return record

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.base.signals import Stopped
-from companion.cli import campaign_soak, perception_option
-from companion.cli.campaign_progress import CampaignProgress
+from companion.cli import perception_option
+from companion.cli.progress import CampaignProgress
 from companion.settings.load import shipped
 from companion.tools.report.drawing import require_drawing
 from estimator import pipeline
@@ -34,9 +34,23 @@ from sitl.campaign.design import (
 from sitl.campaign.figures import VariedPoint, varied_point
 from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of, unpacked
+from sitl.campaign.plan import (
+    AnyPlan,
+    CampaignPlan,
+    Job,
+    Point,
+    SetPlan,
+    is_set,
+    load_set,
+    make_plan,
+    place_of,
+    seeds_of,
+    shipped_sets,
+    unpacked,
+)
 from sitl.campaign.random_faults import WORST, Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import REPORT, fly_again, render_report
+from sitl.campaign.soak import SoakOptions, soak
 from sitl.campaign.store import (
     FLIGHTS,
     FolderStore,
@@ -52,14 +66,15 @@ from sitl.campaign.store import (
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
+from sitl.campaign.weather_map import AXES, MAP, render_map
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.sets import is_set, place_of, shipped_sets
-from sitl.scenario.sets import load as load_set
 from sitl.scenario.with_fault import with_random_faults
+
+_MAP_RUNS = 4
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -92,6 +107,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of scenario or settings another value"
+    )
+    parser.add_argument(
+        "--wrong-model",
+        type=float,
+        metavar="SIGMA",
+        help="let each seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
     )
     where = parser.add_argument_group("where to fly and to keep")
     where.add_argument("--workers", type=int, metavar="K", help="number of processes (default: one for each core)")
@@ -130,8 +152,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     said = parser.add_argument_group("results")
     said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
     said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
+    said.add_argument(
+        "--map",
+        action="store_true",
+        help=f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
+        f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
+    )
     said.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
-    campaign_soak.add_arguments(parser)
+    _add_soak_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -140,10 +168,15 @@ def run(args: argparse.Namespace) -> int:
         return _report(args)
     if args.folder is not None:
         raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
-    campaign_soak.refuse(args)
+    if args.wrong_model is not None:
+        args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
+    refuse(args)
     if args.soak:
-        return campaign_soak.run(args, *_plan(args))
-    args.runs, args.seed = 100 if args.runs is None else args.runs, args.seed or 0
+        return run_soak(args, *_plan(args))
+    if args.map:
+        said = {text.partition("=")[0] for text in args.vary}
+        args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in said)]
+    args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
     if workers < 1:
@@ -385,6 +418,8 @@ def _conclude(
         sys.stderr.write(f"{PARQUET} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
     else:
         files.append(store.put(PARQUET, parquet_bytes(_asked(store, asked), points[-1][0] if points else {})))
+    if args.map:
+        files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
         page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against))
@@ -430,6 +465,9 @@ def _report(args: argparse.Namespace) -> int:
     except OSError as why:
         raise unusable(str(folder / REPORT), why) from why
     sys.stdout.write(f"report: {folder / REPORT}\n")
+    if args.map:
+        write_whole(folder / MAP, render_map(manifest["name"], manifest["perception"], flights_in(path)).encode())
+        sys.stdout.write(f"map: {folder / MAP}\n")
     return 0
 
 
@@ -446,3 +484,85 @@ def _compared_with(against: str | None) -> tuple[str, list[Flight]] | None:
     if not flights:
         raise BadInput(f"--against {against}: the campaign has no flights")
     return against, flights
+
+
+_OURS = ("hours", "virtual", "no_faults", "fault", "no_cpu", "failed_max", "plot", "readings")
+_OTHERS = ("workers", "scheduler", "out", "vary", "design", "points", "search", "report", "against", "faults")
+"""Options that go with `--soak` alone, and that do not go with it."""
+
+
+def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add `--soak` and the options that go with it."""
+    group = parser.add_argument_group(
+        "repeated flights in one process",
+        "Each flight has its own seed and its own fault, and is graded: on the pad, refused rightly, failed, or not judged "
+        "because the machine was too slow. Exit code 1 if more flights failed than --failed-max allows, if most could not be "
+        "judged, or if memory grew by 1 % or descriptors, threads or tasks by one after warm-up. Ctrl-C stops the run and prints "
+        "the results so far.",
+    )
+    group.add_argument(
+        "--soak",
+        action="store_true",
+        help="fly in one process and watch for leaks: the landing service flies the simulated drone through sockets in real time",
+    )
+    group.add_argument(
+        "--hours", type=float, metavar="H", help="hours to run; with --virtual hours of flight time (default: 1, or --runs)"
+    )
+    group.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
+    faults = group.add_mutually_exclusive_group()
+    faults.add_argument("--no-faults", action="store_true", help="fly without faults")
+    faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
+    group.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
+    group.add_argument("--failed-max", type=int, metavar="N", help="allow this many failed flights (default: 0)")
+    group.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
+    group.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
+
+
+def refuse(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        BadInput: an option goes with `--soak` and that is not given, or the other way round.
+    """
+    for name in _OTHERS if args.soak else _OURS:
+        if getattr(args, name) not in (None, False, []):
+            word = "does not go with" if args.soak else "goes with"
+            raise BadInput(f"--{name.replace('_', '-')} {word} --soak")
+
+
+def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -> int:
+    """Run the command and return its exit code."""
+    seed, hours = 1 if args.seed is None else args.seed, 1.0 if args.hours is None else args.hours
+    if seed < 0:
+        raise BadInput(f"--seed must be 0 or more, got {seed}")
+    if not 0.001 <= hours <= 1000:
+        raise BadInput(f"--hours must lie in 0.001 to 1000, got {hours:g}")
+    if args.runs is not None and (args.runs < 1 or not args.virtual or args.hours is not None):
+        raise BadInput("--runs with --soak needs --virtual, takes the place of --hours, and is 1 or more")
+    if not args.virtual:
+        if args.fault is not None:
+            raise BadInput("--fault needs --virtual; in real time the drone chooses its faults by its seeds")
+        if plan.perception != "pixels":
+            raise BadInput("--perception needs --virtual; in real time the drone sends images")
+        if args.set:
+            raise BadInput("--set with --soak needs --virtual; in real time the drone is a process of its own")
+    failed_max = args.failed_max or 0
+    if failed_max < 0:
+        raise BadInput(f"--failed-max must be 0 or more, got {failed_max}")
+    if args.plot is not None:
+        require_drawing("--plot")
+    options = SoakOptions(
+        seed=seed,
+        hours=hours,
+        flights=args.runs,
+        virtual=args.virtual,
+        faults=not args.no_faults,
+        fault=args.fault,
+        failed_max=failed_max,
+        config=args.config or "sim",
+        cost=not args.no_cpu,
+        plot=args.plot,
+        readings=args.readings,
+        json=args.json,
+    )
+    return soak(options, plan, *given.with_values((), "--set"))

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import av
 import cv2
@@ -31,14 +32,13 @@ from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.by_paint import together
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
+from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
-from estimator.vision.pad_rules import check_for_detection
-from estimator.vision.thesis.detection import detect
-from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
+from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker_config import FRAME_WORK
 
 U8 = NDArray[np.uint8]
 
@@ -125,10 +125,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="standard deviation of these attitudes (default: %(default)s)",
     )
     p.add_argument(
+        "--method",
+        choices=get_args(TrackerMethod),
+        default="registration",
+        help="what forms the sighting: registration, as flown; the thesis' three methods; or all, fused (default: %(default)s)",
+    )
+    p.add_argument(
         "--colours",
         choices=["auto", *COLOUR_SETS],
         default="auto",
-        help="colour limits to use; auto takes the most confident ones for each frame (default: %(default)s)",
+        help="colour limits of the thesis' methods; auto takes the most confident ones for each frame (default: %(default)s)",
     )
     p.add_argument(
         "--second-opinion",
@@ -151,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     files = _files(args.paths)
     models = {file: _model(args, file) for file in files}
     tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
-    sets = list(COLOUR_SETS.values()) if args.colours == "auto" else [COLOUR_SETS[args.colours]]
+    options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     album = _album(args.annotate)
     frames = found = sure = unreadable = mirrored = 0
@@ -161,18 +167,21 @@ def run(args: argparse.Namespace) -> int:
     for file in files:
         try:
             camera, pad = models[file].camera, models[file].pad
+            trackers = [TrackerConfig(camera, pad, of, second_opinion=asked) for of in options]
+            memories = [TrackerMemory()] * len(trackers)
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
                 frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
                 began = time.perf_counter()
-                seen, colours = _best(frame, attitude, TrackerConfig(camera, pad, second_opinion=asked), sets)
+                seen, colours, memories = _best(frame, attitude, trackers, memories)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
                 found += seen.selected is not None
                 sure += _is_sure(seen)
                 if untried and not _is_sure(seen):
                     untried -= 1
-                    mirrored += _is_sure(_best(_mirror(frame), None, TrackerConfig(camera, pad), sets)[0])
+                    turned = TrackerConfig(camera, pad, search_work=FRAME_WORK)
+                    mirrored += _is_sure(track(turned, TrackerMemory(), _mirror(frame), None)[0])
                 record = _record(image, seen, colours, elapsed_ms)
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
@@ -211,7 +220,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
         pad = Pad.from_mapping(read_toml(path), str(path))
-        check_for_detection(pad.regions, pad.lamps, str(path))
+        pad.check_for_detection(str(path))
     return _Model(camera, camera_source, pad)
 
 
@@ -362,14 +371,22 @@ def _attitude(tilts: Mapping[str, _Tilt], image: _Image, sigma_rad: float) -> At
     return Attitude(_STAMP, R, np.eye(3) * sigma_rad**2)
 
 
-def _best(frame: Frame, attitude: Attitude | None, tracker: TrackerConfig, sets: Sequence[ColourSet]) -> tuple[Detection, str]:
-    """Return the fused detection of all methods, and the name of the colour set with the most confident result."""
-    looks = [(detect(frame, attitude, tracker.camera, tracker.pad, colours), colours.name) for colours in sets]
-    thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
-    registered, _ = track(tracker, TrackerMemory(), frame, attitude)
-    if registered.chosen == "lamps":
-        return registered, colours
-    return together(thesis, registered.selected, registered.opinions), colours
+def _options(method: TrackerMethod, colours: str) -> list[TrackerOptions]:
+    """Return the options of each look at a frame: one, or one for each set of colour limits that may turn out the best."""
+    if method == "registration":
+        return [TrackerOptions()]
+    names = get_args(ColourSetName) if colours == "auto" else (colours,)
+    return [TrackerOptions(method, name) for name in names]
+
+
+def _best(
+    frame: Frame, attitude: Attitude | None, trackers: Sequence[TrackerConfig], memories: Sequence[TrackerMemory]
+) -> tuple[Detection, str | None, list[TrackerMemory]]:
+    """Return the surest tracker's detection, the colour limits that it used, and every tracker's memory."""
+    looks = [track(tracker, memory, frame, attitude) for tracker, memory in zip(trackers, memories, strict=True)]
+    best = max(range(len(looks)), key=lambda i: -1.0 if (s := looks[i][0].selected) is None else s.confidence)
+    options = trackers[best].options
+    return looks[best][0], None if options.method == "registration" else options.colours, [memory for _, memory in looks]
 
 
 def _is_sure(seen: Detection) -> bool:
@@ -380,8 +397,8 @@ def _mirror(frame: Frame) -> Frame:
     return Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
 
 
-def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> dict[str, object]:
-    """Return the JSON object of one frame, with the name of the colour set that was used."""
+def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: float) -> dict[str, object]:
+    """Return the JSON object of one frame, with the name of the colour limits that were used."""
     names = list(dict.fromkeys((*METHODS, *seen.methods)))
     return {
         "source": image.source,

@@ -7,13 +7,14 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, get_args
 
 from companion.base.health import Health
-from companion.base.held_back import HeldBack
-from companion.base.observer import Observer
+from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder
 from companion.cli import report_option
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
@@ -28,11 +29,52 @@ from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Ending
 from sitl.perception.port import Level
 from sitl.world.truth import Touchdown, Truth
+
+
+class HeldBack:
+    """An observer that passes everything on, in order, from `begin` on.
+
+    Args:
+        observer: gets what is passed on.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._waiting: list[Callable[[], None]] | None = []
+
+    def begin(self) -> None:
+        """Pass on what came until now; do nothing when called again."""
+        waiting, self._waiting = self._waiting, None
+        for tell in waiting or ():
+            tell()
+
+    def on_sample(self, sample: Sample) -> None:
+        self._tell(partial(self._observer.on_sample, sample))
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self._tell(partial(self._observer.on_fusion, at, result))
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._tell(partial(self._observer.on_frame, processed))
+
+    def on_decision(self, decision: Decision) -> None:
+        self._tell(partial(self._observer.on_decision, decision))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self._tell(partial(self._observer.on_order, handled))
+
+    def _tell(self, tell: Callable[[], None]) -> None:
+        if self._waiting is None:
+            tell()
+        else:
+            self._waiting.append(tell)
 
 
 def compared_paths() -> tuple[PathName, ...]:

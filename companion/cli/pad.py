@@ -1,4 +1,4 @@
-"""`decklander pad`: list and check pads, print one or a calibration board to scale."""
+"""`decklander pad`: list, import and check pads, print one or a calibration board to scale."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli import board_option
+from companion.cli import board_option, pad_import, pad_price
 from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
+from companion.tools.calibrate.board import BOARDS
 from companion.tools.print_pad.drawing import board_drawing, pad_drawing
-from companion.tools.print_pad.pdf import pdf
-from companion.tools.print_pad.sheets import PAPERS, sheets, svg
+from companion.tools.print_pad.sheets import PAPERS, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
-from estimator.vision.pad_rules import lacking_parts
 from estimator.vision.regions import part_of
 from estimator.vision.srgb import LUMA, linear_light
 
@@ -29,11 +28,14 @@ from estimator.vision.srgb import LUMA, linear_light
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander pad` to the parser."""
     p = subparsers.add_parser(
-        "pad", help="list, check or print pads", description="List and check pads, print one or a calibration board to scale."
+        "pad",
+        help="list, import, check or print pads",
+        description="List and check pads, make one of a drawing or photograph, print one or a calibration board to scale.",
     )
     actions = p.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("list", help="list the shipped pads", description="List the shipped pads.")
     _add_check(actions)
+    pad_import.add_parser(actions)
     _add_print(actions)
 
 
@@ -55,7 +57,7 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--margin-mm", type=float, default=10.0, metavar="MM", help="margin that the printer cannot reach (default: 10)"
     )
     p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="overlap of neighbouring sheets (default: 10)")
-    p.add_argument("--board", choices=["charuco", "chessboard"], help="print a calibration board instead of the pad")
+    p.add_argument("--board", choices=BOARDS, help="print a calibration board instead of the pad")
     board_option.add(p)
 
 
@@ -76,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
             return 0
         case "check":
             return _check(args)
+        case "import":
+            return pad_import.run(args)
         case _:
             return _print(args)
 
@@ -143,12 +147,18 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "check",
         help="check a pad's file, and say how well it can be measured",
         description="Check a pad's file, and say how accurately it can be measured by height (Cramer-Rao bound of one frame), "
-        "how it stands out from decks, and whether it tells its heading. Exit code 0; 2 if the file is refused.",
+        "how it stands out from decks, whether it tells its heading, and how often clutter is taken for it. What clutter tells "
+        "is written into the file. Exit code 0; 2 if the file is refused.",
     )
     p.add_argument("pad", metavar="PAD", help="pad file, or the name of a shipped one")
     p.add_argument(
         "--camera", default="sim", metavar="FILE", help="camera file, or the name of a shipped one (default: %(default)s)"
     )
+    p.add_argument(
+        "--views", type=int, metavar="N",
+        help="search N generated views without the pad, and write what that tells into the pad's file (default: "
+        f"{pad_price.VIEWS} if the file has no calibration of its drawing, else none)",
+    )  # fmt: skip
     p.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -160,15 +170,17 @@ def _check(args: argparse.Namespace) -> int:
     """
     file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
     pad, camera = Pad.from_mapping(read_toml(file), str(file)), read_camera(camera_file)
+    if args.views is not None and not (args.views == 0 or 50 <= args.views <= 100_000):
+        raise BadInput(f"--views must be 50 to 100000, or 0 for none, got {args.views}")
+    views, found_in = args.views if args.views is not None else 0 if pad.is_calibrated else pad_price.VIEWS, None
+    if views:
+        pad, found_in = pad_price.priced(pad, file, views)
     deck = linear_light(_DECKS["grey steel"])
     bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
     by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []
     headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
     farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
-    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest)]
-    if lacking := lacking_parts(pad.regions):
-        fate = "it is seen by its lamps alone" if pad.lamps else "it is neither detected nor landed on"
-        warnings.append(f"it has no {' and no '.join(lacking)}, and a deck's lines may pass for its paint: {fate}")
+    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest), *pad_price.price_warnings(pad)]
     if pad.markings.is_letter_alone:
         far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
         warnings.append(
@@ -180,6 +192,7 @@ def _check(args: argparse.Namespace) -> int:
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
             "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds],
             "by_lamps": [_lamp_record(b) for b in by_lamps], "warnings": warnings,
+            "clutter": pad_price.price_record(found_in, pad) if pad.calibration is not None else None,
         }  # fmt: skip
         sys.stdout.write(json.dumps(found) + "\n")
         return 0
@@ -195,6 +208,8 @@ def _check(args: argparse.Namespace) -> int:
         lines.append(f"the same by its {len(pad.lamps)} lamps at night, their centres known to {CENTRE_PX:g} px:")
         lines.append(f"{'height':>9} {'in view':>9} {'spots':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
         lines += [*map(_lamp_line, by_lamps), ""]
+    if pad.calibration is not None:
+        lines += [*pad_price.price_lines(pad, found_in), ""]
     lines += [f"{name}: luminance {value:+.2f} of what it lies on" for name, value in contrasts.items()]
     lines += [f"on {name}: luminance {value:+.2f} at the outer edge" for name, value in lowest.items()]
     lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]

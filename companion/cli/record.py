@@ -19,8 +19,8 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
-from companion.tools.ros2 import bag
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
+from companion.tools.ros2 import bag, bag_import
+from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog, video
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
@@ -69,10 +69,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "import",
         help="import videos, tables and logs of other tools",
         description="Import videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, ArduPilot dataflash "
-        "logs (binary or text), telemetry logs of ground stations (.tlog), and AR.Drone captures (PaVE video, navdata) into one "
-        "recording. Their content says what they are. Each source begins at "
-        "0 of its "
-        "own clock; SOURCE@SECONDS shifts it by that much.",
+        "logs (binary or text), telemetry logs of ground stations (.tlog), bags of ROS 1 and 2, folders of images with times, "
+        "and AR.Drone captures (PaVE video, navdata) into one recording. Their content says what they are. Each source begins at "
+        "0 of its own clock; SOURCE@SECONDS shifts it by that much.",
     )
     foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]", help="file to import")
     foreign.add_argument(
@@ -166,6 +165,10 @@ class _Source:
         reader = _READERS.get(kind)
         if reader is not None:
             return iter(reader(path, self._tell))
+        if kind is FileKind.ROS_BAG:
+            return bag_import.read(path, self._tell)
+        if kind is FileKind.IMAGES:
+            return image_folder.frames(path, size, self._tell)
         if kind is FileKind.TABLE:
             return iter(video.attitudes(path))
         if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
@@ -186,8 +189,6 @@ _INSTEAD = {
     FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.RECORDING: "it is imported already",
-    FileKind.ROS_BAG: "export its topics as a table of attitudes and a video",
-    FileKind.DATABASE: "export its topics as a table of attitudes and a video",
     FileKind.TEXT: "of text, tables with the header time_s,roll_deg,pitch_deg are imported",
 }
 

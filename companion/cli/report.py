@@ -9,8 +9,7 @@ from pathlib import Path
 from companion.cli import report_option
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
-from companion.tools.report.comparison import render_comparison
-from companion.tools.report.page import render, write_page
+from companion.tools.report.page import render, render_comparison, write_page
 from companion.tools.report.video import film_of
 
 

@@ -7,12 +7,14 @@ import logging
 import sys
 from pathlib import Path
 
+import msgspec
+
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
-from companion.settings.load import Settings, find_file, load, shipped
+from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
@@ -20,6 +22,8 @@ from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)
 
+VIEWS_AT_START = 252
+"""Views that a pad without a calibration is priced by when the service starts; pad check takes twice as many."""
 FROM_TERMINAL = (
     "started from a terminal: when it hangs up the service flies on, and nobody reads its log; for a flight: "
     "sudo systemd-run --unit decklander-flight --same-dir $(command -v decklander) run --config FILE"
@@ -59,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
+    if not args.check:
+        _calibrate_pad(settings)
     pilot = make_pilot(settings)
     if args.check:
         c = pilot.camera
@@ -90,6 +96,23 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
         if outcome is not None:
             log.info("flight ended: %s", outcome.value)
     return 0 if not args.once or outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS) else 1
+
+
+def _calibrate_pad(settings: Settings) -> None:
+    """Search clutter for a pad that was never priced, and keep what that tells for later starts."""
+    pad = with_known_calibration(pad_of_file(find_file(settings.pad.file, "pads", Path(), "pad.file")))
+    if pad.is_calibrated or pad.lamps:
+        return
+    # Few starts need it.
+    from companion.tools.pads.price import price
+
+    sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
+    file = calibration_file(pad)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START).calibration))
+    except OSError as why:
+        sys.stderr.write(f"its calibration cannot be kept in {file}: {why.strerror or why}\n")
 
 
 def _second_opinion(settings: Settings) -> str:

@@ -10,19 +10,21 @@ from msgspec.structs import replace
 from companion.base.mission import ENDED, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import held_up, limits, steer, vessel_track
+from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
+from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
-from companion.guidance.vessel_track import VesselTrack
 from companion.guidance.watch import account, events
+from companion.guidance.wind import WindWatch, wind_over_drone
+from companion.guidance.wind import watched as watched_wind
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
 from companion.settings.response import TiltResponse
@@ -30,7 +32,7 @@ from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
-from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
+from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
     BodyVelocity,
@@ -124,8 +126,6 @@ def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress,
 
 FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
-_LEAN_TIME_S = 3.0
-"""Time constant of the mean lean, s: shorter than a gust front, longer than a correction."""
 _NIS_WEIGHT = 0.1
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
@@ -194,8 +194,7 @@ class LandingGuidance:
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
-        self._lean: tuple[MonoNs, float, float] | None = None
-        """Instant of the newest attitude; mean lean as an acceleration, m/s^2 forward and right."""
+        self._wind, self._tilt = WindWatch(), tilt
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports)
@@ -224,7 +223,7 @@ class LandingGuidance:
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
         if event is Event.BEGIN:
-            self._vessel_track = vessel_track.restarted(self._vessel_track)
+            self._vessel_track = rendezvous.restarted(self._vessel_track)
         self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
@@ -255,9 +254,7 @@ class LandingGuidance:
                         # By our own clock: a stamp that lies would put the contact before the commit.
                         self._impact = replace(self._contact.newest, at=received_at)
             elif type(sample) is Attitude:
-                lean = reported_lean(sample.R_ned_body)
-                self._lean = _leant(self._lean, sample.stamp.measured_at, lean)
-                self._response.on_attitude(sample.stamp, lean)
+                self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
             elif type(sample) is VehicleStatus:
                 self._on_status(sample)
@@ -266,7 +263,7 @@ class LandingGuidance:
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
                     continue
             elif type(sample) is GimbalAttitude:
@@ -290,7 +287,7 @@ class LandingGuidance:
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._forecast = ContactWatch(), None, None
-            self._held, self._held_by_deck = HeldUp(), HeldUp()
+            self._held, self._held_by_deck, self._wind = HeldUp(), HeldUp(), WindWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
         self._changes += changes
@@ -326,19 +323,20 @@ class LandingGuidance:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""
         now = knowledge.at
         self._now = max(self._now, now)
-        lean = None if self._lean is None else math.atan(math.hypot(*self._lean[1:]) / G_M_S2)
+        self._wind = watched_wind(self._wind, knowledge)
+        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad)
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
-                self._vessel_track = vessel_track.on_sample(self._vessel_track, self._attitude)
-            place = vessel_track.position(self._vessel_track, now)
+                self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
+            place = rendezvous.position(self._vessel_track, now)
         self._vessel = place
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
-            now, knowledge, battery, lean, self._quality, self._frames, place, silent_s, self._contact.feels,
+            now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
             self._response.late_s, range_m,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
@@ -385,19 +383,9 @@ class LandingGuidance:
 
     def vessel_velocity(self, now: MonoNs) -> F64 | None:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
-        return vessel_track.velocity_ned(self._vessel_track, now)
+        return rendezvous.velocity_ned(self._vessel_track, now)
 
 
 def of_ship(sample: Sample) -> bool:
     """Return whether a sample tells of the ship and not of the vehicle."""
     return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")
-
-
-def _leant(mean: tuple[MonoNs, float, float] | None, at: MonoNs, lean_m_s2: tuple[float, float]) -> tuple[MonoNs, float, float]:
-    """Return the mean lean after one more attitude."""
-    ahead, aside = lean_m_s2
-    if mean is None:
-        return at, ahead, aside
-    before, mean_ahead, mean_aside = mean
-    weight = 1.0 - math.exp(-max(0.0, seconds_between(before, at)) / _LEAN_TIME_S)
-    return at, mean_ahead + weight * (ahead - mean_ahead), mean_aside + weight * (aside - mean_aside)

@@ -15,7 +15,7 @@ from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
-from companion.settings.response import Response
+from companion.settings.response import Response, TiltResponse
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
@@ -53,7 +53,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             limits=settings.limits,
             over_ground=_over_ground(settings),
             reports=settings.vessel,
-            tilt=response_model(settings).tilt,
+            tilt=_flyable_tilt(settings),
             gimballed=settings.camera.gimbal.given,
         ),
     )
@@ -89,6 +89,12 @@ def _within_driver(response: Response, settings: Settings) -> Response:
         structs.replace(tilt, max_deg=max(2.0, min(tilt.max_deg, vehicle.euler_angle_max_deg))),
         structs.replace(climb, max_m_s=min(climb.max_m_s, vehicle.vz_max_m_s)),
     )
+
+
+def _flyable_tilt(settings: Settings) -> TiltResponse:
+    """Return the tilt's response with the least of the limits of file, driver and controller."""
+    tilt = _within_driver(response_model(settings), settings).tilt
+    return structs.replace(tilt, max_deg=min(tilt.max_deg, settings.guidance.follow_deck.tilt_max_deg))
 
 
 def field_of_view(camera: Camera) -> FieldOfView | None:

@@ -14,9 +14,8 @@ from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.controller import Controller, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.estimation import Estimation
+from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
-from companion.guidance.search import PadSearch
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response

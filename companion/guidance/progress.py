@@ -87,6 +87,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Time since which it stands."""
     no_return_until: MonoNs | None = None
     """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
+    windy_since: MonoNs | None = None
+    """Time since which the wind has been beyond what the vehicle can fly; None while it is not."""
     place_known: MonoNs | None = None
     """Time of the newest cycle in which the ship's place was known by reports."""
     on_way: MonoNs | None = None

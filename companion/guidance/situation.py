@@ -9,6 +9,7 @@ from msgspec import Struct, field
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import InputQuality
+from companion.guidance.wind import WindOverDrone
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
@@ -45,8 +46,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     knowledge: Knowledge
     battery: float | None = None
     """Charge from 0 to 1; None if the vehicle does not report it."""
-    lean_rad: float | None = None
-    """Mean lean over the newest seconds; None before the first attitude."""
+    wind: WindOverDrone | None = None
+    """The wind over the drone; None before it was watched for some seconds."""
     quality: InputQuality = field(default_factory=InputQuality)
     frames: Mapping[Verdict, int] = field(default_factory=Counter)
     """Number of frames by verdict since the newest that was fused."""

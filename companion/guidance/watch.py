@@ -55,8 +55,10 @@ _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
 """Time for which a cause of the shut gate stands before the operator, s."""
-_LEAN_SETTLES_S = 6.0
+_LEAN_SETTLES_S = 10.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+_WIND_DWELL_S = 2.0
+"""Time for which the wind must be too strong before anything is done about it, s."""
 
 
 def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -82,6 +84,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         p = replace(p, place_known=s.at)
         if p.state is State.SEARCH:
             p = replace(p, search_leg=rendezvous.next_leg(p.search_leg, s.place, o.rendezvous))
+    p = _in_wind(p, s)
     if p.state is State.ANOTHER_PAD:
         return _asked(p, s, o)
     estimate, attempt = s.estimate, p.attempt
@@ -113,6 +116,25 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         s,
         o,
     )  # fmt: skip
+
+
+def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
+    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is none."""
+    slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
+    if s.wind is None or not slow or not s.wind.too_strong:
+        return p if p.windy_since is None else replace(p, windy_since=None)
+    return p if p.windy_since is not None else replace(p, windy_since=s.at)
+
+
+def _windy_s(p: Progress, s: GuidanceCycle) -> float:
+    return 0.0 if p.windy_since is None else seconds_between(p.windy_since, s.at)
+
+
+def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return that the wind is too strong, once that has stood for longer than a gust."""
+    if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
+        return None
+    return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
 
 
 def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
@@ -223,10 +245,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
-    lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
-    slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
-    if slow and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
-        yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
+    if s.wind is not None and (s.wind.spent or _windy_s(p, s) > o.limits.wind_wait_s) and (windy := _windy(p, s)) is not None:
+        yield Event.NO_CONDITIONS, windy
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
@@ -260,6 +280,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 return p.turned
             if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
+            if p.state in (State.DESCEND, State.GATE) and (windy := _windy(p, s)) is not None:
+                return windy
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
@@ -381,7 +403,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return
     height_m, error_m = estimate.height_m, estimate.lateral_m
     radius_m = cone.radius_m(height_m, o.cone)
-    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone):
+    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and _windy(p, s) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):

@@ -16,10 +16,10 @@ from companion.base import memory
 from companion.base.beside import RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import Health
+from companion.base.liveness import Manager, Pulse, watchdog_interval_s
 from companion.base.loop_lag import LoopWatch
 from companion.base.missing_inputs import SHIP_PLACE
 from companion.base.mission import FlightOutcome
-from companion.base.notify import Manager, Pulse, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import PROCESS, threads
@@ -171,7 +171,7 @@ def make_daemon(
         health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.landing.vessel_counts)
     if settings.mqtt.transport != "off":
-        from companion.parts.mqtt.make import make_mqtt
+        from companion.parts.mqtt.part import make_mqtt
 
         ship = reports if settings.vessel.mqtt else None
         mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording, ship))

@@ -108,7 +108,16 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: Annotated[
         float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0, public=True)
     ] = 12.0
-    wind_lean_deg: Annotated[float, number("largest mean lean against the wind", "deg", 1.0, 45.0)] = 15.0
+    wind_wait_s: Annotated[
+        float,
+        number(
+            "time for which it waits over the pad in a wind beyond what the vehicle's tilt can fly, its limit less 2.5 standard "
+            "deviations of the gusts; after it the landing is refused",
+            "s",
+            0.0,
+            600.0,
+        ),
+    ] = 20.0
     battery: Annotated[
         float,
         number(

@@ -40,6 +40,9 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     damping: Annotated[float, number("its damping ratio", "1", 0.2, 3.0)]
     lag_s: Annotated[float, number("first-order lag before it: rotors", "s", 0.0, 0.5)] = 0.0
     max_deg: Annotated[float, number("largest tilt that a controller may ask for", "deg", 2.0, 45.0)] = 20.0
+    drag_1_s: Annotated[
+        float, number("deceleration by the air for each m/s through it; it turns a lean into a wind speed", "1/s", 0.02, 3.0)
+    ] = 0.35
     delay_sigma_s: Annotated[float, number("standard deviation of delay_s; left out if it is assumed", "s", 0.0, 0.6)] | None = (
         None
     )

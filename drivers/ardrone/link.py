@@ -20,7 +20,7 @@ from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.pave import PaveFrame, PaveParser
 from drivers.ardrone.setup import ControlChannel, Setup
-from drivers.ardrone.video import VideoDecoder, new_codec
+from drivers.ardrone.video import AccessUnitDecoder, VideoDecoder
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mailbox import Latest, Line
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
@@ -86,7 +86,7 @@ class VideoChannel:
         self._parser.reset()
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
             # It loads the libraries while the first frame is on its way.
-            pool.submit(new_codec)
+            pool.submit(AccessUnitDecoder)
             try:
                 while True:
                     try:

@@ -18,7 +18,32 @@ from drivers.ardrone.pave import CODEC_H264, FrameType, PaveFrame
 if TYPE_CHECKING:
     from av import VideoFrame
 
-    from drivers.ardrone.h264 import AccessUnitDecoder
+MAX_PIXELS = 1920 * 1088
+
+
+class AccessUnitDecoder:
+    """Decodes single access units in order with FFmpeg, beginning with an IDR.
+
+    The first decoder of a process loads FFmpeg's libraries, which takes longer than any other part of the start. Nothing needs
+    them before the first frame, so `VideoDecoder` makes it when a video begins, on its own thread.
+    """
+
+    def __init__(self) -> None:
+        from av.video.codeccontext import VideoCodecContext
+
+        self._codec = VideoCodecContext.create("h264", "r")
+        self._codec.thread_type = "NONE"
+        self._codec.options = {"err_detect": "explode", "max_pixels": str(MAX_PIXELS)}
+
+    def decode(self, payload: bytes) -> list[VideoFrame]:
+        """Return the unit's frames; none if the decoder refuses the unit."""
+        from av import Packet
+        from av.error import FFmpegError
+
+        try:
+            return self._codec.decode(Packet(payload))
+        except FFmpegError:
+            return []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +108,7 @@ class VideoDecoder:
             if not _entry(unit):
                 self.waiting += 1
                 return None
-            self._codec = new_codec()
+            self._codec = AccessUnitDecoder()
         images = self._codec.decode(unit.payload)
         if not images and header.frame_type == FrameType.HEADERS:
             self.empty += 1
@@ -100,10 +125,3 @@ def _entry(unit: PaveFrame) -> bool:
     header = unit.header
     whole = header.codec == CODEC_H264 and header.total_chunks <= 1 and header.total_slices <= 1
     return header.frame_type == FrameType.IDR and whole and not header.advertisement and bool(unit.payload)
-
-
-def new_codec() -> AccessUnitDecoder:
-    """Return a decoder that waits for an IDR. The first call in a process loads the decoder's libraries."""
-    from drivers.ardrone.h264 import AccessUnitDecoder
-
-    return AccessUnitDecoder()

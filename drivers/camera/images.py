@@ -32,6 +32,15 @@ _GAP = bytes(24)
 """Zeros that are no coded data of the usual tables: eight coefficients each of -1 in three bytes, and a block has 63."""
 _USUAL_AC = bytes.fromhex("7d01020300041105122131410613516107")
 """The begin of the usual table for the brightness (ITU-T T.81, table K.5)."""
+_UNITS = {"444": (8, 8), "422": (16, 8), "420": (16, 16), "440": (8, 16), "411": (32, 8), "Gray": (8, 8)}
+"""Width and height of what a JPEG codes at once, px, by its subsampling."""
+_STEP_LEAST = 6.0
+"""A step of brightness or colour by so many levels between two rows of units counts whole."""
+_STEP_ALL, _STEP_PART, _STEP_NONE = 0.75, 0.6, 0.4
+"""The mean of steps along a whole row of units, the least of its two parts, and the most where there must be none."""
+_ROWS_LEAST, _COLUMNS_LEAST = 2, 6
+_TABLE = 65
+"""The bytes of a table of quantization with its number."""
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
 
@@ -73,9 +82,61 @@ def _decoded_jpeg(data: bytes | memoryview) -> U8:
     if _has_gap(data):
         raise ImageRefused("damaged: zeros in place of coded data")
     try:
-        return np.asarray(simplejpeg.decode_jpeg(data, "BGR", strict=True), np.uint8)
+        px = np.asarray(simplejpeg.decode_jpeg(data, "BGR", strict=True), np.uint8)
+        subsampling = simplejpeg.decode_jpeg_header(data, strict=True)[3]
     except (ValueError, MemoryError) as why:
         raise ImageRefused(f"damaged: {why}") from why
+    if subsampling in _UNITS and _is_shifted(px, _UNITS[subsampling], max(_STEP_LEAST, _coarsest(bytes(data[:_HEAD])) / 2)):
+        raise ImageRefused("damaged: its brightness steps in the middle of a row of blocks")
+    return px
+
+
+def _coarsest(head: bytes) -> int:
+    """Return the largest step of a unit's mean in the tables of quantization, eighths of a level of brightness."""
+    coarsest, at = 0, head.find(b"\xff\xdb")
+    while 0 <= at < len(head) - 5:
+        length = int.from_bytes(head[at + 2 : at + 4], "big")
+        coarsest = max(coarsest, 0, *head[at + 5 : at + 2 + length : _TABLE])
+        at = head.find(b"\xff\xdb", at + 2 + length)
+    return coarsest
+
+
+def _is_shifted(px: U8, unit: tuple[int, int], step: float) -> bool:
+    """Return whether all that follows one unit of a JPEG, in the order of its coding, is brighter, darker or of another colour.
+
+    The mean of a unit is coded as its difference from that of the unit before. A wrong bit shifts all that follow: the right part
+    of one row of units steps against the row above, and the left part of the next row does so by as much. The other two parts do
+    not. No edge of a scene steps so, and between two rows of pixels alone.
+
+    Args:
+        px: (H, W, 3) uint8.
+        unit: width and height of a unit, px.
+        step: the levels by which what follows is shifted at least.
+    """
+    width, height = unit
+    columns, rows = px.shape[1] // width, (px.shape[0] - 2) // height
+    if rows < _ROWS_LEAST or columns < _COLUMNS_LEAST:
+        return False
+    lines = (height * np.arange(1, rows + 1) + np.arange(-2, 2)[:, None]).ravel()
+    means = cv2.resize(px[lines, : columns * width], (columns, 4 * rows), interpolation=cv2.INTER_AREA)
+    above, last, first, below = means.astype(np.float32).reshape(4, rows, columns, 3)
+    apart = first - last
+    sharp = np.abs(apart) - 2.0 * np.maximum(np.abs(last - above), np.abs(below - first))
+    left, right = _parts(np.sign(apart) * np.clip(sharp / step, 0.0, 1.0))
+    blank_left, blank_right = _parts(np.clip(apart / step, -1.0, 1.0))
+    found = (np.abs(right[:-1] + left[1:]) > 2.0 * _STEP_ALL) & (
+        np.minimum(np.abs(right[:-1]), np.abs(left[1:])) > _STEP_PART
+    ) & (np.maximum(np.abs(blank_left[:-1]), np.abs(blank_right[1:])) < _STEP_NONE)  # fmt: skip
+    return bool(found.any())
+
+
+def _parts(steps: NDArray[np.float32]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return the means of the columns left of each column from the third to the last but one, and of the others."""
+    total = np.cumsum(steps, axis=1)
+    count = np.arange(2, steps.shape[1] - 1)[:, None].astype(np.float32)
+    left = total[:, 1:-2]
+    rest = np.float32(steps.shape[1]) - count
+    return left / count, (total[:, -1:] - left) / rest
 
 
 def _has_gap(data: bytes | memoryview) -> bool:

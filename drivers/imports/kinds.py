@@ -30,8 +30,9 @@ class FileKind(Enum):
     SENTENCES = "sentences of a ship's receiver (NMEA 0183)"
     TABLE = "a table"
     RECORDING = "a recording"
-    ROS_BAG = "a bag of ROS 1"
-    DATABASE = "an SQLite database, as of a bag of ROS 2"
+    ROS_BAG = "a bag of ROS"
+    IMAGES = "a folder of images"
+    DATABASE = "an SQLite database"
     TEXT = "text"
     OTHER = "a file of another kind"
 
@@ -42,11 +43,15 @@ def kind_of(path: Path) -> FileKind:
     Raises:
         BadInput: it cannot be read.
     """
+    if path.is_dir():
+        return FileKind.ROS_BAG if (path / "metadata.yaml").is_file() else FileKind.IMAGES
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
+    if _is_ros2(head):
+        return FileKind.ROS_BAG
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
@@ -62,6 +67,13 @@ _MAGICS = (
     (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG),
     (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
+
+
+def _is_ros2(head: bytes) -> bool:
+    """Return whether a database or an MCAP file says that it is a bag of ROS 2: by its tables, or by its profile."""
+    if head.startswith(b"SQLite format 3"):
+        return b"CREATE TABLE topics" in head and b"CREATE TABLE messages" in head
+    return head.startswith(b"\x89MCAP") and head[21:25] == b"ros2"
 
 
 def _is_text(head: bytes) -> bool:

@@ -1,17 +1,8 @@
-"""An autopilot as vehicle: open the links, find the autopilot, request its streams, return samples, send commands.
-
-Gyro and accelerometer are older than their stamps: ArduPilot's RAW_IMU has passed a low-pass filter, a Butterworth one of the
-second order, and is stamped as it is sent; PX4's HIGHRES_IMU is the mean over an interval, stamped at its end. Attitude and
-velocity are late in neither. A filter that fuses both as they are stamped takes the difference for a camera that is slow.
-
-Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_ACCEL_FILTER, equal by default; PX4,
-HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
-"""
+"""An autopilot as vehicle: open the links, find the autopilot, request its streams, return samples, send commands."""
 
 import logging
-import math
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -25,10 +16,9 @@ from drivers.mavlink.dialect import Message, TimeSyncV2
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.origins import Origins
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
-from drivers.mavlink.roster import Bound, IdConflict, Roster
-from drivers.mavlink.samples import LocalPosition, MavlinkSampler
+from drivers.mavlink.roster import Bound, IdConflict, Origins, Roster
+from drivers.mavlink.samples import DELAY_PARAMETERS, LocalPosition, MavlinkSampler, inertial_delay_s
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import (
@@ -50,25 +40,6 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
-_CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
-DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
-"""The parameters that say it, by stack."""
-_MOST_S = 0.05
-"""Longest delay that is believed: a cutoff of 4.5 Hz, with which nothing flies."""
-
-
-def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
-    """Return the delay of gyro and accelerometer, s; 0 while the parameter is not known, and where it switches the filter off.
-
-    A Butterworth filter of the second order has a group delay of sqrt(2) / (2 pi cutoff) far below its cutoff.
-    """
-    name = DELAY_PARAMETERS.get(stack, ("",))[0]
-    rate_hz = values.get(name, 0.0)
-    if not rate_hz > 0.0:
-        return 0.0
-    return min(_MOST_S, (math.sqrt(2.0) / math.tau if name == _CUTOFF_HZ else 0.5) / rate_hz)
-
-
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
@@ -80,9 +51,6 @@ _AGAIN_S = 5.0
 """The shortest time between two rounds of requests, whatever the autopilot does."""
 _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
 """Requests for streams and parameters a second, and at once."""
-_CONFLICT_S, _CONFLICT_AGAIN_S = 0.2, 60.0
-"""Interval at which it is judged who is who; the shortest time between two log lines about one conflict."""
-_LOGGED_MAX = 64
 _LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
 
 
@@ -128,10 +96,6 @@ class Autopilot:
         self._request_due = False
         self._version = VersionRequest()
         self._roster = Roster(options)
-        self._judged: MonoNs | None = None
-        self._logged: dict[str, MonoNs] = {}
-        self.id_conflicts: tuple[IdConflict, ...] = ()
-        """What is doubtful about who is the autopilot, and who we are."""
         self._reopened = list(links.opened)
         self.links = links
         self.frames: Latest[Frame] = Latest()
@@ -164,9 +128,14 @@ class Autopilot:
         return self._known is not None and not self._known.lost
 
     @property
+    def id_conflicts(self) -> tuple[IdConflict, ...]:
+        """What is doubtful about who is the autopilot, and who we are."""
+        return self._roster.found
+
+    @property
     def unclear(self) -> str | None:
         """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
-        return next((str(conflict) for conflict in self.id_conflicts if conflict.blocks), None)
+        return self._roster.unclear
 
     @property
     def condition(self) -> Condition:
@@ -441,23 +410,8 @@ class Autopilot:
                 self.links.send(TimeSyncV2(0, now))
 
     def _judge(self, now: MonoNs) -> None:
-        """Judge who is who, and log each conflict when it begins and when it is over."""
-        if self._judged is not None and seconds_between(self._judged, now) < _CONFLICT_S:
-            return
-        self._judged = now
-        bound, before = self._bound(now), self.id_conflicts
-        if bound is not None and bound.commanded:
-            self._roster.commanded(bound.system)
-        self.id_conflicts = self._roster.conflicts(bound, self.links.identity, now)
-        for conflict in self.id_conflicts:
-            last = self._logged.get(conflict.what)
-            if conflict not in before and (last is None or seconds_between(last, now) >= _CONFLICT_AGAIN_S):
-                if len(self._logged) > _LOGGED_MAX:
-                    self._logged.clear()
-                self._logged[conflict.what] = now
-                _log.warning("MAVLink: %s", conflict)
-        if any(conflict.blocks for conflict in before) and self.unclear is None:
-            _log.info("autopilot: it is clear again who is meant")
+        """Judge who is who."""
+        self._roster.judge(self._bound(now), self.links.identity, now)
         if len(self._roster.uids) > 1 and self._version.done(now):
             self._version = VersionRequest()  # whether both are still there
 

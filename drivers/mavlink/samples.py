@@ -1,11 +1,18 @@
 """Autopilot messages to samples in SI units and aerospace axes. No I/O; nothing on the wire raises.
 
 An autopilot's own frames are ours: body forward-right-down, local north-east-down. What a message does not measure is left out.
+
+Gyro and accelerometer are older than their stamps: ArduPilot's RAW_IMU has passed a low-pass filter, a Butterworth one of the
+second order, and is stamped as it is sent; PX4's HIGHRES_IMU is the mean over an interval, stamped at its end. Attitude and
+velocity are late in neither. A filter that fuses both as they are stamped takes the difference for a camera that is slow.
+
+Sources: ArduPilot, LowPassFilter2p and the parameters INS_GYRO_FILTER and INS_ACCEL_FILTER, equal by default; PX4,
+HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
 """
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +46,24 @@ _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
 _PRESSURE_HPA = (100.0, 1200.0)
+
+_CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
+DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
+"""The parameters that say it, by stack."""
+_MOST_S = 0.05
+"""Longest delay that is believed: a cutoff of 4.5 Hz, with which nothing flies."""
+
+
+def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
+    """Return the delay of gyro and accelerometer, s; 0 while the parameter is not known, and where it switches the filter off.
+
+    A Butterworth filter of the second order has a group delay of sqrt(2) / (2 pi cutoff) far below its cutoff.
+    """
+    name = DELAY_PARAMETERS.get(stack, ("",))[0]
+    rate_hz = values.get(name, 0.0)
+    if not rate_hz > 0.0:
+        return 0.0
+    return min(_MOST_S, (math.sqrt(2.0) / math.tau if name == _CUTOFF_HZ else 0.5) / rate_hz)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,10 @@ both. If yaw and yaw rate are both ignored, ArduCopter turns the nose into the d
 A mask that ignores one velocity axis stops ArduCopter. The acceleration of a lean is fed forward to their velocity controllers
 (ArduCopter GUIDED takes velocity and acceleration together, PX4 OFFBOARD as a trajectory setpoint); its trim is not sent, because
 both cancel wind by themselves.
+
+Take-off modes hold a place over the ground. PX4 does so while its rotors spool up for three or four seconds already, and on a
+ship under way it turns over; so it is armed and climbs in OFFBOARD, by setpoints with the deck's velocity. ArduCopter leaves
+the ground in GUIDED by MAV_CMD_NAV_TAKEOFF only, which reads no place; once it flies, setpoints take it on.
 """
 
 import math
@@ -12,8 +16,10 @@ import math
 import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Lean, Velocity
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.time import MonoNs, seconds_between
 
 VELOCITY_AND_YAW_RATE = 0x05C7
 """POSITION_TARGET_TYPEMASK that ignores position (0x7), acceleration (0x1C0) and yaw (0x400)."""
@@ -47,3 +53,87 @@ def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Veloc
         time_boot_ms & 0xFFFFFFFF, *target, mav.MAV_FRAME_LOCAL_NED, mask,
         0.0, 0.0, 0.0, north, east, down, a_north, a_east, 0.0, 0.0, command.yaw_rate_rad_s,
     )  # fmt: skip
+
+
+CLIMB_M_S = 1.0
+REST_S = 2.0
+"""Time constant of the mean of the velocity on deck, s: it keeps the ship's way and removes most of the waves."""
+_LIFTED_M = 0.3
+
+
+class RestVelocity:
+    """The mean velocity over the ground of a vehicle that stands: that of the deck under it."""
+
+    def __init__(self) -> None:
+        self.v_ned = np.zeros(3)
+        """(3,) m/s, level."""
+        self._at: MonoNs | None = None
+
+    def on_velocity(self, v_ned: F64, now: MonoNs, *, stands: bool) -> None:
+        """Take the autopilot's velocity, (3,) m/s."""
+        if not stands:
+            self._at = None
+            return
+        weight = 1.0 if self._at is None else 1.0 - math.exp(-max(seconds_between(self._at, now), 0.0) / REST_S)
+        self.v_ned, self._at = self.v_ned + weight * (v_ned * (1.0, 1.0, 0.0) - self.v_ned), now
+
+
+class TakingOff:
+    """One take-off, from the order until the height is reached.
+
+    Args:
+        from_m: the position below the autopilot's origin at the order; None if it is not known.
+        height_m: how far to climb.
+    """
+
+    def __init__(self, began: MonoNs, identity: Identity, from_m: float | None, height_m: float) -> None:
+        self.began, self._id, self._from_m, self._height_m = began, identity, from_m, height_m
+        self._asked: MonoNs | None = None
+        self.flew = False
+
+    def climbed_m(self, down_m: float | None) -> float:
+        """Return how far it has climbed."""
+        return 0.0 if down_m is None or self._from_m is None else self._from_m - down_m
+
+    def done(self, down_m: float | None, condition: Condition) -> bool:
+        """Return whether the height is reached; where no height is known, whether it flies."""
+        self.flew = self.flew or bool(condition.flying)
+        blind = down_m is None or self._from_m is None
+        return self.flew and (blind or self.climbed_m(down_m) >= self._height_m)
+
+    def steers(self, down_m: float | None, condition: Condition) -> bool:
+        """Return whether setpoints are sent: ArduCopter's own take-off must have left the deck."""
+        if self._id.stack is Stack.PX4:
+            return True
+        return condition.armed is True and bool(condition.flying) and self.climbed_m(down_m) >= _LIFTED_M
+
+    def climb_m_s(self, condition: Condition) -> float:
+        """Return the vertical speed of the setpoints, m/s down: none before the motors turn."""
+        return -CLIMB_M_S if condition.armed else 0.0
+
+    def requests(
+        self, now: MonoNs, condition: Condition, streamed_s: float, prestream_s: float, period_s: float
+    ) -> list[Message]:
+        """Return the request that is due: mode, arming, and ArduCopter's take-off.
+
+        Args:
+            streamed_s: time for which setpoints have streamed; PX4 refuses OFFBOARD before `prestream_s`.
+            period_s: time after which a request is repeated.
+        """
+        mode = VELOCITY_MODE[self._id.stack]
+        early = self._id.stack is Stack.PX4 and streamed_s < prestream_s
+        if early or (self._asked is not None and seconds_between(self._asked, now) < period_s):
+            return []
+        if condition.mode != mode:
+            found = set_mode(self._id.stack, self._id.address, mode)
+        elif not condition.armed:
+            found = self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        elif self._id.stack is Stack.ARDUPILOT and not condition.flying:
+            found = self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)
+        else:
+            return []
+        self._asked = now
+        return [found]
+
+    def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
+        return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)

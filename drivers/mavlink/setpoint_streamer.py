@@ -21,8 +21,7 @@ import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.take_off import RestVelocity, TakingOff
+from drivers.mavlink.setpoint import RestVelocity, TakingOff, velocity_setpoint
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation

@@ -407,9 +407,11 @@ typedef struct {
     edge_zone zones[EDGE_KINDS];
 } pad_shape;
 
+/* A lens: Brown's distortion k1, k2, p1, p2, k3, or a fisheye's k1, k2, k3, k4. focal_sigma is the standard deviation of the
+ * focal length as a fraction of it. */
 typedef struct {
-    int64_t width, height, distorted;
-    double fx, fy, cx, cy, distortion[5], R_body_cam[9];
+    int64_t width, height, distorted, fisheye;
+    double fx, fy, cx, cy, distortion[5], focal_sigma, R_body_cam[9];
 } camera_lens;
 
 typedef struct {
@@ -490,10 +492,18 @@ typedef struct {
     double cut[3], gain, left;
 } cover_line;
 
+/* How far the light about a pad is told by its drawing: the log-likelihood ratio against light of the same variation without it
+ * (told), what that would be if all followed the drawing (could), and the shares of this by cells that follow it and by cells
+ * where it makes the light less likely. Pixels that share a blur count once; a cell that may be hidden counts little against. */
+typedef struct {
+    double told, could, share, against;
+} drawing_told;
+
 typedef struct {
     double paints[12], local_paints[12], sample_m, in_view, tilt_sigmas, arrow[6], features[FEATURES], light_n[4],
         light_mean[12], light_var[12];
     cover_line cover;
+    drawing_told told;
 } aligned_pad;
 
 /* ---- vision/look/: a registration, verified ---- */

@@ -19,6 +19,8 @@ _CONFIRMED_BY = 5
 _CONFIRMED_IN_NS = 200_000_000
 _MEDIAN_STEP_S = 0.002
 _FIRST_FEW = 8
+_STANDS_NS = 100_000_000
+"""Time of arrival over which the stamps of a quick stream have not gone on, after which its clock stands."""
 
 
 class _Rival(NamedTuple):
@@ -39,6 +41,10 @@ class Delay(Struct, frozen=True):
     n: int = 1
     off_since: int | None = None
     """Arrival, ns, of the first of an unbroken series of samples with another delay."""
+    newest: int = 0
+    """The newest stamp, ns."""
+    newest_at: int = 0
+    """Arrival, ns, of the first sample with it."""
 
 
 class ClockWatch(Struct, frozen=True):
@@ -89,27 +95,37 @@ def watch_delay(
     Returns:
         The new state, and TOO_NEW or TOO_OLD if the delay is not the stream's.
     """
-    delay, verdict = delay_after(state.delays.get(kind), stamp, step_max_s, settle_s, keep_s)
+    delay, verdict = delay_after(state.delays.get(kind), stamp, step_max_s, settle_s, keep_s, quick=True)
     return ClockWatch(state.now, state.rival, {**state.delays, kind: delay}), verdict
 
 
 def delay_after(
-    delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float, keep_s: float = math.inf
+    delay: Delay | None, stamp: Stamp, step_max_s: float, settle_s: float, keep_s: float = math.inf, *, quick: bool = False
 ) -> tuple[Delay, Verdict | None]:
-    """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample."""
+    """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample.
+
+    Args:
+        quick: the stream has at least ten samples a second, so a stamp that comes again later than that is of a clock that stands.
+    """
     received_at = stamp.received_at
     d = (received_at - stamp.measured_at) / NS_PER_S
     if delay is None:
-        return Delay(d, received_at), None
+        return Delay(d, received_at, newest=stamp.measured_at, newest_at=received_at), None
     median_s, n, off_since = delay.median_s, delay.n, delay.off_since
+    newest, newest_at = delay.newest, delay.newest_at
+    if stamp.measured_at > newest:
+        newest, newest_at = stamp.measured_at, received_at
+    elif quick and received_at - newest_at > _STANDS_NS:
+        return replace(delay, off_since=received_at if off_since is None else off_since), Verdict.TOO_OLD
     off_s = d - median_s
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.
         step = max(_MEDIAN_STEP_S, abs(off_s) / (n + 1)) if n < _FIRST_FEW else _MEDIAN_STEP_S
-        return Delay(median_s + (-step if off_s < -step else step if off_s > step else off_s), delay.since, n + 1), None
+        moved_s = -step if off_s < -step else step if off_s > step else off_s
+        return Delay(median_s + moved_s, delay.since, n + 1, None, newest, newest_at), None
     if n < _FIRST_FEW:
-        return Delay(d, received_at), None
+        return Delay(d, received_at, 1, None, newest, newest_at), None
     off_since = received_at if off_since is None else off_since
     if (received_at - off_since) * 1e-9 >= settle_s and (off_since - delay.since) * 1e-9 < keep_s:
-        return Delay(d, received_at), None
-    return Delay(median_s, delay.since, n, off_since), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW
+        return Delay(d, received_at, 1, None, newest, newest_at), None
+    return Delay(median_s, delay.since, n, off_since, newest, newest_at), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW

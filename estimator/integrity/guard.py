@@ -9,7 +9,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -34,6 +34,8 @@ _ABOVE_M = 0.3
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
+_QUICK = (Imu, Attitude, BodyVelocity)
+"""Samples with a stamp of their own each, many a second."""
 
 
 class IntegrityGuard(Struct, frozen=True):
@@ -90,7 +92,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                 delays = dict(watch.delays)
                 watch = clock.ClockWatch(watch.now, watch.rival, delays)
         if verdict is None:
-            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s)
+            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s, quick=kind in _QUICK)
         if verdict is not None:
             admitted.append(verdict)
             continue
@@ -161,6 +163,8 @@ def admit_sighting(
         guard = replace(guard, view=view.watch(guard.view, sighting, attitude, o))
         if guard.view.frozen:
             return guard, Verdict.FROZEN
+    if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
+        guard = replace(guard, inertial=_pictured(guard.inertial, sighting, attitude))
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     following, explained = tracks.associate(guard.tracks, place, expected, o)
@@ -208,7 +212,9 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
         seen = guard.sensors.get(kind)
         if seen is not None and seen.frozen:
             found.append(alert)
-    if guard.clock.off("Sighting"):
+    if guard.inertial.attitude_fault is not None:
+        found.append(IntegrityAlert.ATTITUDE)
+    if any(guard.clock.off(kind) for kind in ("Sighting", "Imu", "Attitude")):
         found.append(IntegrityAlert.STAMPS)
     if guard.arbiter.apart(now):
         found.append(IntegrityAlert.APART)
@@ -219,6 +225,15 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
     if guard.heights.baro_contradicted:
         found.append(IntegrityAlert.HEIGHT)
     return tuple(found)
+
+
+def _pictured(state: inertial.Inertial, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:
+    """Process the pad's rotation, of whatever pad on the deck."""
+    if sighting.pose6 is None:
+        return state
+    R_ned_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
+    R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
+    return inertial.pictured(state, sighting.stamp.measured_at, attitude.R_ned_body.matrix, R_ned_pad)
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
+from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
 from estimator.integrity import halves, parity
@@ -29,6 +30,14 @@ _GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
 """Number of bins, and by how much the least difference grows where the window is short."""
 _STEADY = 0.8
 _REVERSED_BINS = 4
+_SWING_BINS = 6
+_SWINGS_RAD_S, _SHOWS_RAD_S = math.radians(8.0), math.radians(3.0)
+"""Difference of gyro and attitude about one axis, a root mean square, that is none of noise: 3.4 deg/s in roll and pitch, 6.6 in
+yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree again."""
+_SWINGS_SHARE, _AGREES_SHARE = 0.15, 0.3
+_DECIDED = 0.2
+_PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
+"""Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
 """Least turn, a root mean square, by which a wrong sense is told."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
@@ -52,7 +61,7 @@ _PLACES, _VELOCITIES = 14, 8
 class LyingHalf(Struct, frozen=True):
     """A sensor that the estimator does without."""
 
-    sensor: Literal["accelerometer", "gyro"]
+    sensor: Literal["accelerometer", "gyro", "attitude"]
     what: str
     """What it does, in words."""
     well: int = 0
@@ -116,7 +125,11 @@ class Inertial(Struct, frozen=True):
     parity: Parity = Parity()
     gyro_fault: LyingHalf | None = None
     """What parity says of it."""
+    attitude_fault: LyingHalf | None = None
+    """What parity says of the attitude, which nothing can replace: nobody descends by it."""
     accel_fault: LyingHalf | None = None
+    suspected: str | None = None
+    """The sensor that the newest bin accused, of gyro and attitude."""
     usual: Usual = Usual()
     accel_against: int = 0
     """Number of bins in a row that accused the accelerometer."""
@@ -132,6 +145,8 @@ class Inertial(Struct, frozen=True):
                 found.append(f"the {name} repeats its readings; flying without it")
             elif fault is not None:
                 found.append(fault.text)
+        if self.attitude_fault is not None:
+            found.append(f"the attitude {self.attitude_fault.what}")
         return tuple(found)
 
 
@@ -150,7 +165,7 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     lies, bad = state.gyro_fault, state.accel_fault
     frozen = gyro.frozen or accel.frozen
     checked, imus = (state.parity, (*state.imus[-_IMUS:], imu)) if flying and not frozen else (Parity(), (imu,))
-    after = Inertial(imus, gyro, accel, state.turn, checked, lies, bad, state.usual, state.accel_against, state.named)
+    after = replace(state, imus=imus, gyro=gyro, accel=accel, parity=checked)
     if not frozen and lies is None and bad is None:
         return after, imu
     gyro_s = _lost_s(state.gyro, gyro, lies is not None, (before, t))
@@ -186,6 +201,11 @@ def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> In
     return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
 
 
+def pictured(state: Inertial, t: int, R_ned_body: F64, R_ned_pad: F64) -> Inertial:
+    """Process the pad's rotation in a picture, levelled by the reported attitude."""
+    return replace(state, parity=parity.pictured(state.parity, t, R_ned_body, R_ned_pad))
+
+
 def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
     """Return the time up to the newest sample in which a half measured nothing, s; 0 if it measures.
 
@@ -204,20 +224,68 @@ def _judged(state: Inertial) -> Inertial:
 
 
 def _judged_gyro(state: Inertial) -> Inertial:
-    bins, fault = state.parity.bins, state.gyro_fault
-    if fault is not None:
-        second = bins[-_GYRO_WINDOWS[0][0] :]
-        off = math.hypot(*(math.fsum(b.off[i] for b in second) / max(1, len(second)) for i in range(3)))
-        well = fault.well + 1 if second and off < _GYRO_WELL_RAD_S else 0
-        return replace(state, gyro_fault=None if well >= _WELL else replace(fault, well=well))
-    reversed_in = _reversed_axis(bins[-_REVERSED_BINS:])
-    if reversed_in:
-        return replace(state, gyro_fault=LyingHalf("gyro", f"turns the wrong way in {reversed_in}"), named=state.named + 1)
+    bins = state.parity.bins
+    for name in ("gyro_fault", "attitude_fault"):
+        fault: LyingHalf | None = getattr(state, name)
+        if fault is not None:
+            agrees = _agree(bins[-_GYRO_WINDOWS[0][0] :])
+            well = fault.well if agrees is None else fault.well + 1 if agrees else 0
+            if well < _WELL:
+                return replace(state, **{name: replace(fault, well=well)})
+            # The attitude went into all that was believed, the gyro's fault did not.
+            return replace(state, **{name: None}, named=state.named + (name == "attitude_fault"))
+    found = _swings_apart(state.parity)
+    if found is not None and found.sensor != state.suspected:
+        # The bin in which a difference begins holds a part of it alone, so the next one has to say the same.
+        return replace(state, suspected=found.sensor)
+    found = found or _steadily_apart(state.parity)
+    if found is None:
+        return state if state.suspected is None else replace(state, suspected=None)
+    return replace(state, **{f"{found.sensor}_fault": found}, named=state.named + 1)
+
+
+def _agree(bins: tuple[Bin, ...]) -> bool | None:
+    """Return whether gyro and attitude turn alike; None where the body hardly turns, so that nothing shows it."""
+    n = max(1, len(bins))
+    if not bins or math.hypot(*(math.fsum(b.off[i] for b in bins) / n for i in range(3))) >= _GYRO_WELL_RAD_S:
+        return False
+    apart = math.fsum(b.off[i] ** 2 for b in bins for i in range(2))
+    both = math.fsum(b.w[i] ** 2 + (b.w[i] - b.off[i]) ** 2 for b in bins for i in range(2))
+    if both < 2.0 * n * _SHOWS_RAD_S**2:
+        return None
+    return apart < _AGREES_SHARE * both
+
+
+def _steadily_apart(p: Parity) -> LyingHalf | None:
     for n, by in _GYRO_WINDOWS:
-        what = _gyro_lies(state.parity, bins[-n:], by) if len(bins) >= n else ""
+        what = _gyro_lies(p, p.bins[-n:], by) if len(p.bins) >= n else ""
         if what:
-            return replace(state, gyro_fault=LyingHalf("gyro", what), named=state.named + 1)
-    return state
+            return LyingHalf("gyro", what)
+    return None
+
+
+def _swings_apart(p: Parity) -> LyingHalf | None:
+    """Return which of gyro and attitude lies where one turns back and forth without the other; None if neither does.
+
+    The pad's own rotation in the pictures says which. Without pictures a gyro that turns against the attitude is the one.
+    """
+    bins = p.bins[-_SWING_BINS:]
+    end = p.bins[-1].t if p.bins else 0
+    since = p.bins[-_SWING_BINS - _PICTURES_LATE :][0].t if p.bins else 0
+    in_sight = bool(p.pad) and end - p.pad[-1].until < _PICTURES_OLD_S * 1e9
+    for i, axis in enumerate(("roll", "pitch", "yaw")):
+        if in_sight and len(bins) == _SWING_BINS:
+            apart = math.fsum(b.off[i] ** 2 for b in bins)
+            both = math.fsum(b.w[i] ** 2 + (b.w[i] - b.off[i]) ** 2 for b in bins)
+            if apart < _SWINGS_RAD_S**2 * len(bins) or apart < _SWINGS_SHARE * both:
+                continue
+            share = parity.attitude_share(p, i, since, swings=True)
+            if share is not None and abs(share - 0.5) > _DECIDED:
+                sensor: Literal["gyro", "attitude"] = "attitude" if share > 0.5 else "gyro"
+                other = "gyro" if share > 0.5 else "attitude"
+                return LyingHalf(sensor, f"turns otherwise than {other} and camera in {axis}")
+    reversed_in = "" if in_sight else _reversed_axis(bins[-_REVERSED_BINS:])
+    return LyingHalf("gyro", f"turns the wrong way in {reversed_in}") if reversed_in else None
 
 
 def _reversed_axis(bins: tuple[Bin, ...]) -> str:
@@ -247,7 +315,9 @@ def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
         # The one that says that the body leans more and more lies: it would fly away.
         along, aside, _ = bins[-1].up
         by_gyro, by_attitude = math.hypot(along - y * span_s, aside + x * span_s), math.hypot(along, aside)
-        if by_gyro > by_attitude + 0.5 * span_s * math.hypot(x, y):
+        # A vessel turns as slowly: the pictures clear the gyro, and do not accuse it.
+        share = parity.attitude_share(p, 0 if abs(x) > abs(y) else 1, bins[0].t, swings=False)
+        if by_gyro > by_attitude + 0.5 * span_s * math.hypot(x, y) and not (share is not None and share > 0.5 + _DECIDED):
             axis, value = ("roll", x) if abs(x) > abs(y) else ("pitch", y)
             return f"turns about {abs(math.degrees(value)):.0f} deg/s too {'much' if value > 0 else 'little'} in {axis}"
     if steady[2] and abs(off[2]) > by * _GYRO_YAW_RAD_S:
@@ -269,7 +339,7 @@ def _turn_seen(p: Parity, since: int) -> float | None:
 
 def _judged_accel(state: Inertial) -> Inertial:
     p, fault, usual = state.parity, state.accel_fault, state.usual
-    if not p.bins or state.gyro_fault is not None:
+    if not p.bins or state.gyro_fault is not None or state.attitude_fault is not None:
         return replace(state, accel_against=0) if state.accel_against else state
     off = _differences(p)
     if fault is not None:

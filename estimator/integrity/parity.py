@@ -23,6 +23,11 @@ _SAMPLES_MIN = 3
 _KEPT = 25
 """Number of bins that are kept: the longest window, and the time by which a sighting is late."""
 _UNMEASURED_VAR = 1e3
+_SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)
+"""Trace of a rotation by a radian."""
+_PICTURES, _SHOWN = 4, 0.6
+_SHOWN_RAD = math.radians(0.8)
+"""Least difference, a root mean square, that pictures tell: at 7 m they err by half a degree."""
 
 Vec3 = tuple[float, float, float]
 Point = tuple[int, Vec3]
@@ -64,6 +69,16 @@ class Bin(NamedTuple):
         )
 
 
+class PadTurn(NamedTuple):
+    """The turn of the pad against what the vehicle calls level, between two frames: none if its attitude is right."""
+
+    since: int
+    until: int
+    """Instants of the frames, ns."""
+    turn: Vec3
+    """rad in `body`. A vessel's own is a small part of what a body turns."""
+
+
 class Parity(Struct, frozen=True):
     """The bins, and what each witness said in them."""
 
@@ -79,6 +94,9 @@ class Parity(Struct, frozen=True):
     sight: tuple[Point, ...] = ()
     yaw: tuple[tuple[int, float], ...] = ()
     """Instants, ns, and headings against the pad's arrow, rad."""
+    pad: tuple[PadTurn, ...] = ()
+    newest_pad: tuple[int, F64] | None = None
+    """Instant, ns, and the pad's rotation in `ned` by picture and attitude, (3, 3)."""
 
 
 class Slope(NamedTuple):
@@ -130,6 +148,66 @@ def sighted(p: Parity, t: int, d_ned: Vec3, yaw_rad: float | None) -> Parity:
     (_, (x, y, z)), (dx, dy, dz) = found.at(t), d_ned
     yaw = p.yaw if yaw_rad is None else (*p.yaw[1 - _KEPT :], (t, yaw_rad))
     return replace(p, sight=(*p.sight[1 - _KEPT :], (t, (-dx - x, -dy - y, -dz - z))), yaw=yaw)
+
+
+def pictured(p: Parity, t: int, R_ned_body: F64, R_ned_pad: F64) -> Parity:
+    """Add a picture's rotation of the pad at an instant of the past, ns, as the reported attitude levels it, (3, 3)."""
+    before = p.newest_pad
+    since_s = math.inf if before is None else (t - before[0]) * 1e-9
+    if 0.0 <= since_s < 0.8 * _BIN_S:
+        return p
+    newest = (t, R_ned_pad)
+    if before is None or not 0.0 < since_s <= _GAP_S:
+        return replace(p, newest_pad=newest, pad=())
+    D = R_ned_pad.dot(before[1].T)
+    if float(np.trace(D)) < _SMALL_TURN_TRACE:
+        # Half a turn is an arrow that was mistaken.
+        return replace(p, newest_pad=newest)
+    x, y, z = R_ned_body.T.dot((0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1]))).tolist()
+    return replace(p, newest_pad=newest, pad=(*p.pad[1 - _KEPT :], PadTurn(before[0], t, (x, y, z))))
+
+
+def attitude_share(p: Parity, axis: int, since: int, *, swings: bool) -> float | None:
+    """Return the share of the difference of gyro and attitude about an axis that is the attitude's, by the pad's pictures.
+
+    It is 1 where the pad turns with the attitude's error, and 0 where it stays level, up to the vessel's own turn.
+
+    Args:
+        since: instant from which on they are compared, ns.
+        swings: compare what goes back and forth, without a steady turn, which may be the vessel's.
+
+    Returns:
+        The share; None if the pictures show too little of the difference.
+    """
+    end = p.bins[-1].t + round(p.bins[-1].span_s * 1e9) if p.bins else 0
+    seen = [each for each in p.pad if since <= each.since and each.until <= end]
+    if len(seen) < _PICTURES or _shown(p.bins, axis, since, seen[-1].until) < _SHOWN:
+        return None
+    t = np.array([seen[0].since, *(each.until for each in seen)], dtype=np.float64) * 1e-9
+    off = np.cumsum([0.0, *(_off_between(p.bins, axis, each.since, each.until) for each in seen)])
+    turned = -np.cumsum([0.0, *(each.turn[axis] for each in seen)])
+    if swings:
+        x = t - t.mean()
+        off, turned = (y - y.mean() - x * (x.dot(y) / x.dot(x)) for y in (off, turned))
+    square = float(off.dot(off))
+    return float(off.dot(turned)) / square if square > len(t) * _SHOWN_RAD**2 else None
+
+
+def _shown(bins: tuple[Bin, ...], axis: int, since: int, until: int) -> float:
+    """Return the part of the difference since an instant that came before another one."""
+    each = [(b.t, b.off[axis] ** 2) for b in bins if b.t >= since]
+    whole = math.fsum(square for _, square in each)
+    return math.fsum(square for t, square in each if t + 0.5e9 * _BIN_S < until) / whole if whole > 0.0 else 0.0
+
+
+def _off_between(bins: tuple[Bin, ...], axis: int, since: int, until: int) -> float:
+    """Return the angle by which the gyro turned more than the attitude between two instants, rad."""
+    total = 0.0
+    for b in bins:
+        within = min(until, b.t + round(b.span_s * 1e9)) - max(since, b.t)
+        if within > 0:
+            total += b.off[axis] * within * 1e-9
+    return total
 
 
 def curvature(points: tuple[Point, ...], axis: int, since: int, least: int) -> Slope | None:
@@ -193,7 +271,7 @@ def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
         mean = math.fsum(p.heights) / len(p.heights)
         baro = (*baro[1 - _KEPT :], (middle, (math.nan, math.nan, -mean - sz)))
     flow = p.flow if p.velocity is None else (*p.flow[1 - _KEPT :], _flow(p.velocity, made, first))
-    return Parity((end,), (*kept[1 - _KEPT :], made), (), None, baro, flow, p.sight, p.yaw)
+    return Parity((end,), (*kept[1 - _KEPT :], made), (), None, baro, flow, p.sight, p.yaw, p.pad, p.newest_pad)
 
 
 def _flow(event: BodyVelocity, within: Bin, level: Attitude) -> Point:

@@ -1,11 +1,11 @@
-"""Pinhole camera with Brown-Conrady distortion, and its mounting on the body."""
+"""Camera with a lens by Brown and Conrady or a fisheye by Kannala and Brandt, and its mounting on the body."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.file_numbers import finite, shown
 
-_OPTIONAL = {"distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2", "readout_s"}
+LensModel = Literal["brown", "fisheye"]
+_OPTIONAL = {"lens", "distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2", "readout_s", "focal_sigma"}
 _KEYS = {"width", "height", "fx", "fy", "cx", "cy"} | _OPTIONAL
 _LARGEST_PX = 16_384
 """Largest width and height of an image; a square image of that size is the largest that fits in memory."""
@@ -22,6 +23,9 @@ _DISTORTION_MAX = 1e3
 _MOUNT_MAX_M = 100.0
 _MOUNT_VAR_MAX_DEG2 = 30.0**2
 _READOUT_MAX_S = 0.1
+_FOCAL_SIGMA_MAX = 0.2
+_WIDEST_RAD = 1.5
+"""Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +37,11 @@ class Camera:
     Two cameras with the same numbers are equal, so that what is computed once for a camera (its rays, grids) is not computed and
     kept again when the same file is read again.
 
-    Source: Brown, Close-range camera calibration, 1971; the parameter order is OpenCV's.
+    Source: Brown, Close-range camera calibration, 1971; Kannala and Brandt, A generic camera model and calibration method for
+    conventional, wide-angle, and fish-eye lenses, PAMI 2006; the parameter orders are OpenCV's.
 
     Raises:
-        ValueError: a number is out of range, or `distortion` does not hold five finite numbers.
+        ValueError: a number is out of range, or `distortion` does not hold as many finite numbers as the lens has.
     """
 
     width: int
@@ -46,10 +51,14 @@ class Camera:
     cx: float
     cy: float
     distortion: F64
-    """The (5,) distortion coefficients k1, k2, p1, p2, k3."""
+    """The distortion coefficients: (5,) k1, k2, p1, p2, k3 of `brown`, (4,) k1, k2, k3, k4 of `fisheye`."""
     T_body_cam: Transform
     cov_mount: F64 | None = None
     """Covariance of a small rotation of the camera on the body, (3, 3) rad^2 in `body`; None if the mount was not calibrated."""
+    lens: LensModel = "brown"
+    """Model of the lens: a pinhole with Brown's distortion, or an equidistant fisheye with Kannala and Brandt's polynomial."""
+    focal_sigma: float = 0.0
+    """Standard deviation of the focal length as a fraction of it; every covariance of a sighting has its share."""
     readout_s: float = 0.0
     """Time from the first row's exposure to the last one's; 0 for a global shutter, negative if the last row comes first. The
     stamp of a frame is that of the middle row."""
@@ -63,8 +72,11 @@ class Camera:
 
     def __post_init__(self) -> None:
         d = np.array(self.distortion, dtype=float)
-        if d.shape != (5,) or not np.all(np.isfinite(d)):
-            raise ValueError(f"distortion needs five finite numbers k1, k2, p1, p2, k3, got {self.distortion!r}")
+        if self.lens not in get_args(LensModel):
+            raise ValueError(f"lens must be one of {', '.join(get_args(LensModel))}, got {self.lens!r}")
+        names = "five finite numbers k1, k2, p1, p2, k3" if self.lens == "brown" else "four finite numbers k1, k2, k3, k4"
+        if d.shape != ((5,) if self.lens == "brown" else (4,)) or not np.all(np.isfinite(d)):
+            raise ValueError(f"distortion needs {names}, got {self.distortion!r}")
         if self.width < 16 or self.height < 16:
             raise ValueError(f"a frame of {self.width}x{self.height} px is too small")
         if max(self.width, self.height) > _LARGEST_PX:
@@ -79,9 +91,11 @@ class Camera:
             raise ValueError(f"distortion of more than {_DISTORTION_MAX:g} is no lens, got {d.tolist()}")
         if not abs(self.readout_s) <= _READOUT_MAX_S:
             raise ValueError(f"readout_s must lie in {-_READOUT_MAX_S:g}..{_READOUT_MAX_S:g} s, got {self.readout_s!r}")
+        if not 0.0 <= self.focal_sigma <= _FOCAL_SIGMA_MAX:
+            raise ValueError(f"focal_sigma must lie in 0..{_FOCAL_SIGMA_MAX:g}, got {self.focal_sigma!r}")
         d.setflags(write=False)
         object.__setattr__(self, "distortion", d)
-        object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
+        object.__setattr__(self, "distorted", self.lens == "fisheye" or bool(np.any(d != 0.0)))
         object.__setattr__(self, "_focal", np.array([self.fx, self.fy], float))
         object.__setattr__(self, "_centre", np.array([self.cx, self.cy], float))
         if self.cov_mount is not None:
@@ -90,7 +104,8 @@ class Camera:
             object.__setattr__(self, "cov_mount", cov)
         known = b"" if self.cov_mount is None else self.cov_mount.tobytes()
         arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes(), known)
-        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.readout_s, *arrays)
+        alone = (self.fx, self.fy, self.cx, self.cy, self.focal_sigma, self.readout_s)
+        numbers = (self.width, self.height, self.lens, *alone, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))
 
@@ -125,6 +140,9 @@ class Camera:
                 raise BadInput(f"{where}: {key} must be a list of {n} finite numbers, got {shown(value)}")
             return np.array(found, dtype=float)
 
+        lens = data.get("lens", "brown")
+        if lens not in get_args(LensModel):
+            raise BadInput(f"{where}: lens must be one of {', '.join(get_args(LensModel))}, got {shown(lens)}")
         roll, pitch, yaw = np.radians(vector("rpy_body_cam_deg", 3))
         for key in ("width", "height"):
             if not isinstance(data[key], int) or isinstance(data[key], bool):
@@ -132,17 +150,19 @@ class Camera:
         try:
             return Camera(
                 data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),
-                vector("distortion", 5), Transform(Rotation.from_rpy(roll, pitch, yaw), vector("p_body_cam_m", 3)),
+                vector("distortion", 5 if lens == "brown" else 4),
+                Transform(Rotation.from_rpy(roll, pitch, yaw), vector("p_body_cam_m", 3)),
                 _mount_cov(data["mount_cov_deg2"], where) if "mount_cov_deg2" in data else None,
+                lens, number("focal_sigma") if "focal_sigma" in data else 0.0,
                 number("readout_s") if "readout_s" in data else 0.0,
             )  # fmt: skip
         except ValueError as why:
             raise BadInput(f"{where}: {why}") from why
 
     @property
-    def lens(self) -> Camera:
-        """The camera without mount and shutter, by which is found again what is computed once for a lens, whatever they are."""
-        return _lens_of(self)
+    def optics(self) -> Camera:
+        """The camera without mount, shutter and uncertainty: the key of what is computed once for a lens."""
+        return _optics_of(self)
 
     def turned(self, R_body_cam: Rotation) -> Camera:
         """Return the camera with another rotation on the body, in the same place."""
@@ -159,6 +179,9 @@ class Camera:
 
     def distort(self, xy: F64) -> F64:
         """Map (N, 2) ideal image-plane coordinates (x/z, y/z) to distorted ones."""
+        if self.lens == "fisheye":
+            r = np.hypot(xy[:, 0], xy[:, 1])
+            return np.asarray(xy * np.divide(self._bent(np.arctan(r)), r, out=np.ones_like(r), where=r > 1e-9)[:, None])
         k1, k2, p1, p2, k3 = self.distortion
         x, y = xy[:, 0], xy[:, 1]
         r2 = x * x + y * y
@@ -166,6 +189,26 @@ class Camera:
         return np.stack(
             [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
         )
+
+    def _bent(self, theta: F64) -> F64:
+        """Return a fisheye's distances from the axis, in focal lengths, by the angle, rad."""
+        k1, k2, k3, k4 = self.distortion
+        t2 = theta * theta
+        return np.asarray(theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))))
+
+    def _unbent(self, distorted: F64) -> F64:
+        """Return (N, 2) ideal coordinates of a fisheye's distorted ones, by Newton's method within the range of angles."""
+        r = np.hypot(distorted[:, 0], distorted[:, 1])
+        k1, k2, k3, k4 = self.distortion
+        theta = np.minimum(r, _WIDEST_RAD)
+        for _ in range(20):
+            t2 = theta * theta
+            slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + 9.0 * t2 * k4)))
+            step = (self._bent(theta) - r) / np.where(slope > 0.05, slope, 0.05)
+            theta = np.clip(theta - step, 0.0, _WIDEST_RAD)
+            if np.abs(step).max(initial=0.0) < 1e-13:
+                break
+        return np.asarray(distorted * np.divide(np.tan(theta), r, out=np.ones_like(r), where=r > 1e-9)[:, None])
 
     def project(self, p_cam: F64) -> F64:
         """Project (N, 3) points in `cam`, m, to (N, 2) px. Points at or behind the lens (z <= 1 mm) give nan."""
@@ -182,11 +225,13 @@ class Camera:
         """Map (N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z).
 
         This is the inverse of `project`, solved by Newton's method. It converges to 1e-9 wherever the distortion is one-to-one,
-        which holds for a calibrated lens over its own frame.
+        which holds for a calibrated lens over its own frame. A fisheye's pixels beyond 86 degrees from the axis look there.
         """
         target: F64 = (np.asarray(uv_px, dtype=float) - self._centre) / self._focal
         if not self.distorted:
             return target
+        if self.lens == "fisheye":
+            return self._unbent(target)
         xy = target.copy()
         h = 1e-6
         du, dv = np.array([h, 0.0]), np.array([0.0, h])
@@ -211,8 +256,8 @@ def ray_map(camera: Camera) -> F64:
 
 
 @lru_cache(maxsize=8)
-def _lens_of(camera: Camera) -> Camera:
-    return replace(camera, T_body_cam=Transform.identity(), cov_mount=None, readout_s=0.0)
+def _optics_of(camera: Camera) -> Camera:
+    return replace(camera, T_body_cam=Transform.identity(), cov_mount=None, focal_sigma=0.0, readout_s=0.0)
 
 
 def _mount_cov(value: object, where: str) -> F64:

@@ -13,7 +13,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
-from estimator.vision.regions import Lettering, depth_in
+from estimator.vision.regions import Lettering, depth_in, sides_of
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
@@ -152,8 +152,7 @@ def _letter_sides(kind: EdgeKind, letters: Sequence[Lettering]) -> list[_Piece]:
         if isinstance(letter, PaintedFiducial):
             pieces += [(kind, *_around(line, _FIDUCIAL_STEP * letter.cell_m)) for line in letter.borders()]
             continue
-        corners = letter.corners()
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        for a, b in zip(*sides_of(letter), strict=True):
             at, normal = _side(a, b)
             free = np.ones(len(at), bool)
             for other in letters:

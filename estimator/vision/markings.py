@@ -137,8 +137,8 @@ class Markings:
         return np.pad(np.empty((0, 2)) if self.arrow is None else self.arrow.corners(), ((0, 0), (0, 1)))
 
 
-def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Markings:
-    """Return the sizes of the parts that these regions are."""
+def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb], ground: str = "") -> Markings:
+    """Return the sizes of the parts that these regions are, on a sheet or deck of a paint if that is known."""
     disc = next((r for r in regions if isinstance(r, PaintedDisc)), None)
     panel = next((r for r in regions if isinstance(r, PaintedPanel)), None)
     rings = {r.part: r for r in regions if isinstance(r, PaintedRing)}
@@ -170,7 +170,7 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb]) -> Marking
         leg_width_m=leg,
         bar_width_m=bar,
         colours=Colours(
-            rgb(disc or panel),
+            paints[ground] if disc is None and panel is None and ground else rgb(disc or panel),
             rgb(ring or arrow),
             rgb(letters[0] if letters else triangle),
             None if rim is None else rgb(rim),

@@ -277,7 +277,7 @@ def tracker_of(camera: Camera, pad: Pad | None = None) -> Any:
 
 
 def _made(lib: Any, camera: Camera, pad: Pad | None) -> Any:
-    rays = ray_map(camera.lens) if camera.distorted else None
+    rays = ray_map(camera.optics) if camera.distorted else None
     arrays: list[Any] = [CORE.array("dl_camera", native_camera(camera)), _given("double", rays, 2 * camera.width * camera.height)]
     if pad is None:
         arrays += [CORE.ffi.NULL] * 5
@@ -303,8 +303,9 @@ def _given(kind: str, array: NDArray[Any] | None, count: int) -> Any:
 def native_camera(camera: Camera) -> NDArray[Any]:
     """Return the core's `dl_camera`."""
     lens = {
-        "width": camera.width, "height": camera.height, "distorted": camera.distorted, "fx": camera.fx, "fy": camera.fy,
-        "cx": camera.cx, "cy": camera.cy, "distortion": camera.distortion, "R_body_cam": camera.T_body_cam.R.matrix,
+        "width": camera.width, "height": camera.height, "distorted": camera.distorted, "fisheye": camera.lens == "fisheye",
+        "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, "distortion": [*camera.distortion, 0.0][:5],
+        "focal_sigma": camera.focal_sigma, "R_body_cam": camera.T_body_cam.R.matrix,
     }  # fmt: skip
     return CORE.record("dl_camera", lens=lens, t_body_cam=camera.T_body_cam.t, light=LINEAR_LIGHT, log_light=_LOG_LIGHT)
 

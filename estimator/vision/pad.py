@@ -8,6 +8,7 @@ arrow, y to starboard of it, z into the deck; metres from the centre.
 from __future__ import annotations
 
 import difflib
+import hashlib
 import math
 import re
 from collections.abc import Mapping
@@ -26,7 +27,7 @@ from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.markings import Markings, Rgb, markings_of
 from estimator.vision.pad_fiducials import check_marker
-from estimator.vision.pad_rules import check_regions, lacking_parts
+from estimator.vision.pad_rules import check_regions
 from estimator.vision.regions import (
     PaintedArrowhead,
     PaintedLetter,
@@ -37,6 +38,7 @@ from estimator.vision.regions import (
     Region,
     borders_of,
     circle,
+    depth_in,
     sides_meet,
 )
 
@@ -46,6 +48,25 @@ _TOUCH_M = 1e-6
 
 _SHAPES: dict[object, type[Struct]] = {kind.__struct_config__.tag: kind for kind in get_args(Region)}
 Channel = Annotated[int, Meta(ge=0, le=255)]
+
+
+TOLD_BY_PARTS, TOLD = 0.3, 5.0
+"""What drawings with disc, ring and lettering, whose parts tell them apart, and other drawings have to tell."""
+RARE = 1e-4
+"""Chance of a false pad in a frame of a search above which a pad is not flown to."""
+
+
+class Calibration(Struct, frozen=True, forbid_unknown_fields=True):
+    """What `decklander pad check` found when it searched clutter for a pad."""
+
+    least_told: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    """What its drawing has to tell of the light of a frame to be as likely as clutter, times the share that follows it."""
+    chance: Annotated[float, Meta(ge=0.0, le=1.0)]
+    """Chance of a false pad in a frame of 640x360 that is searched, with that."""
+    least_px: Annotated[float, Meta(ge=0.0)] = 0.0
+    """Radius in a frame from which on the pad is found; 0 where it is not found at all sizes from one on."""
+    drawing: str = ""
+    """The drawing's fingerprint: another drawing is not calibrated."""
 
 
 class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -59,6 +80,11 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     """Lamps that shine upwards, for nights."""
     size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     """Sigma of what was painted or printed against the sizes in this file, m."""
+    ground: str = ""
+    """The paint of the sheet or the deck around; empty where it is not known."""
+    calibration: Calibration | None = None
+    accept_false_pads: bool = False
+    """Whether the pad is flown to although clutter is taken for it too often."""
 
 
 def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
@@ -83,6 +109,9 @@ def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
             )
     for i, lamp in enumerate(file.lamps):
         _check_within(lamp.at_m, f"{where}: lamps[{i}].at_m")
+    if file.ground and file.ground not in file.paints:
+        known = ", ".join(file.paints)
+        raise BadInput(f"{where}: ground {shown(file.ground)} is not in [paints], which has {shown(known)}; add it there")
     check_regions(file.regions, file.paints, where)
     check_lamps(file.lamps, where)
     return file
@@ -122,6 +151,9 @@ def _check_lengths(region: Region, where: str) -> None:
             continue
         if key in ("from_m", "to_m", "points_m", "at_m"):
             _check_within(value, f"{where}.{key}")
+        elif key == "holes_m":
+            for i, hole in enumerate(value):
+                _check_within(hole, f"{where}.{key}[{i}]")
         elif not (math.isfinite(value) and SMALLEST_M <= value <= LARGEST_M):
             raise BadInput(f"{where}.{key} must be {SMALLEST_M:g} to {LARGEST_M:g} m, got {shown(value)}{_cure(value)}")
 
@@ -171,8 +203,21 @@ def _check_shape(region: Region, where: str) -> None:
                     f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, with sides of "
                     f"{SMALLEST_M:g} m at least"
                 )
+            _check_holes(region, where)
         case _:
             pass
+
+
+def _check_holes(region: PaintedPolygon, where: str) -> None:
+    for i, hole in enumerate(region.holes_m):
+        points = np.array(hole, dtype=float).reshape(-1, 2)
+        fits = 3 <= len(points) <= 60 and _is_simple(points)
+        rest = msgspec.structs.replace(region, holes_m=region.holes_m[:i])
+        if not fits or depth_in(rest, points).min() <= _TOUCH_M or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0):
+            raise BadInput(
+                f"{where}.holes_m[{i}] must be 3 to 60 corners of a line that does not touch itself and lies within the polygon, "
+                "beside its other holes"
+            )
 
 
 def _length(points: F64) -> F64:
@@ -205,14 +250,20 @@ class Pad:
     """Sigma of the painted sizes against those of the regions, m: the tolerance of print and deck."""
     lamps: tuple[Lamp, ...] = ()
     """Lamps that shine upwards; their pattern tells its heading."""
+    ground: str = ""
+    """The paint of the sheet or the deck around; empty where it is not known."""
+    calibration: Calibration | None = None
+    """How often clutter is taken for it; None if that is not known."""
+    accept_false_pads: bool = False
+    """Whether it is flown to although clutter is taken for it too often."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints)))
+        object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints), self.ground))
         # A pad is the key of caches that every frame asks.
-        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps)))
+        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground, self.calibration)))
 
     def __hash__(self) -> int:
         return self._hash
@@ -227,12 +278,43 @@ class Pad:
         """
         file: PadFile = pad_file(data, where)
         paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
-        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps)
+        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground, file.calibration, file.accept_false_pads)
+
+    @property
+    def fingerprint(self) -> str:
+        """What tells this drawing from others, 12 hexadecimal digits."""
+        drawn = msgspec.json.encode((self.paints, self.regions, self.ground))
+        return hashlib.sha256(drawn).hexdigest()[:12]
+
+    @property
+    def least_told(self) -> float:
+        """What its drawing has to tell to be as likely as clutter: by its calibration, else as pads of its kind."""
+        if self.calibration is not None:
+            return self.calibration.least_told
+        return TOLD_BY_PARTS if self.markings.is_searched_by_parts else TOLD
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether it is known how often clutter is taken for this drawing."""
+        return self.calibration is not None and self.calibration.drawing == self.fingerprint
 
     @property
     def is_identifiable_by_paint(self) -> bool:
         """Whether its paint is enough to identify it among what else lies on decks; if not, only its lamps are looked for."""
-        return not lacking_parts(self.regions)
+        return self.accept_false_pads or not (self.is_calibrated and self.calibration is not None and self.calibration.chance > RARE)
+
+    def check_for_detection(self, where: str) -> None:
+        """Check that clutter is rarely taken for this pad, or that it has lamps.
+
+        Raises:
+            BadInput: its calibration says that it is taken too often, and its file does not accept that.
+        """
+        if not self.lamps and not self.is_identifiable_by_paint and self.calibration is not None:
+            raise BadInput(
+                f"{where}: clutter is taken for this pad in {1000.0 * self.calibration.chance:.3g} of 1,000 frames that are "
+                f"searched, at most {1000.0 * RARE:g} is flown to: paint a disc or a frame around it, a ring, or more parts that "
+                "differ, then decklander pad check; or set accept_false_pads = true"
+            )
 
     @property
     def disc_radius_m(self) -> float:

@@ -9,7 +9,6 @@ from estimator.contracts.geometry import F64
 from estimator.core.abi import FIGURE_CUTS, FIGURE_RECTANGLES, FIGURE_SIDES
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
-from estimator.vision.lamp import Lamp
 from estimator.vision.markings import Rgb, layers_of
 from estimator.vision.pad_fiducials import check_fiducials
 from estimator.vision.regions import (
@@ -70,35 +69,6 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
             _check_upper(regions, i, below, where)
         if below >= 0:
             _check_contrast(region, regions[below], paints, f"{where}: regions[{i}]")
-
-
-def lacking_parts(regions: Sequence[Region]) -> list[str]:
-    """Return which of disc, ring and lettering a pad lacks.
-
-    A pad with a fiducial, which is told by its bits, and an H or X alone, told by all of its edges at once, lack nothing.
-
-    Verification was fitted on pads that have all three. Without one of them a deck's plates and lines, or another pad, were taken
-    for the pad: on 40 of 40 empty decks 37 times for a bare H, 25 for an X, 3 for a ring with an H, 11 for a disc with an H.
-    """
-    parts = {part_of(region) for region in regions}
-    alone = len(regions) == 1 and isinstance(regions[0], PaintedLetter) and regions[0].letter in ("H", "X")
-    if alone or "fiducial" in parts:
-        return []
-    return [name for part, name in (("disc", "disc"), ("ring", "ring"), ("letter", "lettering")) if part not in parts]
-
-
-def check_for_detection(regions: Sequence[Region], lamps: Sequence[Lamp], where: str) -> None:
-    """Check that a pad can be told from what else lies on decks, by its paint or by its lamps.
-
-    Raises:
-        BadInput: it has no lamps, and lacks a part that verification needs.
-    """
-    if not lamps and (lacking := lacking_parts(regions)):
-        raise BadInput(
-            f"{where}: regions has no {' and no '.join(lacking)}: such a pad is seen where there is none, and cannot be detected "
-            "or landed on, only printed, checked and painted; paint a disc, a ring on it and lettering in the ring, a fiducial, "
-            "an H or X alone, or add lamps"
-        )
 
 
 def _check_letters(regions: Sequence[Region], where: str) -> None:

@@ -160,6 +160,10 @@ def solve(marks: Marks, view: OrientedCamera) -> Fix | None:
     # A Gaussian error e moves f by first * e + second * e^2, and the mean of e^4 is 3. Tilt shortens the height only through the
     # second-order term.
     cov = first.T @ first + 3.0 * (second.T @ second)
+    axis = _roll_pitch(np.array([orientation.roll_rad]), np.array([orientation.pitch_rad]))[0] @ camera.T_body_cam.R.matrix[:, 2]
+    # A focal length that is too long makes the depth too large by the same share.
+    away_m = camera.focal_sigma * float(axis @ out[0, :3])
+    cov[:3, :3] += away_m**2 * np.outer(axis, axis)
     return Fix(out[0, :3], wrap_pi(float(out[0, 3])), 0.5 * (cov + cov.T))
 
 

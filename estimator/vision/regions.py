@@ -149,15 +149,21 @@ class PaintedStroke(Struct, frozen=True, forbid_unknown_fields=True, tag_field="
 
 
 class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="polygon"):
-    """A polygon with straight sides."""
+    """A polygon with straight sides, and holes in it where what lies below shows."""
 
     paint: str
     points_m: tuple[tuple[float, float], ...]
+    holes_m: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     def corners(self) -> F64:
         """Return the (N, 2) m outline, clockwise seen from above."""
         points = np.array(self.points_m, dtype=float).reshape(-1, 2)
         return points if _area(points) > 0.0 else points[::-1]
+
+    def holes(self) -> tuple[F64, ...]:
+        """Return the outlines of the holes, (N, 2) m each, the other way around."""
+        lines = (np.array(hole, dtype=float).reshape(-1, 2) for hole in self.holes_m)
+        return tuple(line if _area(line) < 0.0 else line[::-1] for line in lines)
 
 
 Region = (
@@ -208,6 +214,8 @@ def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
             return circle(region.outer_m, n), circle(region.inner_m, n)
         case PaintedFiducial() | PaintedTriangle():
             return region.borders()
+        case PaintedPolygon():
+            return region.corners(), *region.holes()
         case _:
             return (region.corners(),)
 
@@ -215,7 +223,8 @@ def borders_of(region: Region, n: int = 72) -> tuple[F64, ...]:
 def outlines_of(region: Region, n: int = 72) -> tuple[F64, ...]:
     """Return closed lines, their corners (N, 2) m each, whose insides together are the region.
 
-    A ring's and a triangle's line goes once around and back within; so do those of a fiducial around its light cells.
+    A ring's and a triangle's line goes once around and back within; so do those of a fiducial around its light cells and of a
+    polygon around its holes.
     """
     match region:
         case PaintedTriangle():
@@ -225,6 +234,8 @@ def outlines_of(region: Region, n: int = 72) -> tuple[F64, ...]:
             return (np.vstack([outer, inner[::-1]]),)
         case PaintedFiducial():
             return region.outlines()
+        case PaintedPolygon() if region.holes_m:
+            return (_around_holes(region),)
         case _:
             return borders_of(region, n)
 
@@ -309,9 +320,23 @@ def convex_pieces_of(region: Region) -> list[F64]:
         case PaintedStroke():
             return [region.corners()]
         case PaintedPolygon():
-            return _ears(region.corners())
+            return _ears(_around_holes(region))
         case _:
             raise TypeError(f"no region of straight sides: {region}")
+
+
+def _around_holes(region: PaintedPolygon) -> F64:
+    """Return one line around a polygon, which goes to each hole and back the same way."""
+    line = region.corners()
+    for hole in sorted(region.holes(), key=lambda hole: -float(hole[:, 0].max())):
+        start, end = sides_of(region)
+        ways = np.linalg.norm(line[:, None] - hole[None], axis=2)
+        for at in np.argsort(ways, axis=None):
+            i, j = divmod(int(at), len(hole))
+            if not np.any(_cross(line[[i]], hole[[j]], start, end)):
+                break
+        line = np.vstack([line[: i + 1], hole[j:], hole[: j + 1], line[i:]])
+    return line
 
 
 def _inside(piece: F64, xy_m: F64) -> NDArray[np.bool_]:

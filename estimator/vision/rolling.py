@@ -67,7 +67,7 @@ def at_one_instant(px: NDArray[np.uint8], camera: Camera, pose: PadPose, motion:
 
 def _displaced_px(camera: Camera, pose: PadPose, motion: CameraMotion) -> NDArray[np.float32]:
     """Return by how much what a square shows is displaced in the frame as it was read out, (rows, columns, 2) px."""
-    nodes = _nodes(camera.lens)
+    nodes = _nodes(camera.optics)
     normal = pose.R_cam_pad.matrix[:, 2]
     sine = nodes.rays @ normal / np.linalg.norm(nodes.rays, axis=1)
     ahead = float(normal @ pose.t_cam_pad)

@@ -25,8 +25,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.doubts import cells_log_odds, letter_log_odds
-from estimator.vision.register.fit_verification import confidence
+from estimator.vision.register.doubts import LETTER_MOST, cells_log_odds, letter_log_odds
+from estimator.vision.register.fit_verification import confidence, told_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.srgb import LUMA, light_table, linear_light
@@ -245,11 +245,13 @@ def _of_visible(
     found = look(view, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
     if found is None:
         return None
-    odds = found.log_odds + prior_log_odds
+    told = found.record["aligned"]["told"]
+    most = told_log_odds(float(told["told"]) * float(told["share"]) / view.pad.least_told)
+    odds = min(found.log_odds, most) + prior_log_odds
     if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
         odds += _RINGLESS_LOG_ODDS
     if view.pad.markings.fiducials:
         odds += cells_log_odds(view.pyramid[0], view.camera, view.pad, found.registration())
     elif view.pad.markings.is_letter_alone:
-        odds += letter_log_odds(found.registration(), tracked)
+        odds = min(odds, LETTER_MOST) + letter_log_odds(found.registration(), tracked)
     return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)

@@ -34,7 +34,7 @@ class CampaignFigures:
     worst: list[Flight] = field(default_factory=list)
     """The worst flights, the worst first."""
     place_m: list[tuple[float, float, bool]] = field(default_factory=list)
-    """Place where each flight that touched the deck stands, or touched it: along the arrow, to starboard, and whether its flight was good."""
+    """Where each flight that touched the deck stands: along the arrow, to starboard, and whether the flight was good."""
     lateral_m: list[float] = field(default_factory=list)
     vertical_m_s: list[float] = field(default_factory=list)
     sliding_m_s: list[float] = field(default_factory=list)

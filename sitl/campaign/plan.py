@@ -1,4 +1,7 @@
-"""What a campaign flies: a scenario, settings, a level of perception and the values that are varied."""
+"""What a campaign flies: a scenario or a named set, settings, a level of perception and the values that are varied.
+
+What each scenario of a set (configs/scenarios/sets) expects is said in its own file.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,104 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from companion.settings.load import SHIPPED, read_toml
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.settings.load import SHIPPED, read_toml, shipped
 from companion.settings.load import camera_model as camera_of_settings
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.load import pad_model as pad_of_settings
 from companion.settings.model import Settings
 from companion.settings.overrides import plain
+from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import choice, text
 from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Override
 from sitl.flight.one_flight import Perception, perception_level
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
+from sitl.scenario.scenario import load as load_scenario
+
+_FOLDER = "scenarios/sets"
+_LEVELS = "how the service perceives the pad in this scenario; a set says it for all that do not"
+
+
+class SetMember(Struct, frozen=True, forbid_unknown_fields=True):
+    """One scenario of a set."""
+
+    name: Annotated[str, text("a shipped scenario, or a path relative to the set's file", 200)]
+    perception: Annotated[Literal["pixels", "model", "truth"], choice(_LEVELS)] | None = None
+
+
+class ScenarioSet(Struct, frozen=True, forbid_unknown_fields=True):
+    """Scenarios that are flown together."""
+
+    title: Annotated[str, text("one line for people", 120)]
+    scenario: Annotated[tuple[SetMember, ...], Meta(min_length=1, max_length=500, description="in the order of the table")]
+    perception: Annotated[Literal["pixels", "model", "truth"], choice("how the service perceives the pad")] = "model"
+    base: (
+        Annotated[str, text("a scenario that takes the place of the base that each scenario names, as another sea", 200)] | None
+    ) = None
+
+    def __post_init__(self) -> None:
+        names = [member.name for member in self.scenario]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"scenario {twice[0]!r} is listed twice")
+
+    def level(self, member: SetMember) -> Literal["pixels", "model", "truth"]:
+        """Return how a member perceives the pad."""
+        return member.perception or self.perception
+
+
+def shipped_sets() -> list[str]:
+    """Return the names of the shipped sets."""
+    return shipped(_FOLDER)
+
+
+def is_set(name_or_path: str) -> bool:
+    """Return whether a name or a path means a set of scenarios, and not one scenario."""
+    if name_or_path in shipped_sets():
+        return True
+    path = Path(name_or_path)
+    try:
+        return path.is_file() and "scenario" in read_toml(path)
+    except (BadInput, OSError, ValueError):
+        return False
+
+
+def place_of(name_or_path: str, member: str) -> str:
+    """Return the path of a set's scenario if it lies beside the set's file, else the name of the shipped one."""
+    beside = _path_of(name_or_path).parent / member
+    return str(beside) if beside.is_file() else member
+
+
+def load_set(name_or_path: str) -> tuple[ScenarioSet, dict[str, Scenario]]:
+    """Return a set and the scenario of each member, by the member's name.
+
+    Raises:
+        BadInput: the file cannot be read; a key is unknown, missing or wrong; or a scenario has such a fault.
+    """
+    path = _path_of(name_or_path)
+    data: dict[str, Any] = read_toml(path)
+    try:
+        chosen = msgspec.convert(data, ScenarioSet, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{path}: {explain(ScenarioSet, data, str(why))}") from why
+    scenarios = {}
+    for n, member in enumerate(chosen.scenario):
+        try:
+            scenarios[member.name] = load_scenario(place_of(name_or_path, member.name), chosen.base)
+        except BadInput as why:
+            raise BadInput(f"{path}: scenario[{n}].name: {why}") from why
+    return chosen, scenarios
+
+
+def _path_of(name_or_path: str) -> Path:
+    return SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)
+
 
 Point = tuple[Override, ...]
 """The varied keys of a flight with their values; empty where nothing is varied."""
@@ -177,6 +264,9 @@ def make_plan(
                     files[f"{whose}: {key}{behind}"] = hashlib.blake2b(one.read_bytes(), digest_size=8).hexdigest()
                 if path.suffix == ".toml" and path.parent.parent == SHIPPED:
                     part["file"] = path.stem
+    if scenario.vessel.motion:
+        moved = Path(scenario.vessel.motion)
+        files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)

@@ -156,9 +156,9 @@ def in_words(summary: dict[str, Any]) -> str:
     ]
     if summary["lateral_median_m"] is not None:
         lines.append(
-            f"standing error {100 * summary['standing_median_m']:.1f} cm median, {100 * summary['standing_p95_m']:.1f} cm in 95 %, "
-            f"{100 * summary['standing_worst_m']:.1f} cm worst; at the contact {100 * summary['lateral_median_m']:.1f} and "
-            f"{100 * summary['lateral_p95_m']:.1f} cm; slid {100 * summary['slid_p95_m']:.1f} cm in 95 %"
+            f"standing error {_cm(summary, 'standing_median_m')} cm median, {_cm(summary, 'standing_p95_m')} cm in 95 %, "
+            f"{_cm(summary, 'standing_worst_m')} cm worst; at the contact {_cm(summary, 'lateral_median_m')} and "
+            f"{_cm(summary, 'lateral_p95_m')} cm; slid {_cm(summary, 'slid_p95_m')} cm in 95 %"
         )
     if summary["after_refusal"]:
         counts = ", ".join(f"{n} {what}" for what, n in summary["after_refusal"].items())
@@ -183,6 +183,10 @@ def in_words(summary: dict[str, Any]) -> str:
     )
     lines.append(f"hash {summary['hash']}")
     return "\n".join(lines)
+
+
+def _cm(summary: Mapping[str, Any], key: str) -> str:
+    return f"{100 * summary[key]:.1f}"
 
 
 def name_of(flight: Mapping[str, Any]) -> str:

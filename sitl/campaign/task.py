@@ -98,7 +98,7 @@ def failed(name: str, job: Job, error: str, cpu_s: float = 0.0) -> Flight:
 
 
 def error_m(flight: Flight) -> float:
-    """Return how far from the pad's centre a flight that landed on the pad stands, m; at its contact where nobody looked later."""
+    """Return how far from the pad's centre a landed vehicle stands, m; at its contact where nobody looked later."""
     stands = flight.get("standing") or flight["touchdown"]
     return float(stands["lateral_m"])
 

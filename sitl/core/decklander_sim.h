@@ -45,6 +45,8 @@ enum {
     ECHOES_MAX = 64,
     /* Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many. */
     FLIGHT_NOISE = 7,
+    /* Those that its unkind effects take: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
+    EFFECT_NOISE = 7,
 };
 
 typedef struct {
@@ -62,6 +64,13 @@ typedef struct {
     sim_gust gust[GUSTS_MAX];
 } sim_air_params;
 
+/* Effects that are off unless `on`; loop_mass_kg, tilt_gain and lift_share hold always. */
+typedef struct {
+    int64_t on, saturates, moving_deck;
+    double sag, hover_share, drag_per_m, downwash, downwash_keep, downwash_fresh, cushion_share, induced_m_s, climb_keep, climb_fresh,
+        rate_sigma, loop_mass_kg, tilt_gain, lift_share, thing[4], revolution_hz;
+} sim_effects;
+
 typedef struct {
     int64_t quad_x, rotors, effect_by_rotor, flow_sees_deck, flow_works, motor_driven, all_healthy, delay_steps;
     double step_s, mass_kg, inertia_kg_m2[3], thrust_max_n, torque_max_n_m[3], motor_lag, arm_m, rotor_radius_m,
@@ -73,6 +82,7 @@ typedef struct {
         friction, deck_fore_m, deck_aft_m, deck_middle_m, deck_half_m, deck_taper_m, deck_yaw[2], gust_sigma_m_s, gust_keep,
         gust_fresh, flow_keep, flow_fresh, tilt_keep, tilt_fresh, wind[3], tilt_max_rad, extra_wind[3], current[2],
         euler_angle_max_rad, vz_max_m_s, yaw_rate_max_rad_s;
+    sim_effects effects;
     sim_air_params air;
 } sim_vehicle_params;
 
@@ -81,12 +91,12 @@ typedef struct {
     double seconds, p[3], v[3], q[4], R[9], w[3], a[3], thrust_n, torque_n_m[3], flow[2], integral[3], unasked_w[3],
         unasked[3], z_hold, attached_d[3], attached_q[4], contact_s, airborne_s, touched_s, touched_d[3], touched_v[3],
         touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u[2], air_v[2], air_w[2], eddy[3], ship[2], air[3],
-        driven_n, driven_n_m[3], command[5], pending[5 * COMMANDS_MAX];
+        driven_n, driven_n_m[3], rough[3], cushion, climb_error, revolutions, command[5], pending[5 * COMMANDS_MAX];
 } sim_vehicle;
 
 typedef struct {
     int64_t echo_every, echo_delay;
-    double step_s, accel_sigma[2], gyro_sigma[2], accel_bias[3], gyro_bias[3], heading_bias, field_bias[3], field_sigma,
+    double step_s, accel_sigma[2], gyro_sigma[2], accel_scale, gyro_scale, vibration, accel_bias[3], gyro_bias[3], heading_bias, field_bias[3], field_sigma,
         heading_keep, heading_fresh, pressure_keep, pressure_fresh, pressure_sigma, cone_rad, echo_sigma, echo_min_m,
         echo_max_m, battery_life_s, hover_n;
     int64_t motor[4];
@@ -143,11 +153,11 @@ typedef struct {
     int64_t harmonics;
 } sim_flight;
 
-/* Take n steps over a deck, up to a contact after flight; return how many. FLIGHT_NOISE numbers a step, and SENSOR_NOISE. */
+/* Take n steps over a deck, up to a contact after flight; return how many. FLIGHT_NOISE numbers a step, EFFECT_NOISE, SENSOR_NOISE. */
 int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const double *noise, const double *air_noise,
-    const double *sensor_noise);
+    const double *effect_noise, const double *sensor_noise);
 void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
-    const double *air_noise);
+    const double *air_noise, const double *effect_noise);
 void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g);
 void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, const sim_sensors *s, sim_readings *out);
 

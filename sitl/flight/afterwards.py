@@ -1,7 +1,7 @@
 """What becomes of a vehicle after its flight has an outcome: where it stands on the deck, and what a refused one does.
 
-The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind that it
-was refused for, over a ship that goes on.
+The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind
+that it was refused for, over a ship that goes on.
 """
 
 import math
@@ -92,8 +92,8 @@ class Aftermath:
         """Return one line for people."""
         touched = "in the water" if self.in_water else f"{self.contacts} contacts" if self.contacts else "no contact"
         return (
-            f"{self.watched_s:.0f} s later: {self.vehicle_phase}, {self.end_m:.1f} m from the pad ({self.farthest_m:.1f} m at most), "
-            f"{self.lowest_m:.1f} m over it at the lowest, {touched}"
+            f"{self.watched_s:.0f} s later: {self.vehicle_phase}, {self.end_m:.1f} m from the pad "
+            f"({self.farthest_m:.1f} m at most), {self.lowest_m:.1f} m over it at the lowest, {touched}"
         )
 
 

@@ -2,7 +2,8 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from companion.base.mission import FlightOutcome
@@ -123,6 +124,8 @@ class Ending:
     load: Load | None = None
     """The load of the machine; None for a flight in virtual time."""
     without_outcome: str = "time ran out"
+    wrong_model: Mapping[str, float] = field(default_factory=dict)
+    """In what the vehicle differed from its model."""
     standing: Standing | None = None
     """Where it stands 5 s after the contact; None if it does not, or if nobody looked."""
     aftermath: Aftermath | None = None
@@ -178,6 +181,7 @@ class Ending:
             **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
             "cpu_s": None,
+            **({"wrong_model": dict(self.wrong_model)} if self.wrong_model else {}),
         }
         if self.judged is not None:
             j = self.judged

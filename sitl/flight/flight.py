@@ -6,6 +6,7 @@ Sockets, the video codec and threads are left out, so that a scenario and a seed
 A simulated person stands beside it and gives the orders of the scenario's `operator` faults to the service's arbiter.
 """
 
+import math
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -173,6 +174,7 @@ class Flight:
         self._generation.check_camera(camera_model(scenario))
         link = flight_seeds(self.world.seed).link
         self._arriving = ArrivingFrames(self._generation, self._options, link, rendered=self._perception.level == "pixels")
+        self._link_rng, self._link_wander = np.random.default_rng([self.world.seed, 0x11A7]), 0.0
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
@@ -214,8 +216,8 @@ class Flight:
     def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
         """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was refused.
 
-        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result of the
-        flight and what observers received are those of the outcome.
+        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result
+        of the flight and what observers received are those of the outcome.
         """
         world, refused = self.world, None
         self._observers, self._on_fusion = (), []
@@ -388,7 +390,18 @@ class Flight:
             return
         own = self._timing.frame_period_s
         self._due_frame = after(self._due_frame, own or 1.0 / self._drone.state.config.number(self._generation.frame_rate))
-        self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
+        self._frames_under_way.send(self._expose, self.world.at, self._frame_delay_s())
+
+    def _frame_delay_s(self) -> float:
+        """Return the delay of the frame that is exposed now: evenly spread in its range, and much like the one before."""
+        effects, wrong, usual_s = self.world.scenario.effects, self.world.scenario.wrong_model, self._timing.frame_delay_s
+        if effects.video_most_s > 0.0:
+            self._link_wander = 0.9 * self._link_wander + 0.436 * self._link_rng.standard_normal()
+            share = 0.5 + 0.5 * math.erf(self._link_wander / math.sqrt(2.0))
+            usual_s = effects.video_least_s + share * (effects.video_most_s - effects.video_least_s)
+        if wrong.video_jitter_s > 0.0:
+            usual_s += self._link_rng.uniform(0.0, wrong.video_jitter_s)
+        return max(0.0, usual_s + wrong.video_delay_s)
 
     def _expose(self) -> Callable[[], RenderedFrame]:
         self.exposures += 1

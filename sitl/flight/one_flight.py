@@ -105,7 +105,7 @@ class FlyOptions:
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
     afterwards: bool = True
-    """Whether the flight goes on after its outcome, so that the result says where the vehicle stands and what a refused one did."""
+    """Whether the flight goes on after its outcome: where does the vehicle stand, what does a refused one do."""
     overtime_s: float = 0.0
     """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
 
@@ -135,6 +135,7 @@ def fly(
     if perception not in PERCEPTIONS:
         raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
     options = options or FlyOptions()
+    scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
     seen_by = perceive(perception, options.perception_model)
     renew = partial(seen_by.pilot, settings, options.shadows)
     timing = Timing(overtime_s=options.overtime_s)
@@ -178,7 +179,8 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         cpu_s,
         round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
     )
-    return Ending(name, seed, result.outcome, contacts, result.duration_s, Counter(result.health.frames), judged=judged)
+    frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
+    return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)
 
 
 def contact_of(t: Touchdown) -> Contact:

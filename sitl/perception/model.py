@@ -90,12 +90,13 @@ class Scenes:
             R = shot.R_ned_body.matrix
             view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
         token = tick.to_bytes(_TOKEN, "little")
-        faults, focal, stops = self._world.faults, 1.0, self._world.scenario.light.exposure_ev
+        faults, stops = self._world.faults, self._world.scenario.light.exposure_ev
+        focal = self._world.scenario.wrong_model.focal_length
         if faults.active_kinds:
             if view is not None:
                 for covered, _ in faults.on(PadCovered):
                     view = view._replace(shown=view.shown * (1.0 - covered.fraction))
-            focal = math.prod(fault.scale for fault, _ in faults.on(FocalLength))
+            focal *= math.prod(fault.scale for fault, _ in faults.on(FocalLength))
             stops += light_stops(faults.on(LightFalls))
         self._scenes[token] = Scene(view, chance, R, stops, focal)
         if len(self._scenes) > KEPT_SCENES:

@@ -26,14 +26,16 @@ from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
+from sitl.scenario.wrong_model import WrongModel
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
-from sitl.vessel.file import DEFAULT_HULL, Ship, VesselSettings
+from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
 from sitl.vessel.seakeeping import hull
@@ -179,6 +181,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     video: VideoSettings = VideoSettings()
     sensors: SensorSettings = SensorSettings()
     vehicle: VehicleSettings = VehicleSettings()
+    effects: EffectSettings = EffectSettings()
+    wrong_model: WrongModel = WrongModel()
     faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
     expect: Annotated[
         Literal["land", "refuse", "go_around", "hold", "either"],
@@ -265,6 +269,8 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         said: Any = data.get(table, {})
         if "file" in said:
             whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
+        if said.get("motion"):
+            whole[table]["motion"] = str(path.parent / said["motion"])
     return whole
 
 
@@ -373,9 +379,13 @@ def ship_model(scenario: Scenario) -> Ship:
     """
     v = scenario.vessel
     if v.file is None:
-        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
-    path = _find(v.file, "vessels", Path(), "vessel.file")
-    return _fitting(load_vessel(path), scenario, str(path))
+        ship, where = Ship(hull(v.hull or DEFAULT_HULL)), f"hull {v.hull or DEFAULT_HULL}"
+    else:
+        path = _find(v.file, "vessels", Path(), "vessel.file")
+        ship, where = load_vessel(path), str(path)
+    if v.motion:
+        ship, where = Ship(ship.hull, RecordedMotion.of_file(Path(v.motion), v.motion_smooth_s), random_start=True), v.motion
+    return _fitting(ship, scenario, where)
 
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:

@@ -17,8 +17,8 @@ from sitl.vessel.air import WindSettings
 _PM_HEIGHT = 2.0 * math.sqrt(0.0081 / 0.74)
 """Significant height of a fully grown sea by U^2 / g, U being the wind at 19.5 m (Pierson & Moskowitz 1964)."""
 _FETCH_HEIGHT, _FETCH_PEAK = 4.0 * math.sqrt(1.6e-7), 3.5
-"""JONSWAP's laws of growth (Hasselmann et al. 1973): height by U^2 / g is the first times the root of x = g F / U^2, and the peak's
-frequency, Hz, by g / U is the second times x^(-1/3)."""
+"""JONSWAP's laws of growth (Hasselmann et al. 1973): height by U^2 / g is the first times the root of x = g F / U^2, and the
+peak's frequency, Hz, by g / U is the second times x^(-1/3)."""
 _CHARNOCK, _KARMAN = 0.0144, 0.4
 """Charnock's constant of the open sea (DNV-RP-C205 gives 0.011 to 0.014; 0.0144 after Garratt 1977)."""
 _LEAST_ROUGHNESS_M = 1e-5
@@ -28,7 +28,10 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The wind, and the sea that it raises."""
 
     wind_m_s: Annotated[float, number("mean wind 10 m over the water", "m/s", 0.5, 20.0)] | None = None
-    sea_state: Annotated[int, number("WMO code 3700 of the sea, whose wind is computed", "1", 1, 6)] | None = None
+    sea_state: (
+        Annotated[int, number("WMO code 3700 of a sea that the wind raised, or of an older one beside wind_m_s", "1", 1, 6)]
+        | None
+    ) = None
     fetch_km: (
         Annotated[float, number("length of water over which the wind blows; a fully grown sea unless said", "km", 0.1, 2e4)]
         | None
@@ -41,10 +44,6 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
         choice("turbulence: Kaimal's over the sea's roughness, or MIL-F-8785C's, which is about twice as strong"),
     ] = "kaimal"
     wake: Annotated[bool, choice("whether hull and superstructure slow and stir the air")] = True
-
-    def __post_init__(self) -> None:
-        if self.wind_m_s is not None and self.sea_state is not None:
-            raise ValueError("wind_m_s and sea_state both set the wind: give one")
 
     @property
     def given(self) -> bool:
@@ -90,6 +89,8 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
         return otherwise if self.from_deg is None else self.from_deg
 
     def _state(self) -> SeaState:
+        if self.wind_m_s is not None and self.sea_state is not None:
+            return SeaState.fully_grown(SEA_STATES[self.sea_state].hs_m)
         return raised_sea(self._speed_m_s(), self.fetch_km)
 
     def _speed_m_s(self) -> float:
@@ -99,7 +100,7 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def roughness_m(wind_m_s: float) -> float:
-    """Return the roughness of the sea's surface under a wind at 10 m, by Charnock's relation z0 = a u*^2 / g, solved by iteration."""
+    """Return the roughness of the sea's surface under a wind at 10 m, by Charnock's relation z0 = a u*^2 / g."""
     z = 2e-4
     for _ in range(20):
         z = max(_LEAST_ROUGHNESS_M, _CHARNOCK * (_KARMAN * wind_m_s / math.log(10.0 / z)) ** 2 / G_M_S2)
@@ -107,7 +108,7 @@ def roughness_m(wind_m_s: float) -> float:
 
 
 def raised_sea(wind_m_s: float, fetch_km: float | None = None) -> SeaState:
-    """Return the sea that a steady wind at 10 m raises over a fetch; without one, or when that is long enough, the fully grown one."""
+    """Return the sea that a steady wind at 10 m raises over a fetch; the fully grown one where no fetch limits it."""
     grown = SeaState.fully_grown(_PM_HEIGHT * (wind_m_s * _by_height(wind_m_s)) ** 2 / G_M_S2)
     if fetch_km is None:
         return grown
@@ -119,7 +120,7 @@ def raised_sea(wind_m_s: float, fetch_km: float | None = None) -> SeaState:
 
 
 def raising_wind_m_s(height_m: float, fetch_km: float | None = None) -> float:
-    """Return the steady wind at 10 m that raises a significant height over a fetch, by bisection: both laws grow with the wind."""
+    """Return the steady wind at 10 m that raises a significant height over a fetch, by bisection."""
     low, high = 0.1, 60.0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -153,7 +154,7 @@ def contradicted(data: Mapping[str, Any]) -> str:
 
 
 def merged_under(over: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a base without the waves and the wind that a table `weather` replaces; current, direction and gusts stay."""
+    """Return the tables of a base without the waves and the wind that a table `weather` replaces."""
     if not _says(over.get("weather")):
         return base
     out = dict(base)

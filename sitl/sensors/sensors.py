@@ -82,9 +82,12 @@ class Sensors:
     Args:
         seed: parent of one child seed for each sensor.
         vehicle: whose readings these are; they are as fresh as its newest step.
+        scales: readings of accelerometer and gyro over the truth.
     """
 
-    def __init__(self, settings: SensorSettings, vehicle: Vehicle, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self, settings: SensorSettings, vehicle: Vehicle, seed: np.random.SeedSequence, scales: tuple[float, float] = (1.0, 1.0)
+    ) -> None:
         self._vehicle = vehicle
         s, step_s = settings, vehicle.step_s
         imu, heading, ultrasound, pressure, field = (np.random.Generator(np.random.PCG64(c)) for c in seed.spawn(5))
@@ -102,6 +105,7 @@ class Sensors:
         self.params = SIM.new(
             "sim_sensor_params",
             echo_every=echo_every, echo_delay=echo_delay, motor=[names.index(name) for name in _MOTORS], step_s=step_s,
+            accel_scale=scales[0], gyro_scale=scales[1], vibration=vehicle.airframe.effects.vibration_m_s2,
             accel_sigma=(s.accel_rest_sigma_m_s2, s.accel_noise_sigma_m_s2),
             gyro_sigma=(s.gyro_rest_sigma_rad_s, s.gyro_noise_sigma_rad_s),
             accel_bias=s.accel_bias_sigma_m_s2 * imu.standard_normal(3),

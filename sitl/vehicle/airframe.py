@@ -16,6 +16,7 @@ from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2
+from sitl.vehicle.effects import EffectSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,8 @@ class Loops:
     """1/s^2: angular acceleration per rad of roll or pitch error."""
     tilt_d: float = 5.0
     """1/s."""
+    tilt_gain: float = 1.0
+    """Roll and pitch that the loops fly, over what the stick asks for."""
     tilt_max_rad: float = 0.5
     """Largest roll or pitch that any loop may ask for."""
     yaw_rate_p: float = 2.0
@@ -122,6 +125,11 @@ class Airframe:
     """Time of contact after which an automatic landing stops the motors."""
     tilt_cut_off_rad: float = 1.2
     """Motors stop beyond this tilt, as the real drone's do."""
+    effects: EffectSettings = field(default_factory=EffectSettings)
+    lift_share: float = 1.0
+    """Thrust that the rotors give over that which the loops count on."""
+    downwash_share: float = 1.0
+    """Turbulence of the downwash over that of the effects."""
     loops: Loops = field(default_factory=Loops)
     avionics: Avionics = field(default_factory=Avionics)
     feet: Feet = field(default_factory=Feet)

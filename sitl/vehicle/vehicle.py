@@ -12,11 +12,12 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
-from sitl.core.abi import COMMANDS_MAX, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
+from sitl.core.abi import COMMANDS_MAX, EFFECT_NOISE, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
 from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
+from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
@@ -25,7 +26,11 @@ DECK, SEA = TOUCHED_DECK, TOUCHED_SEA
 
 _KAIMAL_LAGS = (0.4444, 0.5448, 0.6623)
 """Correlation of the two lags along, across and up, by their times in `physics/air.c`."""
-_AIR_SEED = 0xA12
+_AIR_SEED, _EFFECT_SEED = 0xA12, 0xA13
+_DOWNWASH_S, _CLIMB_S, _CUSHION_S = 0.3, 1.0, 0.1
+"""Correlation times of the downwash's turbulence and of the loops' climb rate, and the lag of the ground effect (assumed)."""
+_AIR_DENSITY, _THRUST_COEFFICIENT = 1.225, 0.12
+"""kg/m^3, and thrust over density, squared revolutions and the fourth power of the diameter (small propellers: 0.1 to 0.15)."""
 
 
 class VehiclePhase(IntEnum):
@@ -131,6 +136,11 @@ class Vehicle:
         self._deck = SIM.new("sim_deck")
         self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
         """The numbers of its own errors and of the gusts."""
+        self.effect_noise: NoiseRows | None = None
+        """The numbers of the unkind effects, where there are any."""
+        if self.params.effects.on:
+            child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _EFFECT_SEED))
+            self.effect_noise = NoiseRows.of(child, EFFECT_NOISE)
         self._begin_errors()
         self.air_noise: NoiseRows | None = None
         """The numbers of the air, where it is more than a uniform wind."""
@@ -156,8 +166,8 @@ class Vehicle:
     def _begin_air(self, noise: NoiseRows, two_lags: bool) -> None:
         """Start turbulence and eddies in their steady state.
 
-        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it. Two lags of the same
-        noise have a correlation of twice the root of their times' product over their sum.
+        The lag of the lag of white noise has half the variance of the lag, and a covariance of a half with it. Two lags of the
+        same noise have a correlation of twice the root of their times' product over their sum.
 
         Args:
             two_lags: whether each component has two lags of one noise (Kaimal's), instead of a lag of a lag (Dryden's).
@@ -285,13 +295,15 @@ class Vehicle:
         """Advance by `step_s` to the instant for which `ground` holds."""
         self.keep_limits()
         ground.write_deck(self._deck)
-        air = self.air_noise or self.noise
-        self.noise.prepare()
-        air.prepare()
-        SIM.lib.sim_vehicle_step(self.params, self.state, self._deck, ground.sea_z, ground.sea_vz, self.noise.row, air.row)
-        self.noise.used(1)
-        if self.air_noise is not None:
-            self.air_noise.used(1)
+        air, effects = self.air_noise or self.noise, self.effect_noise or self.noise
+        rows = tuple(dict.fromkeys((self.noise, air, effects)))
+        for noise in rows:
+            noise.prepare()
+        SIM.lib.sim_vehicle_step(
+            self.params, self.state, self._deck, ground.sea_z, ground.sea_vz, self.noise.row, air.row, effects.row
+        )
+        for noise in rows:
+            noise.used(1)
 
 
 def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> Sequence[float]:
@@ -341,8 +353,36 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
         deck_fore_m=shape.fore_m, deck_aft_m=shape.aft_m, deck_middle_m=middle, deck_half_m=half,
         deck_taper_m=shape.taper_m, deck_yaw=(cos_yaw, sin_yaw),
         gust_sigma_m_s=wind.gust_sigma_m_s, gust_keep=gust[0], gust_fresh=gust[1], flow_keep=flow[0], flow_fresh=flow[1],
-        tilt_keep=tilt[0], tilt_fresh=tilt[1], wind=wind.v_ned,
+        tilt_keep=tilt[0], tilt_fresh=tilt[1], wind=wind.v_ned, effects=_packed_effects(f, step_s),
     )  # fmt: skip
+
+
+def _packed_effects(f: Airframe, step_s: float) -> dict[str, Any]:
+    """Return the members of the core's `sim_effects`."""
+    e, weight_n, each = f.effects, f.mass_kg * G_M_S2, len(rotors(f))
+    downwash, climb = keep_and_fresh(1.0, _DOWNWASH_S, step_s), keep_and_fresh(e.loop_climb_sigma_m_s, _CLIMB_S, step_s)
+    area_m2 = each * math.pi * f.rotor_radius_m**2
+    return {
+        "on": e != EffectSettings() or f.lift_share != 1.0,
+        "saturates": e.rotor_saturation,
+        "moving_deck": e.moving_deck,
+        "sag": e.battery_sag,
+        "hover_share": weight_n / f.thrust_max_n,
+        "drag_per_m": e.drag_per_m,
+        "downwash": e.downwash_m_s2 * f.downwash_share,
+        "downwash_keep": downwash[0],
+        "downwash_fresh": downwash[1],
+        "cushion_share": step_s / (_CUSHION_S + step_s),
+        "induced_m_s": math.sqrt(weight_n / (2.0 * _AIR_DENSITY * area_m2)),
+        "climb_keep": climb[0],
+        "climb_fresh": climb[1],
+        "rate_sigma": math.radians(e.loop_rate_sigma_deg_s),
+        "loop_mass_kg": f.mass_kg - e.unknown_mass_kg,
+        "tilt_gain": f.loops.tilt_gain,
+        "lift_share": f.lift_share,
+        "thing": (e.thing_forward_m, e.thing_right_m, e.thing_radius_m, e.thing_height_m),
+        "revolution_hz": math.sqrt(weight_n / each / (_THRUST_COEFFICIENT * _AIR_DENSITY * (2.0 * f.rotor_radius_m) ** 4)),
+    }
 
 
 def _lag(time_s: float, step_s: float) -> float:

@@ -1,4 +1,4 @@
-"""The air over a ship: wind that grows with height, Dryden's or Kaimal's turbulence, discrete gusts, wakes of superstructure and hull.
+"""The air over a ship: wind that grows with height, Dryden's or Kaimal's turbulence, gusts, wakes of superstructure and hull.
 
 The formulae and their sources are the core's, `sitl/core/physics/air.c`.
 

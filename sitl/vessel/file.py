@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
+from sitl.vessel.logged_motion import read_log
 from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure
 
 COLUMNS = ("time_s", "surge_m", "sway_m", "heave_down_m", "roll_deg", "pitch_deg", "yaw_deg")
@@ -67,6 +69,22 @@ class RecordedMotion:
         if blend_s is not None and t[-1] < 3.0 * blend_s:
             raise BadInput(f"{path}: {t[-1]:.1f} s of motion are too short to blend {blend_s:g} s of them")
         return RecordedMotion(t, eta, _second_derivatives(t, eta), blend_s)
+
+    @staticmethod
+    @lru_cache(maxsize=32)
+    def of_file(path: Path, smooth_s: float) -> RecordedMotion:
+        """Return the motion in a CSV file, or in a log of NMEA sentences.
+
+        Args:
+            smooth_s: as for `sitl.vessel.logged_motion.read_log`, whose logs it is for.
+
+        Raises:
+            BadInput: as `read` and `read_log`.
+        """
+        if path.suffix == ".csv":
+            return RecordedMotion.read(path)
+        t, eta = read_log(path, smooth_s)
+        return RecordedMotion(t, eta, _second_derivatives(t, eta))
 
     @property
     def lasts_s(self) -> float:
@@ -182,6 +200,17 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     hull: Annotated[str, text(f"one of {', '.join(HULLS)}; {DEFAULT_HULL} unless said", 40)] | None = None
     file: Annotated[str, text("a shipped vessel (configs/vessels), or a path relative to the scenario file", 200)] | None = None
+    motion: Annotated[
+        str,
+        text(
+            "recorded motion in place of her own: a log of NMEA sentences, or a CSV file",
+            300,
+            shortest=0,
+        ),
+    ] = ""
+    motion_smooth_s: Annotated[
+        float, number("standard deviation in time by which a log's noise is averaged away; 0 flies it raw", "s", 0.0, 5.0)
+    ] = 0.0
     heading_deg: Annotated[float, number("heading of the bow, clockwise from north", "deg", -360.0, 360.0)] = 0.0
     speed_m_s: Annotated[float, number("speed along the heading, through the water", "m/s", 0.0, 15.0)] = 0.0
     moored: Annotated[bool, Meta(description="at anchor: wanders slowly in surge, sway and yaw")] = True

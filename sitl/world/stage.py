@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.vision.camera import Camera
 from sitl.camera.automatic import Automatics
 from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
@@ -24,7 +25,7 @@ from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Hull, Turn
-from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
+from sitl.vessel.vessel import Mooring, Mounted, RecordedVessel, TurningVessel, Vessel
 
 
 class Seeds(NamedTuple):
@@ -46,10 +47,23 @@ def flight_seeds(seed: int) -> Seeds:
 
 
 def airframe(scenario: Scenario) -> Airframe:
-    """Return the vehicle that a scenario asks for; the inertia is scaled with the mass."""
-    s = scenario.sensors
+    """Return the vehicle that a scenario asks for, as far as it differs from its model; the inertia is scaled with the mass."""
+    s, wrong, believed = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
+    loops, (x, y, z) = believed.loops, believed.drag_per_s
     return replace(
-        scenario.vehicle.airframe(vehicle_model(scenario)),
+        believed,
+        mass_kg=believed.mass_kg + scenario.effects.unknown_mass_kg,
+        loops=replace(
+            loops,
+            tilt_p=loops.tilt_p * wrong.tilt_frequency**2,
+            tilt_d=loops.tilt_d * wrong.tilt_frequency * wrong.tilt_damping,
+            tilt_gain=wrong.tilt_gain,
+        ),
+        drag_per_s=(x * wrong.drag, y * wrong.drag, z * wrong.drag),
+        command_delay_s=max(0.0, believed.command_delay_s + wrong.command_delay_s),
+        effects=msgspec.structs.replace(scenario.effects, drag_per_m=scenario.effects.drag_per_m * wrong.drag),
+        lift_share=wrong.thrust,
+        downwash_share=wrong.downwash,
         avionics=Avionics(
             tilt_bias_sigma_rad=math.radians(s.tilt_bias_sigma_deg),
             tilt_drift_sigma_rad=math.radians(s.tilt_drift_sigma_deg),
@@ -61,6 +75,16 @@ def airframe(scenario: Scenario) -> Airframe:
             flow_sees_deck=s.velocity_over == "seen",
         ),
     )
+
+
+def true_camera(scenario: Scenario) -> Camera:
+    """Return the camera as it is, where focal length and mount differ from its file."""
+    camera, wrong = camera_model(scenario), scenario.wrong_model
+    turned = [math.radians(angle) for angle in (wrong.mount_roll_deg, wrong.mount_pitch_deg, wrong.mount_yaw_deg)]
+    if wrong.focal_length == 1.0 and not any(turned):
+        return camera
+    mount = Transform(Rotation.from_rpy(*turned) @ camera.T_body_cam.R, camera.T_body_cam.t)
+    return replace(camera, fx=camera.fx * wrong.focal_length, fy=camera.fy * wrong.focal_length, T_body_cam=mount)
 
 
 def limits(scenario: Scenario) -> StickLimits:
@@ -118,7 +142,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
     sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e, readout_s=c.readout_s)
     water = Drops(d.rain_per_minute / 60.0, d.spray_per_minute / 60.0, d.spray_drops, d.radius_px, d.stays_s, seed)
     one_by_one = Renderer(
-        camera_model(scenario),
+        true_camera(scenario),
         pad_model(scenario),
         scene,
         light,
@@ -166,21 +190,38 @@ def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]
     return waves, Vessel(ship.hull, waves, **course)
 
 
-def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
-    """Put the vehicle at the scenario's start position relative to the pad, (3,) m and (3, 3)."""
+def drift_of(vessel: Vessel) -> F64:
+    """Return the mean velocity of a vessel over its first seconds beyond that of its course, (2,) m/s north and east."""
+    return np.asarray(vessel.pad(np.linspace(0.0, 4.0, 41)).v_ned[0, :, :2].mean(axis=0)) - _course_ne(vessel)
+
+
+def _course_ne(vessel: Vessel) -> F64:
+    heading, speed = float(vessel.heading_rad[0]), float(np.ravel(vessel.speed_m_s)[0])
+    return speed * np.array([math.cos(heading), math.sin(heading)])
+
+
+def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, at: Mounted, drift_ne_m_s: F64) -> None:
+    """Put the vehicle at the scenario's start position relative to the pad.
+
+    Args:
+        at: the pad's motion at the start, with shapes (3,) and (3, 3).
+        drift_ne_m_s: (2,) mean velocity of a vessel that moves as recorded, north and east; zeros for others.
+    """
     s, v = scenario.start, scenario.vessel
     yaw = math.radians(s.heading_deg)
     if s.where == "pad":
         vehicle.stand(ground, np.array([0.0, 0.0, -vehicle.airframe.feet.below_m]), yaw)
         return
-    heading = math.atan2(R_ned_pad[1, 0], R_ned_pad[0, 0]) + yaw
+    heading = math.atan2(at.R_ned[1, 0], at.R_ned[0, 0]) + yaw
     c, n = math.cos(heading), math.sin(heading)
     to_pad = (c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, s.height_m)
     course = math.radians(v.heading_deg)
     speed = v.speed_m_s if s.with_vessel else 0.0
     north, east = sea_of(scenario).current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
     along = np.array([speed * math.cos(course) + north, speed * math.sin(course) + east, 0.0])
-    vehicle.place(p_pad_ned - to_pad, along, heading)
+    if s.with_vessel:
+        along[:2] += drift_ne_m_s
+    vehicle.place(at.p_ned - to_pad, along, heading)
 
 
 def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:

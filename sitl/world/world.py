@@ -28,7 +28,7 @@ from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.faults.timer import FaultTimer
-from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal, sea_of
+from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
@@ -36,7 +36,20 @@ from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.manoeuvre import Manoeuvre
 from sitl.vessel.vessel import Mounted
-from sitl.world.stage import air, airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
+from sitl.world.stage import (
+    air,
+    airframe,
+    deck_shape,
+    drift_of,
+    flight_seeds,
+    limits,
+    place,
+    renderer,
+    sea_and_vessel,
+    true_camera,
+    wind,
+    wind_from,
+)
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 _SEA_EVERY = 5
@@ -54,7 +67,8 @@ class Physics:
         self._vehicle, self._sensors = vehicle, sensors
         v, s = vehicle, sensors
         self._air = v.air_noise or v.noise
-        self._noises = tuple(dict.fromkeys((v.noise, self._air, s.noise)))
+        self._effects = v.effect_noise or v.noise
+        self._noises = tuple(dict.fromkeys((v.noise, self._air, self._effects, s.noise)))
         self._sea, core_waves = SIM.new("sim_water", every=_SEA_EVERY), waves.packed()
         self._flight = SIM.new(
             "sim_flight", vehicle_params=v.params, vehicle=v.state, sensor_params=s.params, sensors=s.state,
@@ -85,7 +99,13 @@ class Physics:
                 n = ready
         vehicle.keep_limits()
         done: int = SIM.lib.sim_run(
-            self._flight, n, self._first_deck + first, vehicle.noise.row, self._air.row, self._sensors.noise.row
+            self._flight,
+            n,
+            self._first_deck + first,
+            vehicle.noise.row,
+            self._air.row,
+            self._effects.row,
+            self._sensors.noise.row,
         )
         for noise in self._noises:
             noise.used(done)
@@ -135,7 +155,7 @@ class World:
     def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
         refuse_gimbal(scenario)
         self.scenario, self.seed, self.started = scenario, seed, start
-        self.pad, self.camera = pad_model(scenario), camera_model(scenario)
+        self.pad, self.camera = pad_model(scenario), true_camera(scenario)
         self._step_s = STEP_NS / NS_PER_S
         seeds = flight_seeds(seed)
         self._camera_seed = seeds.camera
@@ -146,7 +166,8 @@ class World:
         )
         self._vehicle.limits = limits(scenario)
         self._vehicle.current = sea_of(scenario).current_ne_m_s
-        self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors)
+        wrong = scenario.wrong_model
+        self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors, (wrong.accelerometer_scale, wrong.gyro_scale))
         self._tick = 0
         self.now = start
         """The latest instant requested; the physics is at most one step behind."""
@@ -158,7 +179,8 @@ class World:
         self._decks = decks_of(self._pads)
         """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
         self._deck_next = self._deck_end = 0
-        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at.p_ned, at.R_ned)
+        drift = drift_of(self.vessel) if scenario.vessel.motion else np.zeros(2)
+        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
         self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None
@@ -278,7 +300,7 @@ class World:
                 and returns the image at once.
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
-        error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
+        error_s = self.scenario.wrong_model.video_delay_s + sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
         if "frame_stamps" in self.corruptions.signals:
             error_s += self.corruptions.of("frame_stamps", (self._seconds,), at)[0] - self._seconds
         freezes = any(fault.error == "frozen" for fault, _ in self.corruptions.active("frames"))

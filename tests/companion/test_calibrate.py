@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -13,15 +14,17 @@ from companion.cli.main import main
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.guide import Guide, GuideState, add_file, watch
-from companion.tools.calibrate.solve import solve
+from companion.tools.calibrate.solve import distance_errors, solve
 from companion.tools.calibrate.views import BoardView, Collection
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
-from tests.companion.calibration_images import Studio, good_round, lens
+from tests.support.calibration_images import Studio, good_round, lens
 
 CHARUCO = Board()
 CHESSBOARD = Board("chessboard", 8, 5, 0.025)
+APRILGRID = Board("aprilgrid", 4, 3, 0.052, 0.04)
 BENT = lens(480, 320, 350.0, (-0.14, 0.07, 0.0009, -0.0006, 0.0))
 STRAIGHT = lens(480, 320, 390.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 
@@ -33,6 +36,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for board, camera, distance_m, inset, middle in (
         (CHARUCO, BENT, 0.30, (0.14, 0.2), 0.65),
         (CHESSBOARD, STRAIGHT, 0.70, (0.15, 0.22), 0.5),
+        (APRILGRID, BENT, 0.30, (0.14, 0.2), 0.65),
     ):
         folder = out[board.kind] = tmp_path_factory.mktemp(board.kind)
         for i, px in enumerate(good_round(Studio(camera, board), distance_m, inset, middle)):
@@ -50,7 +54,11 @@ def worst_px(found: Camera, true: Camera) -> float:
 
 @pytest.mark.parametrize(
     ("kind", "true", "more"),
-    [("charuco", BENT, []), ("chessboard", STRAIGHT, ["--board", "chessboard", "--squares", "8x5"])],
+    [
+        ("charuco", BENT, []),
+        ("chessboard", STRAIGHT, ["--board", "chessboard", "--squares", "8x5"]),
+        ("aprilgrid", BENT, ["--board", "aprilgrid", "--squares", "4x3", "--square-mm", "52", "--marker-mm", "40"]),
+    ],
 )
 def test_a_known_camera_is_recovered(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, true: Camera, more: list[str]
@@ -101,7 +109,55 @@ def test_views_without_tilt_are_refused_for_it() -> None:
     found = assess.assess(solve(collection.views, CHARUCO, collection.size), collection.size)
     assert sum("tilted by 15 degrees" in lack for lack in found.uncovered) == 2
     assert found.grade == "poor"
-    assert "principal point known to" in found.imprecise[0]
+    assert "flat ones cannot tell the focal length" in found.imprecise[0]
+
+
+def held(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float = 0.2) -> list[BoardView]:
+    """Corners of a board, with a tenth of a pixel of noise, tilted each time by up to some angle to either side."""
+    rng, out = np.random.default_rng(seed), []
+    middle = np.array([board.columns, board.rows, 0.0]) * board.square_m / 2
+    for k in range(12):
+        R = Rotation.from_rpy(*np.radians([*rng.uniform(-tilt_deg, tilt_deg, 2), rng.uniform(-60, 60)])).matrix
+        ray = np.append(camera.rays(rng.uniform(0.5 - reach, 0.5 + reach, (1, 2)) * (camera.width, camera.height))[0], 1.0)
+        uv = camera.project(board.corners_m @ R.T + 12.0 * board.square_m * rng.uniform(1.0, 1.6) * ray - R @ middle)
+        out.append(BoardView(str(k), np.arange(len(uv)), uv + rng.normal(0.0, 0.1, uv.shape)))
+    return out
+
+
+@pytest.mark.parametrize("tilt_deg", [0.6, 30.0])
+def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt_deg: float) -> None:
+    views = held(BENT, CHARUCO, tilt_deg, 5)
+    one, large = (solve(views, Board(square_m=s, marker_m=0.7 * s), (480, 320)) for s in (0.025, 0.8))
+    assert np.allclose(one.sigma, large.sigma, rtol=0.05)
+    off = np.abs(distance_errors(one.camera, BENT))
+    assert off.max() < one.distances_right_to * 1.5
+    assert (one.distances_right_to < 0.006) == (tilt_deg > 1.0)
+    assert (assess.assess(one, (480, 320)).grade == "poor") == (tilt_deg < 1.0)
+
+
+def test_a_flat_set_is_written_by_force_alone_and_its_cost_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    studio, out = Studio(STRAIGHT, CHESSBOARD), tmp_path / "camera.toml"
+    for i in range(4):
+        px = studio.aim((200.0 + 15 * i, 180.0 - 8 * i), 0.55 + 0.02 * i, (0.6, -0.6, 7.0 * i))
+        cv2.imwrite(str(tmp_path / f"{i}.png"), px)
+    words = ["calibrate", "camera", str(tmp_path), "--board", "chessboard", "--squares", "8x5", "--out", str(out)]
+    assert main([*words, "--accept", "fair"]) == 1
+    assert "(--force writes it all the same)" in capsys.readouterr().out
+    assert not out.exists()
+    assert main([*words, "--force"]) == 0
+    said = capsys.readouterr().out
+    assert "at touchdown" in said or "Distances are not known" in said
+    assert Camera.from_mapping(tomllib.loads(out.read_text())).focal_sigma > 0.02
+
+
+def test_a_fisheye_is_recognized_and_recovered() -> None:
+    straight = lens(480, 320, 220.0, (0.0,) * 5)
+    k = np.array([-0.02, 0.004, -0.001, 0.0002])
+    true = replace(straight, lens="fisheye", distortion=k)
+    views = held(true, CHARUCO, 35.0, 7, 0.36)
+    found = solve(views, CHARUCO, (480, 320), STRAIGHT.T_body_cam)
+    assert found.model.startswith("fisheye")
+    assert np.abs(distance_errors(found.camera, true)).max() < 1.5 * found.distances_right_to < 0.02
 
 
 def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepted(

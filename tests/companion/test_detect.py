@@ -11,6 +11,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.recording.reading import RecordedFrame, open_recording
+from estimator.pad_tracker import PadTracker
 from estimator.vision.pad import Pad
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
@@ -42,7 +43,8 @@ def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
 
 
 def test_one_object_a_frame_with_the_promised_keys(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert detect(album, "--camera", "sim", "--pad", "thesis", "--colours", "simulator", "--json") == 0
+    thesis = ("--method", "fused", "--colours", "simulator")
+    assert detect(album, "--camera", "sim", "--pad", "thesis", *thesis, "--json") == 0
     a, b, c = records(capsys)
     for record in (a, b, c):
         assert [key for key in record if key in (*KEYS, "elapsed_ms")] == [*KEYS, "elapsed_ms"]
@@ -63,17 +65,30 @@ def test_one_object_a_frame_with_the_promised_keys(album: Path, capsys: pytest.C
     assert set(c["methods"].values()) == {None}  # type: ignore[attr-defined]
 
 
+def test_by_default_it_runs_what_flies(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The sighting is the tracker's own, to the last digit printed; the thesis' methods did not run."""
+    assert detect(album / "a.png", "--camera", "sim", "--json") == 0
+    (shown,) = records(capsys)
+    px = np.asarray(cv2.imread(str(album / "a.png")), np.uint8)
+    flown = PadTracker(shipped_camera("sim"), shipped_pad("thesis")).track(px)
+    assert flown is not None
+    assert shown["d_body_pad_level_m"] == [round(v, 6) for v in flown.d_body_pad_level.tolist()]
+    assert shown["cov"] == flown.cov.ravel().tolist()
+    assert (shown["method"], shown["colours"]) == ("registration", None)
+    assert [name for name, of in shown["methods"].items() if of is not None] == ["registration"]  # type: ignore[attr-defined]
+
+
 def test_a_recording_brings_its_camera_its_pad_and_its_attitudes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     golden = Path(__file__).parents[1] / "golden/frames.mcap"
     kept = [e for e in open_recording([golden]).events() if isinstance(e, RecordedFrame) and e.image is not None]
-    assert detect(golden, "--colours", "simulator", "--json") == 0
+    assert detect(golden, "--json") == 0
     found = records(capsys)
     assert len(found) == len(kept) > 3
     assert all(r["found"] for r in found)
     first, d = kept[0].record.selected, found[0]["d_body_pad_level_m"]
     assert first is not None
     assert d == pytest.approx(first.d_body_pad_level, abs=0.03)
-    assert detect(golden, "--camera", "sim", "--annotate", tmp_path / "seen", "--colours", "simulator") == 0
+    assert detect(golden, "--camera", "sim", "--annotate", tmp_path / "seen") == 0
     assert (tmp_path / "seen/frames_00000.png").is_file()
     bare = tmp_path / "bare.mcap"
     assert cli.main(["record", "cut", str(golden), "--no-frames", "--output", str(bare)]) == 0
@@ -91,7 +106,7 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
     """3 and 2 degrees move the pad by 9 cm at 1.4 m. Without attitude the drawing's slant tells most; the covariance holds."""
     table = tmp_path / "attitude.csv"
     table.write_text("source,roll_deg,pitch_deg\na.png, 3.0, -2.0\n")
-    common = (album / "a.png", "--camera", "sim", "--colours", "simulator", "--json")
+    common = (album / "a.png", "--camera", "sim", "--json")
     assert detect(*common, "--attitude", table, "--attitude-sigma-deg", "0.1") == 0
     assert detect(*common) == 0
     told, assumed = records(capsys)
@@ -115,7 +130,7 @@ def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFi
             px = image(PadPlacement((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
             out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
         out.mux(stream.encode())
-    assert detect(path, "--camera", "sim", "--json", "--colours", "simulator") == 0
+    assert detect(path, "--camera", "sim", "--json") == 0
     seen = records(capsys)
     assert [r["index"] for r in seen] == [0, 1, 2, 3]
     down = [r["d_body_pad_level_m"][2] for r in seen if r["found"]]  # type: ignore[index]
@@ -127,7 +142,7 @@ def test_lines_for_people_and_images_of_what_was_seen(album: Path, tmp_path: Pat
     assert detect(album, "--camera", "sim", "--annotate", drawn) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:2] == ["source", "method"]
-    assert lines[1].split()[:2] == ["a.png", "fused"]
+    assert lines[1].split()[:2] == ["a.png", "registration"]
     assert lines[3].split()[:2] == ["c.png", "nothing"]
     assert lines[-1] == "found in 2 of 3 frames"
     names = sorted(p.name for p in drawn.iterdir())
@@ -222,7 +237,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
 
 
 def test_both_opinions_are_printed_where_a_second_one_is_asked(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    asked = (album / "a.png", "--camera", "sim", "--colours", "simulator")
+    asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0
     alone, both = records(capsys)
     assert alone["opinions"] is None

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from companion.base import event_loop
 from companion.base.health import Health
-from companion.base.notify import Pulse
+from companion.base.liveness import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.parts.mavlink.bridge import BridgePart

@@ -15,7 +15,8 @@ from companion.guidance.held_course import HeldCourse
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
 from companion.guidance.situation import GuidanceCycle
-from companion.guidance.watch import events, fit_in
+from companion.guidance.watch import account, events, fit_in
+from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import Verdict
 from tests.companion.mission_flights import estimate, guided, ns
@@ -148,14 +149,34 @@ def test_it_presses_on_for_its_time(since_s: float, pressed: bool) -> None:
 # What ends the flight's tries
 
 
+STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
+"""A wind beyond what the vehicle's tilt can fly, though not beyond all of it."""
+
+
 @pytest.mark.parametrize(
-    ("lean_deg", "on_way_s", "windy"), [(15.1, None, True), (14.9, None, False), (15.1, 6.0, False), (15.1, 6.01, True)]
-)
-def test_wind_is_a_mean_lean_that_is_not_the_vehicle_s_own_speed(lean_deg: float, on_way_s: float | None, windy: bool) -> None:
-    p = memory(State.DESCEND, on_way=None if on_way_s is None else ns(NOW - on_way_s))
-    found = figures(of(Event.NO_CONDITIONS, p, cycle(seen(), lean_rad=math.radians(lean_deg))))
-    assert found == ((ReasonCause.WIND, pytest.approx(lean_deg), 15.0) if windy else None)
+    ("windy_s", "spent", "up", "refuses"),
+    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, True), (20.0, False, True, False),
+     (20.01, False, True, True)],
+)  # fmt: skip
+def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, up: bool, refuses: bool) -> None:
+    """WHY: one gust must not end a flight, and a wind that leaves no tilt must."""
+    p = memory(State.DESCEND, windy_since=ns(NOW - windy_s))
+    s = cycle(seen(), wind=STRONG._replace(spent=spent))
+    expected = (ReasonCause.WIND, 9.0, 8.0)
+    assert figures(of(Event.LIMIT, p, s)) == (expected if up else None)
+    assert figures(of(Event.NO_CONDITIONS, p, s)) == (expected if refuses else None)
+    over = cycle(seen((0.0, 0.0, 2.0)), wind=STRONG)
+    assert (of(Event.IN_CONE, replace(p, state=State.INTERCEPT), over) is None) is up, "it waits over the pad"
     assert of(Event.NO_CONDITIONS, p, cycle(seen())) is None
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "on_way_s", "windy"), [(8.1, None, True), (8.0, None, False), (8.1, 10.0, False), (8.1, 10.01, True)]
+)
+def test_the_vehicle_s_own_speed_is_no_wind(speed_m_s: float, on_way_s: float | None, windy: bool) -> None:
+    p = memory(State.DESCEND, on_way=None if on_way_s is None else ns(NOW - on_way_s))
+    noted = account(p, cycle(seen(), wind=STRONG._replace(speed_m_s=speed_m_s)), GuidanceOptions())
+    assert (noted.windy_since is not None) is windy
 
 
 @pytest.mark.parametrize(("battery", "low"), [(0.09, True), (0.1, False), (None, False)])
@@ -194,8 +215,8 @@ def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
     assert after(2.0, wind, 4) == [(Event.NO_CONDITIONS, wind), (Event.HOPELESS, wind)]
     assert after(2.0, wind, 3) == []
     assert after(2.0, wind, 3, refusing=True) == [(Event.NO_CONDITIONS, wind)]
-    assert after(2.0, WHY, 3, lean_rad=0.4)[0][0] is Event.NO_CONDITIONS
-    assert after(1.7, WHY, 3, lean_rad=0.4) == [], "up first"
+    assert after(2.0, WHY, 3, late_s=0.5)[0][0] is Event.NO_CONDITIONS
+    assert after(1.7, WHY, 3, late_s=0.5) == [], "up first"
     assert of(Event.HOPELESS, memory(State.HOLD_BLIND, fault=WHY, go_arounds=9), cycle(seen())) is None
 
 

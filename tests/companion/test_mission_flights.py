@@ -17,6 +17,7 @@ from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.steer import Aim, never_lower
+from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
@@ -213,13 +214,15 @@ def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contac
 
 
 def test_wind_and_battery_refuse_with_their_numbers() -> None:
-    for situation, cause in (({"lean_rad": 0.4}, ReasonCause.WIND), ({"battery": 0.05}, ReasonCause.BATTERY)):
+    gale = WindOverDrone(14.0, 1.0, 9.0, (1.0, 0.0), 0.48, spent=True)
+    for situation, cause in (({"wind": gale}, ReasonCause.WIND), ({"battery": 0.05}, ReasonCause.BATTERY)):
         o = GuidanceOptions()
         progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
         seen = estimate(0.0, [0, 0, 3.0])
         s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
-        progress, _, (change, *_) = mission_step(progress, s, o, over_ground=False)
-        assert (progress.state, change.reason.cause) == (State.REFUSED, cause)
+        progress, _, _ = mission_step(replace(progress, windy_since=ns(-3.0)), s, o, over_ground=False)
+        assert progress.fault is not None
+        assert (progress.state, progress.fault.cause) == (State.REFUSED, cause)
 
 
 def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:

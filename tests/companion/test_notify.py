@@ -11,8 +11,7 @@ import aiohttp
 import pytest
 
 from companion.base.health import Health
-from companion.base.liveness import LivenessLimits, stuck
-from companion.base.notify import Manager, Pulse, watchdog_interval_s
+from companion.base.liveness import LivenessLimits, Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint

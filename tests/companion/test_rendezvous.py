@@ -14,6 +14,7 @@ from companion.guidance.controller import Knowledge
 from companion.guidance.landing import mission_step, reported
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, VesselPosition
+from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.commands import Velocity
@@ -113,13 +114,17 @@ def test_a_ship_that_is_never_reached_is_given_up() -> None:
 
 def test_the_lean_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> None:
     o = GuidanceOptions(rendezvous=OPTIONS)
-    way_s, lean = 3.0, math.radians(o.limits.wind_lean_deg + 2.0)
+    way_s, strong, calm = (
+        3.0,
+        WindOverDrone(12.0, 1.0, 8.0, (1.0, 0.0), 0.4, True),
+        WindOverDrone(1.0, 1.0, 8.0, (1.0, 0.0), 0.1, False),
+    )
     p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
     states = []
-    for n in range(round((way_s + 10.0) / DT)):
+    for n in range(round((way_s + 20.0) / DT)):
         t = n * DT
         far_away = [60.0, 0.0] if t < way_s else [OPTIONS.range_m, 0.0]
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), None), lean_rad=lean if t > 0.5 else 0.0, vessel=place(far_away, t=t))
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), None), wind=strong if t > 0.5 else calm, vessel=place(far_away, t=t))
         p, _, changes = mission_step(p, s, o, over_ground=False)
         states.append(p.state)
         if p.state is State.REFUSED:
@@ -127,7 +132,7 @@ def test_the_lean_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> 
             break
     assert State.RENDEZVOUS in states
     assert states[-1] is State.REFUSED
-    assert way_s + 5.0 < len(states) * DT < way_s + 7.0
+    assert way_s + 11.0 < len(states) * DT < way_s + 13.0
 
 
 def test_the_square_expands_and_begins_again() -> None:

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from companion.base.mission import Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.recording.palette import MARKERS, OTHER, OUTLINE, bgr, colour
-from companion.tools.report.estimate_plots import place
 from companion.tools.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows, timing_rows
 from companion.tools.report.flight_log import (
     CommandRecord,
@@ -34,7 +33,7 @@ from companion.tools.report.flight_log import (
 from companion.tools.report.layers import SPANS, Layer, Plot, thinned
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
 from companion.tools.report.page import render, write_report
-from companion.tools.report.ship_plots import ship
+from companion.tools.report.plots import place, ship
 from companion.tools.report.video import FILM_BYTES, FilmFile, FlightVideo, film_of
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput

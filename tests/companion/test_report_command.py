@@ -10,7 +10,7 @@ import pytest
 from companion.cli import main as cli
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
-from companion.tools.report.comparison import landing_began_s
+from companion.tools.report.page import landing_began_s
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import seconds_between
 from tests.companion.test_report import column, parts_of

@@ -9,7 +9,7 @@ from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.parts.mavlink.component import Component, ComponentOptions
-from companion.parts.mavlink.status_texts import MavSeverity
+from companion.parts.mavlink.outputs import MavSeverity
 from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt.encode import Changes
 from companion.recording import decode, encode, records

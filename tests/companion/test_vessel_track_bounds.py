@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance import vessel_track
+from companion.guidance import rendezvous
+from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.situation import VesselPosition
-from companion.guidance.vessel_track import VesselTrack
 from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
@@ -39,12 +39,12 @@ def report(t, v=None, var=(0.04, 0.01), heading=None, late_s=0.0) -> VesselRepor
 def track_of(*samples, limits: ReportLimits = LIMITS) -> VesselTrack:
     track = VesselTrack(limits)
     for sample in samples:
-        track = vessel_track.on_sample(track, sample)
+        track = rendezvous.on_sample(track, sample)
     return track
 
 
 def found(track: VesselTrack, t: float) -> VesselPosition | ReasonCause:
-    place = vessel_track.position(track, ns(t))
+    place = rendezvous.position(track, ns(t))
     return place.cause if isinstance(place, Reason) else place
 
 
@@ -71,7 +71,7 @@ def test_the_ship_s_place_counts_until_its_age_says_so() -> None:
     old = LIMITS.age_max_s
     for age_s, counts in ((old, True), (old + 0.001, False)):
         t = 20.0 + age_s
-        reason = vessel_track.position(track_of(fix("vessel", 20.0), fix("vehicle", t), nose(t)), ns(t))
+        reason = rendezvous.position(track_of(fix("vessel", 20.0), fix("vehicle", t), nose(t)), ns(t))
         assert isinstance(reason, VesselPosition) is counts
         if isinstance(reason, Reason):
             assert (reason.cause, reason.measured, reason.limit) == (ReasonCause.VESSEL_OLD, pytest.approx(age_s), old)
@@ -81,10 +81,10 @@ def test_her_velocity_counts_until_it_is_forgotten() -> None:
     for age_s, counts in ((LIMITS.forget_s, True), (LIMITS.forget_s + 0.001, False)):
         t = 100.0
         track = track_of(report(t - age_s, (2.0, -1.0)), fix("vessel", t, (30.0, 0.0, 0.0)), fix("vehicle", t), nose(t))
-        v = vessel_track.velocity_ned(track, ns(t))
+        v = rendezvous.velocity_ned(track, ns(t))
         assert (v is not None) is counts
         assert known(track, t).v_level == pytest.approx([2.0, -1.0] if counts else [0.0, 0.0])
-    assert vessel_track.velocity_ned(VesselTrack(), ns(1.0)) is None
+    assert rendezvous.velocity_ned(VesselTrack(), ns(1.0)) is None
 
 
 def test_her_compass_counts_for_ten_seconds_and_her_course_from_seven_tenths_of_a_metre_a_second() -> None:
@@ -172,11 +172,11 @@ def test_why_she_is_refused_is_said_while_her_reports_arrive_and_forgotten_with_
         t = 10.5 + since_s
         assert found(track_of(before, jumped, fix("vehicle", t), nose(t)), t) is cause
     assert track_of(before, jumped, fix("vessel", 11.0)).newest_refusal is None
-    again = vessel_track.restarted(track_of(before, jumped, fix("vehicle", 10.6), nose(10.6)))
+    again = rendezvous.restarted(track_of(before, jumped, fix("vehicle", 10.6), nose(10.6)))
     assert found(again, 10.6) is ReasonCause.VESSEL_SILENT
     t = 8.5
     earlier = track_of(before, fix("vessel", t), fix("vehicle", t), nose(t))
-    assert found(vessel_track.restarted(earlier), t) is ReasonCause.VESSEL_SILENT
+    assert found(rendezvous.restarted(earlier), t) is ReasonCause.VESSEL_SILENT
     alone = track_of(fix("vessel", 9.0, v=(99.0, 0.0, 0.0)), fix("vehicle", 9.0), nose(9.0))
     assert found(alone, 9.0) is ReasonCause.VESSEL_TOO_FAST
 
@@ -216,7 +216,7 @@ def test_a_place_that_is_too_uncertain_is_none_and_says_by_how_much() -> None:
     limits = ReportLimits(sigma_max_m=5.0)
     for sigma_m, counts in ((4.0, True), (4.001, False)):
         samples = fix("vessel", 9.0, sigma_m=3.0), fix("vehicle", 9.0, sigma_m=sigma_m, v=(0.0, 0.0, 0.0))
-        reason = vessel_track.position(track_of(*samples, nose(9.0), limits=limits), ns(9.0))
+        reason = rendezvous.position(track_of(*samples, nose(9.0), limits=limits), ns(9.0))
         assert isinstance(reason, VesselPosition) is counts
         if isinstance(reason, Reason):
             assert (reason.cause, reason.limit) == (ReasonCause.VESSEL_SIGMA, 5.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from drivers.camera import images
 from drivers.camera.images import MOST_PIXELS, ImageRefused, claimed_size, decode
@@ -120,6 +121,52 @@ def test_a_jpeg_torn_in_the_middle_is_refused(progressive: int) -> None:
         with contextlib.suppress(ImageRefused):
             taken += decode(torn, (320, 240)) is not None
     assert taken <= 8, "some gaps leave what an encoder might have written: docs/decisions/095"
+
+
+def test_most_flipped_bits_that_shift_what_follows_are_refused() -> None:
+    """A wrong bit that leaves valid codes shifts the brightness of all blocks behind it, and no decoder warns."""
+    rng, shifted, refused = np.random.default_rng(6), 0, 0
+    for seed in range(80):
+        px = slanted(seed)
+        whole = cv2.imencode(".jpg", px, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
+        clean = decode(whole)
+        begin = whole.index(b"\xff\xda") + 14
+        torn = bytearray(whole)
+        torn[int(rng.integers(begin, len(whole) - 2))] ^= 1 << int(rng.integers(8))
+        seen = cv2.imdecode(np.frombuffer(bytes(torn), np.uint8), cv2.IMREAD_COLOR)
+        if (np.abs(seen.astype(int) - clean).max(axis=2) > 12).mean() < 0.05:
+            continue
+        shifted += 1
+        try:
+            decode(bytes(torn))
+        except ImageRefused:
+            refused += 1
+    assert shifted > 12
+    assert refused > 0.7 * shifted, f"{refused} of {shifted}"
+
+
+@pytest.mark.parametrize("quality", [10, 40, 75, 95])
+@pytest.mark.parametrize("factor", [cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422])
+def test_no_whole_jpeg_is_refused_for_its_edges(quality: int, factor: int) -> None:
+    """Horizons of all slants, bars along the rows of blocks, and haze."""
+    for seed in range(24):
+        px = slanted(seed)
+        if seed % 3 == 0:
+            px[: 16 * (seed % 5 + 1)] = 0
+        if seed % 4 == 0:
+            px = (200 + px.astype(int) // 10).astype(np.uint8)
+        options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor]
+        decode(cv2.imencode(".jpg", px, options)[1].tobytes())
+
+
+def slanted(seed: int) -> NDArray[np.uint8]:
+    """Return an image of 320x240 px: a flat deck and the sea behind an edge that is nearly level, with noise."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:240, :320]
+    edge = rows - rng.uniform(40, 200) - rng.uniform(-0.15, 0.15) * (columns - 160)
+    part = np.clip(edge / rng.uniform(0.5, 3.0), -1.0, 1.0)[..., None]
+    px = rng.uniform(60, 200, 3) + part * rng.uniform(-50, 50, 3) + rng.normal(0, 2, (240, 320, 3))
+    return np.clip(px, 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(("suffix", "bits"), [(".png", 10), (".png", 12), (".png", 16), (".tif", 14), (".pgm", 10), (".pgm", 5)])

@@ -51,7 +51,7 @@ def test_a_gimbal_that_points_down_holds_a_straight_camera_with_the_nose_at_the_
     held = camera.held(DOWN)
     assert held.T_body_cam.R.angle_to(Rotation.from_rpy(0.0, 0.0, math.pi / 2)) < 1e-9
     assert held.T_body_cam.t.tolist() == [0.1, 0.0, 0.05]
-    assert held.lens == camera.lens, "what is computed for a lens is found again"
+    assert held.optics == camera.optics, "what is computed for a lens is found again"
 
 
 def test_a_swinging_gimbal_is_interpolated_within_its_claimed_error() -> None:

@@ -171,7 +171,7 @@ def test_every_number_says_its_unit_range_and_meaning() -> None:
         "m": "_m", "s": "_s", "m/s": "_m_s", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "K": "_k", "kg": "_kg",
         "px": "_px", "Pa": "_pa", "T": "_t", "m/s^2": "_m_s2", "rad/s": "_rad_s",
         "m/s^3": "_m_s3", "deg/s^2": "_deg_s2", "Pa/s": "_pa_s", "uT": "_ut", "uT/s": "_ut_s", "per min": "per_minute",
-        "kbit/s": "_kbit_s", "id": "_id",
+        "kbit/s": "_kbit_s", "id": "_id", "km": "_km", "1/m": "_per_m",
     }  # fmt: skip
     keys = [*walk(Scenario), *(key for kind in KINDS.values() for key in walk(kind))]
     assert len(keys) > 60

@@ -25,10 +25,9 @@ from companion.base.response_in_use import ResponseState
 from companion.parts.mavlink.commands import CommandServer, Offered
 from companion.parts.mavlink.computer import ComputerReader, computer_status
 from companion.parts.mavlink.operator import Operator
-from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.outputs import MavSeverity, Outputs, StatusTexts
 from companion.parts.mavlink.parameters import ParameterServer, Store
 from companion.parts.mavlink.refusals import Refusals
-from companion.parts.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.parts.mavlink.target_track import TargetTrack
 from companion.settings.mavlink import OutputOptions
 from drivers.mavlink.access import AccessLevel

@@ -1,16 +1,26 @@
-"""Decode commands from the broker, check them and carry each out once. No sockets and no clocks.
+"""Decode commands and the ship's reports from the broker, check their signatures, and carry each command out once. No I/O.
 
 A command names the run of the service that it is meant for and its expiry, both in the terms of the drone's own messages:
 no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out. If a key is
-set, the command must be signed as well; an unsigned one leaves no trace but a count and an answer.
+set, the command must be signed as well; an unsigned one leaves no trace but a count and an answer. A ship's report carries the
+run of the service and its own instant on the drone's clock, and is checked likewise.
+
+What is signed is the signature, a space, and the JSON. The signature is HMAC-SHA-256 over the topic, a line feed and the very
+bytes of the JSON, written as 64 hexadecimal digits. The topic names the drone; the JSON names the run of the service, the
+command's own id and its expiry, so that a copy is worth nothing for another drone, after a restart, a second time, or later.
 """
 
+import hashlib
 import hmac
+import logging
+import math
+import re
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import msgspec
+import numpy as np
 
 from companion.parts.mqtt.messages import (
     AbortCommand,
@@ -20,12 +30,50 @@ from companion.parts.mqtt.messages import (
     Refusal,
     SetPathCommand,
     SetRecordingCommand,
+    ShipReport,
     StartCommand,
 )
-from companion.parts.mqtt.signature import Forged, Unsigned, verified
 from companion.parts.mqtt.topics import Topics
+from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
 from estimator.contracts.estimates import PathName
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.samples import GeoFix, VesselReport
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+_SIGNED = re.compile(rb"([0-9a-f]{64}) (.+)", re.DOTALL)
+
+
+class Unsigned(ValueError):
+    """The payload carries no signature at all."""
+
+
+class Forged(ValueError):
+    """The signature does not match this topic, command and key."""
+
+
+def signed(key: bytes, topic: str, command: bytes) -> bytes:
+    """Return the payload to publish on `topic` for a command in JSON."""
+    return _digits(key, topic, command) + b" " + command
+
+
+def verified(key: bytes, topic: str, payload: bytes) -> bytes:
+    """Return the command in JSON.
+
+    Raises:
+        Unsigned: the payload does not begin with a signature.
+        Forged: the signature is wrong.
+    """
+    match = _SIGNED.fullmatch(payload)
+    if match is None:
+        raise Unsigned
+    if not hmac.compare_digest(match[1], _digits(key, topic, match[2])):
+        raise Forged
+    return match[2]
+
+
+def _digits(key: bytes, topic: str, command: bytes) -> bytes:
+    return hmac.new(key, topic.encode() + b"\n" + command, hashlib.sha256).hexdigest().encode()
+
 
 LONGEST_BYTES = 4096
 FARTHEST_S = 60.0
@@ -160,3 +208,87 @@ def _id_in(payload: bytes) -> str | None:
         return None
     found = data.get("id") if isinstance(data, dict) else None
     return found if isinstance(found, str) and len(found) <= 64 else None
+
+
+log = logging.getLogger(__name__)
+
+REPORT_MAX_BYTES = 1024
+_STAMP_SIGMA_S = 0.2
+"""Standard deviation of the report's instant: its sender knows the drone's clock by messages that took their time to it."""
+
+_report_decoder = msgspec.json.Decoder(ShipReport)
+
+Samples = list[GeoFix | VesselReport]
+
+
+@dataclass(slots=True)
+class ShipReportReader:
+    """Reads the reports of one ship.
+
+    Args:
+        run: the id of this run of the service that only those who may command can read.
+        key: the key that reports are signed with; None if the broker decides who may send them.
+    """
+
+    topics: Topics
+    run: str
+    key: bytes | None = field(default=None, repr=False)
+    counts: Counter[str] = field(default_factory=Counter)
+    """The number of reports by `taken`, or by the reason why they were refused."""
+    _newest_ns: int = -1
+
+    def samples(self, payload: bytes, received_at: MonoNs, *, retained: bool = False) -> Samples:
+        """Return the samples in one message; none if it is refused, which is counted and logged once for each reason."""
+        try:
+            out = self._samples(payload, received_at, retained)
+        except _Refused as why:
+            reason = str(why)
+            if reason not in self.counts:
+                log.warning("a report of the ship was refused (%s); the next ones are counted only", reason.replace("_", " "))
+            self.counts[reason] += 1
+            return []
+        self.counts["taken"] += 1
+        return out
+
+    def _samples(self, payload: bytes, received_at: MonoNs, retained: bool) -> Samples:
+        if len(payload) > REPORT_MAX_BYTES:
+            raise _Refused("too_long")
+        if self.key is not None:
+            try:
+                payload = verified(self.key, self.topics.vessel, payload)
+            except Unsigned:
+                raise _Refused("unsigned") from None
+            except Forged:
+                raise _Refused("bad_signature") from None
+        try:
+            report = _report_decoder.decode(payload)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            raise _Refused("malformed") from None
+        if retained:
+            raise _Refused("retained")
+        if not hmac.compare_digest(report.run.encode(errors="replace"), self.run.encode()):
+            raise _Refused("other_run")
+        if report.at_ns > received_at:
+            raise _Refused("ahead")
+        if report.at_ns <= self._newest_ns:
+            raise _Refused("not_newer")
+        self._newest_ns = report.at_ns
+        return _samples(report, Stamp(MonoNs(report.at_ns), received_at, _STAMP_SIGMA_S, "synced"))
+
+
+class _Refused(Exception):
+    """A report is not taken; the text is the name of the counter."""
+
+
+def _samples(report: ShipReport, stamp: Stamp) -> Samples:
+    v = None
+    if report.speed_m_s is not None and report.course_deg is not None:
+        course = math.radians(report.course_deg)
+        v = np.array([report.speed_m_s * math.cos(course), report.speed_m_s * math.sin(course), 0.0])
+    place = GeoPoint.of_degrees(report.latitude_deg, report.longitude_deg, report.height_m)
+    out: Samples = [GeoFix(stamp, "vessel", place, report.sigma_m, v)]
+    if v is None and report.heading_deg is None:
+        return out
+    cov = None if v is None else COV_SPEED
+    heading = None if report.heading_deg is None else math.radians(report.heading_deg)
+    return [*out, VesselReport(stamp, v, cov, heading, None if heading is None else HEADING_SIGMA_RAD)]

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
 from companion.guidance.pilot import Pilot
-from companion.parts.page.calibration_tool import CalibrationTool
-from companion.parts.page.doctor_tool import DoctorTool
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.page.settings_tool import SettingsTool
 from companion.parts.page.tool import Tool, flying
@@ -21,6 +19,262 @@ from estimator.contracts.ports import Clock
 
 if TYPE_CHECKING:
     from drivers.mavlink.autopilot import Autopilot
+
+import asyncio
+import math
+import tomllib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.observer import ProcessedFrame
+from companion.base.worker import Worker
+from companion.parts.page.settings_tool import ARMED, NO_FILE
+from companion.parts.page.tool_messages import (
+    CalibrationReport,
+    CalibrationRequest,
+    ExaminedReport,
+    ExamineRequest,
+    PageFinding,
+    ToolRequest,
+)
+from companion.parts.page.viewer import PageViewer
+from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.camera_file import text
+from companion.tools.calibrate.guide import Guide, GuideState
+from companion.tools.doctor.live import Examination, TookOff
+from companion.tools.doctor.snapshot import Snapshot
+from drivers.mailbox import Latest
+from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.camera import Camera
+
+NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
+TOOK_OFF = "the vehicle took off, which ends the calibration"
+NAME = "camera_calibrated.toml"
+"""The file that is written beside the settings."""
+_FRAME_S = 0.2
+"""Interval of the frames that are looked at: a person moves a board no faster."""
+_MARKER = 0.72
+"""Side of a ChArUco marker as a share of a square, as `decklander pad print --board charuco` prints it."""
+
+
+@dataclass(slots=True)
+class _Run:
+    """A calibration under way."""
+
+    guide: Guide
+    board: str
+    viewers: list[PageViewer]
+    ended: bool = False
+
+
+class CalibrationTool:
+    """See the module's docstring.
+
+    Args:
+        file: the settings file, beside which the camera file is saved; None if there is none.
+        flying: whether the vehicle flies now.
+        armed: whether its motors are armed, as far as it says so.
+    """
+
+    kinds: tuple[type, ...] = (CalibrationRequest,)
+
+    def __init__(
+        self, pilot: Pilot, clock: Clock, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
+    ) -> None:
+        self._pilot = pilot
+        self._clock = clock
+        self._file = file
+        self._flying = flying
+        self._armed = armed
+        self._run: _Run | None = None
+        self._frames: Latest[NDArray[np.uint8]] = Latest()
+        self._offered: MonoNs | None = None
+
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        assert isinstance(request, CalibrationRequest)
+        if request.action == "begin":
+            viewer.tell(self._begin(viewer, request))
+        elif request.action == "end":
+            self._end("ended")
+        else:
+            viewer.tell(self._saved())
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        now = self._clock.now()
+        if self._run is None or self._run.ended:
+            return
+        if self._offered is None or seconds_between(self._offered, now) >= _FRAME_S:
+            self._offered = now
+            self._frames.offer(processed.frame.px)
+
+    async def run(self) -> None:
+        worker = Worker("page calibration")
+        try:
+            async for px in self._frames:
+                run = self._run
+                if run is None or run.ended:
+                    continue
+                if self._flying():
+                    self._end(TOOK_OFF)
+                    continue
+                try:
+                    state = await worker.run(run.guide.add, f"frame {run.guide.state.images}", px)
+                except BadInput as why:
+                    self._end(str(why))
+                    continue
+                if not run.ended:
+                    run.ended = state.complete
+                    self._tell(run, "complete" if run.ended else "")
+        finally:
+            worker.close()
+
+    def _begin(self, viewer: PageViewer, request: CalibrationRequest) -> CalibrationReport:
+        if self._flying():
+            return CalibrationReport(active=False, text=NO_CALIBRATION_IN_FLIGHT)
+        if self._run is not None and not self._run.ended:
+            if viewer not in self._run.viewers:
+                self._run.viewers.append(viewer)
+            return self._report(self._run, "a calibration is under way already; this is it")
+        try:
+            square_m = request.square_mm / 1000.0
+            board = Board(request.board, request.columns, request.rows, square_m, _MARKER * square_m)
+        except BadInput as why:
+            return CalibrationReport(active=False, text=str(why))
+        words = f"{request.board} {request.columns}x{request.rows}"
+        self._run = _Run(Guide(board, self._pilot.camera.T_body_cam), words, [viewer])
+        return self._report(self._run, "")
+
+    def _end(self, why: str) -> None:
+        if self._run is not None and not self._run.ended:
+            self._run.ended = True
+            self._tell(self._run, why)
+
+    def _tell(self, run: _Run, words: str) -> None:
+        report = self._report(run, words)
+        for viewer in run.viewers:
+            viewer.tell(report)
+
+    def _report(self, run: _Run, words: str) -> CalibrationReport:
+        state: GuideState = run.guide.state
+        return CalibrationReport(
+            active=not run.ended,
+            text=words,
+            images=state.images,
+            views=state.views,
+            board_seen=state.board_seen,
+            cells=state.cells,
+            lacks=state.lacks,
+            rms_px=None if state.rms_px is None else round(state.rms_px, 3),
+            grade=state.grade,
+            file=self._text(run) if run.ended else "",
+        )
+
+    def _text(self, run: _Run) -> str:
+        """Return the camera file; empty if the views do not give one that can be used."""
+        solution = run.guide.solution
+        if solution is None or run.guide.state.grade in (None, "poor"):
+            return ""
+        roll, pitch, yaw = (math.degrees(angle) for angle in self._pilot.camera.T_body_cam.R.rpy_rad)
+        return text(solution, f"the operator page ({run.board}, {run.guide.state.grade})", (roll, pitch, yaw))
+
+    def _saved(self) -> CalibrationReport:
+        run = self._run
+        if run is None or not run.ended:
+            return CalibrationReport(active=run is not None, text="not saved: there is no finished calibration")
+        try:
+            return self._report(run, self._save(self._text(run)))
+        except DecklanderError as why:
+            return self._report(run, f"not saved: {why}")
+
+    def _save(self, content: str) -> str:
+        """Write the camera file beside the settings and return what follows.
+
+        Raises:
+            BadInput: it must not be written now or at all; the text says why.
+        """
+        if self._flying() or self._armed():
+            raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._flying() else ARMED)
+        if self._file is None:
+            raise BadInput(NO_FILE)
+        if not content:
+            raise BadInput("the views give no camera that can be used")
+        Camera.from_mapping(tomllib.loads(content), NAME)
+        self._file.save_beside(NAME, content)
+        return f'saved beside the settings: set camera.file = "{NAME}" there, and start the service again'
+
+
+IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
+_AGAIN_S = 5.0
+"""An examination that is younger is told again."""
+
+
+class DoctorTool:
+    """See the module's docstring.
+
+    Args:
+        flying: whether the vehicle flies now.
+    """
+
+    kinds: tuple[type, ...] = (ExamineRequest,)
+
+    def __init__(self, examiner: LiveExaminer, clock: Clock, flying: Callable[[], bool]) -> None:
+        self._examiner = examiner
+        self._clock = clock
+        self._flying = flying
+        self._waiting: list[PageViewer] = []
+        self._asked = asyncio.Event()
+        self._newest: tuple[MonoNs, ExaminedReport] | None = None
+
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        if self._flying():
+            viewer.tell(ExaminedReport(text=IN_FLIGHT))
+        elif self._newest is not None and seconds_between(self._newest[0], self._clock.now()) < _AGAIN_S:
+            viewer.tell(self._newest[1])
+        else:
+            viewer.tell(ExaminedReport(text="examining", busy=True))
+            if viewer not in self._waiting:
+                self._waiting.append(viewer)
+            self._asked.set()
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        pass
+
+    async def run(self) -> None:
+        while True:
+            await self._asked.wait()
+            try:
+                report = _report(await self._examiner.examine())
+                self._newest = self._clock.now(), report
+            except TookOff as why:
+                report = ExaminedReport(text=str(why))
+            self._asked.clear()
+            waiting, self._waiting = self._waiting, []
+            for viewer in waiting:
+                viewer.tell(report)
+
+
+def _report(found: Examination) -> ExaminedReport:
+    counted = f"{len(found.findings)} of {found.known}" if found.findings else f"none of {found.known}"
+    return ExaminedReport(
+        text=f"{counted} known faults found. {_about(found.snapshot)}",
+        findings=tuple(
+            PageFinding(rule=one.rule, severity=one.severity.name.lower(), what=one.what, fix=one.fix) for one in found.findings
+        ),
+    )
+
+
+def _about(snapshot: Snapshot) -> str:
+    """Return what was examined, as a sentence."""
+    a, sync = snapshot.autopilot, snapshot.sync
+    if a is None:
+        heard = ", no autopilot is heard" if snapshot.links else ""
+        return f"Examined: settings and their files, camera{heard}."
+    firmware = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
+    clock = "" if sync is None or sync.round_trip_s is None else f", clock round trip {1e3 * sync.round_trip_s:.0f} ms"
+    return f"Examined: {a.stack}{firmware}, system {a.system}, {len(a.parameters)} parameters{clock}; settings, camera."
 
 
 def make_page(

@@ -20,6 +20,8 @@ REACH = 0.7
 TILT_DEG = 15.0
 TILTED = 2
 """Required number of views tilted at least `TILT_DEG`, about each of the image's axes."""
+FLAT_DEG = 8.0
+"""Tilt below which a view says nothing of the focal length: `TILTED` views must exceed it, or the set is flat."""
 RMS_PX = 1.0
 SIGMA_F = 0.004
 """Accepted standard deviation of fx and fy as a share of them; it causes a range error of the same share."""
@@ -97,15 +99,21 @@ def assess(solution: Solution, size: tuple[int, int]) -> Assessment:
         if n < TILTED:
             uncovered.append(f"{TILTED - n} more views tilted by {TILT_DEG:g} degrees or more, {way}")
     imprecise = []
+    if int(np.sum(np.hypot(*tilts.T) >= FLAT_DEG)) < TILTED:
+        imprecise.append(
+            f"views tilted by {FLAT_DEG:g} degrees or more: flat ones cannot tell the focal length from the distance"
+        )
     if solution.rms_px > RMS_PX:
         imprecise.append(f"sharper images or a flatter board (error {solution.rms_px:.2f} px, at most {RMS_PX:g})")
     camera, sigma = solution.camera, solution.sigma
     focal = float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     if focal > SIGMA_F:
-        imprecise.append(f"more tilt and nearer views (focal length known to {focal:.2%}, {SIGMA_F:.1%} needed)")
+        known = f"known to {focal:.2%}" if focal < 1.0 else "not known"
+        imprecise.append(f"more tilt and nearer views (focal length {known}, {SIGMA_F:.1%} needed)")
     centre = float(max(sigma[2], sigma[3]) / size[0])
     if centre > SIGMA_C:
-        imprecise.append(f"tilt in more directions (principal point known to {centre:.2%} of the width, {SIGMA_C:.1%} needed)")
+        known = f"known to {centre:.2%} of the width" if centre < 1.0 else "not known"
+        imprecise.append(f"tilt in more directions (principal point {known}, {SIGMA_C:.1%} needed)")
     if len(solution.left_out) > len(solution.fits) / 2:
         imprecise.append(
             f"views that agree: {len(solution.left_out)} of {len(solution.left_out) + len(solution.fits)} contradict the rest"

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -12,22 +12,32 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 
 U8 = NDArray[np.uint8]
+BoardKind = Literal["charuco", "chessboard", "aprilgrid"]
+BOARDS: tuple[BoardKind, ...] = get_args(BoardKind)
 
 _DICTIONARY = cv2.aruco.DICT_5X5_250
 _MARKER_BITS = 5
 _LEAST_CORNERS = 8
 """Fewest corners of a ChArUco board for a view: fewer add too little information to risk a wrong one."""
+_TAGS = cv2.aruco.DICT_APRILTAG_36h11
+_TAG_BITS, _TAG_BORDER, _TAGS_MOST = 6, 2, 587
+_LEAST_TAGS = 4
+_TAG_CORNERS = np.array([(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+"""The corners of a tag as Kalibr counts them: from the lower left one, against the clock."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board or a plain chessboard. Its corner (0, 0) is the top-left inner one; x right, y down.
+    """A ChArUco board, a plain chessboard, or Kalibr's AprilGrid. Its corner (0, 0) is the top-left inner one; x right, y down.
+
+    An AprilGrid has columns and rows of tags of the family 36h11 in borders two bits wide, numbered from the lower left one.
+    `marker_m` is a tag's side, `square_m` the distance from one tag to the next. Kalibr's tagSpacing is the gap over the tag.
 
     Raises:
         BadInput: the squares or sizes do not make a board.
     """
 
-    kind: Literal["charuco", "chessboard"] = "charuco"
+    kind: BoardKind = "charuco"
     columns: int = 7
     rows: int = 10
     square_m: float = 0.025
@@ -43,10 +53,36 @@ class Board:
                 raise BadInput(f"markers must be 0.3 to 0.9 of a square, got {1e3 * self.marker_m:g} mm")
             if self.columns * self.rows // 2 > 250:
                 raise BadInput(f"a board of {self.columns}x{self.rows} squares needs more than the 250 markers there are")
+        if self.kind == "aprilgrid":
+            if not 0.5 * self.square_m <= self.marker_m <= 0.95 * self.square_m:
+                raise BadInput(f"tags must be 0.5 to 0.95 of the distance between them, got {1e3 * self.marker_m:g} mm")
+            if self.columns * self.rows > _TAGS_MOST:
+                raise BadInput(f"a grid of {self.columns}x{self.rows} tags needs more than the {_TAGS_MOST} tags there are")
+
+    @property
+    def outline_m(self) -> tuple[float, float]:
+        """Width and height of what is printed, m: an AprilGrid has a row of black corners more than of tags, each way."""
+        more = self._gap_m if self.kind == "aprilgrid" else 0.0
+        return self.columns * self.square_m + more, self.rows * self.square_m + more
+
+    @property
+    def _gap_m(self) -> float:
+        return self.square_m - self.marker_m
+
+    def _tags_m(self) -> F64:
+        """Return the upper left corner of each tag, in the order of their numbers, (n, 2) m."""
+        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows)[::-1])
+        return np.asarray(np.stack([column.ravel(), row.ravel()], axis=1) * self.square_m + self._gap_m, dtype=float)
 
     @property
     def corners_m(self) -> F64:
-        """The inner corners row by row, from the board's outer top-left corner, ((rows - 1) * (columns - 1), 3) m, z = 0."""
+        """The inner corners row by row, from the board's outer top-left corner, ((rows - 1) * (columns - 1), 3) m, z = 0.
+
+        An AprilGrid has the four corners of each tag, (4 * rows * columns, 3) m.
+        """
+        if self.kind == "aprilgrid":
+            xy = (self._tags_m()[:, None, :] + _TAG_CORNERS * self.marker_m).reshape(-1, 2)
+            return np.column_stack([xy, np.zeros(len(xy))])
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         return np.asarray(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square_m, dtype=float)
 
@@ -68,6 +104,8 @@ class Board:
 
     def black_m(self) -> list[F64]:
         """Return each black rectangle as (4, 2) m, clockwise from its top-left corner, from the board's outer top-left corner."""
+        if self.kind == "aprilgrid":
+            return self._black_of_grid()
         s = self.square_m
         black = [_rectangle(c * s, r * s, s) for r in range(self.rows) for c in range(self.columns) if (r + c) % 2 == 0]
         if self.kind == "chessboard":
@@ -75,16 +113,22 @@ class Board:
         dictionary, cell = self._charuco.getDictionary(), self.marker_m / (_MARKER_BITS + 2)
         for number, outline in zip(np.ravel(self._charuco.getIds()), self._charuco.getObjPoints(), strict=True):
             x, y = (float(v) for v in outline[0][:2])
-            bits = dictionary.generateImageMarker(int(number), _MARKER_BITS + 2)
-            for row, line in enumerate(bits):
-                # Each run of cells makes one rectangle, so that no hairline shows between cells.
-                edges = np.flatnonzero(np.diff(np.concatenate([[0], (line == 0).astype(np.int8), [0]])))
-                for begin, end in edges.reshape(-1, 2):
-                    black.append(_rectangle(x + begin * cell, y + row * cell, (end - begin) * cell, cell))
+            black += _cells(dictionary.generateImageMarker(int(number), _MARKER_BITS + 2), x, y, cell)
+        return black
+
+    def _black_of_grid(self) -> list[F64]:
+        dictionary, cells = cv2.aruco.getPredefinedDictionary(_TAGS), _TAG_BITS + 2 * _TAG_BORDER
+        corners = [(c * self.square_m, r * self.square_m) for r in range(self.rows + 1) for c in range(self.columns + 1)]
+        black = [_rectangle(x, y, self._gap_m) for x, y in corners]
+        for number, (x, y) in enumerate(self._tags_m()):
+            bits = dictionary.generateImageMarker(number, cells, borderBits=_TAG_BORDER)
+            black += _cells(bits, float(x), float(y), self.marker_m / cells)
         return black
 
     def find(self, grey: U8) -> tuple[NDArray[np.int64], F64] | None:
         """Find the corners in an image: their (n,) indices into `corners_m` and (n, 2) px; None if too few are found."""
+        if self.kind == "aprilgrid":
+            return self._find_tags(grey)
         if self.kind == "chessboard":
             pattern = (self.columns - 1, self.rows - 1)
             ok, corners = cv2.findChessboardCornersSB(grey, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
@@ -100,6 +144,40 @@ class Board:
             return None
         return numbers, corners.reshape(-1, 2).astype(float)
 
+    @cached_property
+    def _tag_detector(self) -> cv2.aruco.ArucoDetector:
+        how = cv2.aruco.DetectorParameters()
+        how.markerBorderBits = _TAG_BORDER
+        return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_TAGS), how)
+
+    def _find_tags(self, grey: U8) -> tuple[NDArray[np.int64], F64] | None:
+        outlines, ids, _ = self._tag_detector.detectMarkers(grey)
+        seen = {} if ids is None else dict(zip(ids.ravel().tolist(), outlines, strict=True))
+        numbers = np.array([number for number in seen if number < self.columns * self.rows], np.int64)
+        if len(numbers) < _LEAST_TAGS:
+            return None
+        px = np.stack([seen[number].reshape(4, 2) for number in numbers]).astype(float)
+        tags = self.corners_m.reshape(-1, 4, 3)[numbers, :, :2]
+        # Where the grid lies says which corner of a tag is which, whatever a printer takes for a tag's upper side.
+        H, _ = cv2.findHomography(tags.mean(axis=1), px.mean(axis=1))
+        if H is None:
+            return None
+        expected = cv2.perspectiveTransform(tags.reshape(-1, 1, 2), H).reshape(-1, 4, 2)
+        apart = np.linalg.norm(expected[:, :, None] - px[:, None], axis=3)
+        nearest = apart.argmin(axis=2)
+        sides = np.linalg.norm(px - np.roll(px, 1, axis=1), axis=2).min(axis=1)
+        whole = (np.sort(nearest, axis=1) == np.arange(4)).all(axis=1) & (apart.min(axis=2).max(axis=1) < 0.4 * sides)
+        if whole.sum() < _LEAST_TAGS:
+            return None
+        uv = np.take_along_axis(px, nearest[..., None], axis=1)[whole].reshape(-1, 2)
+        half = int(np.clip(0.5 * self._gap_m / self.marker_m * sides[whole].min(), 2, 7))
+        criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
+        fine = cv2.cornerSubPix(grey, uv.reshape(-1, 1, 2).astype(np.float32), (half, half), (-1, -1), criteria)
+        fine = np.asarray(fine, float).reshape(-1, 2)
+        number = (4 * numbers[whole, None] + np.arange(4)).ravel()
+        stayed = np.linalg.norm(fine - uv, axis=1) < half
+        return (number[stayed], fine[stayed]) if stayed.sum() >= _LEAST_CORNERS else None
+
     def _refined(self, grey: U8, uv: NDArray[np.generic]) -> F64:
         """Refine corners by the gradients around them: the chessboard finder alone has a bias that affects the focal length.
 
@@ -111,6 +189,18 @@ class Board:
         criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
         out = cv2.cornerSubPix(grey, grid.reshape(-1, 1, 2).astype(np.float32), (half, half), (-1, -1), criteria)
         return np.array(out, dtype=float).reshape(-1, 2)
+
+
+def _cells(bits: NDArray[np.generic], x: float, y: float, cell: float) -> list[F64]:
+    """Return the black cells of a marker whose upper left corner is at (x, y) m, each run of cells in a row as one rectangle.
+
+    So no hairline shows between cells.
+    """
+    black = []
+    for row, line in enumerate(bits):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], (line == 0).astype(np.int8), [0]])))
+        black += [_rectangle(x + a * cell, y + row * cell, (b - a) * cell, cell) for a, b in edges.reshape(-1, 2)]
+    return black
 
 
 def _rectangle(x: float, y: float, width: float, height: float | None = None) -> F64:

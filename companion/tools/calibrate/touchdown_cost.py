@@ -4,7 +4,8 @@ A camera that is turned by an angle sees the pad beside its place by the angle t
 `LAST_SIGHTING_M` the pad fills the frame, and the filter carries on by the IMU. A delay shows the pad where it was, beside its
 place by a speed times the delay, and by the angle that the vehicle has turned meanwhile, times the distance. The law that follows
 the deck reacts late as well, so the speed is not that across the pad but what simulated landings show. A readout time that is
-wrong is a delay that differs from row to row.
+wrong is a delay that differs from row to row. A focal length that is wrong by a share makes every distance wrong by it; a pad
+that stays in the middle of the frame does not move aside by that, one beside it by the vehicle's lean does.
 
 Of the vehicle's response: near the deck, at sea state 4, gusts, the deck and the filter's errors drive the loop of
 `companion.guidance.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by more,
@@ -56,6 +57,12 @@ def of_mount(rotvec_rad: F64) -> TouchdownCost:
 def of_mount_sigma(cov: F64) -> TouchdownCost:
     """Return the cost of a mount that is known with this covariance, (3, 3) rad^2: one standard deviation."""
     return of_mount(np.array([math.sqrt(cov[0, 0]), math.sqrt(cov[1, 1]), 0.0]))
+
+
+def of_distance(share: float) -> tuple[TouchdownCost, TouchdownCost]:
+    """Return what distances that are wrong by a share cost: of the height, and aside by the lean of a vehicle in wind."""
+    height = TouchdownCost(100.0 * share * LAST_SIGHTING_M, 100.0 * share * APPROACH_M)
+    return height, TouchdownCost(*(math.tan(LEAN_RAD) * cm for cm in height))
 
 
 def of_delay(seconds: float) -> TouchdownCost:

@@ -1,11 +1,172 @@
-"""Apply all rules to one snapshot. Pure."""
+"""Apply all rules to one snapshot; those for what a flight log shows, whatever the parameters say, are here. Pure."""
 
-from companion.tools.doctor import rules_ardupilot, rules_links, rules_log, rules_px4, rules_values
-from companion.tools.doctor.finding import Finding, Rule
+from companion.tools.doctor import rules_autopilots, rules_links, rules_values
+from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
 from companion.tools.doctor.snapshot import Snapshot
+from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, LogHistory
+
+_SHOWN = 4
+_REFUSED_S, _REFUSED_LONG_S = 1.0, 3.0
+_CLIPPED_MAX = 100
+"""Readings at the end of the range that one hard touchdown explains. Source: ArduPilot, "Measuring vibration"."""
+_ARMED_MAX_S = 5.0
+_LOST_MAX = 2
+_DROPOUT_MAX_S = 0.5
+_FIXES = {
+    "setpoints lost": "see why the stream stopped (the service's journal at that time), and set COM_OF_LOSS_T 1",
+    "remote control": "fly with one in reach, or set what its loss does: NAV_RCL_ACT, COM_RCL_EXCEPT, FS_THR_ENABLE, FS_OPTIONS",
+    "station": "choose what its loss does: NAV_DLL_ACT 0, FS_GCS_ENABLE 0",
+    "battery": "take off with a full one, and see that its limits (BAT_LOW_THR, BATT_LOW_VOLT) leave time for a landing",
+    "fence": "switch it off at sea, or use the service's own, which goes with the ship ([limits])",
+    "EKF": "see log-ekf; keep compass and GNSS away from steel and currents",
+    "compass": "keep it away from steel and currents, and calibrate it ashore",
+    "GNSS": "see that the antenna sees the sky beside mast and superstructure",
+    "crash": "see the touchdown before it: a lean at contact, or a deck that struck the vehicle from below",
+    "thrust": "check motors, propellers and battery: it could not climb with all of them at the end",
+    "vibration": "see log-vibration",
+}
+_SOURCES = {
+    "velocity": "GNSS: antenna, reflections from the superstructure, EK3_GPS_CHECK or EKF2_GPS_CHECK",
+    "position": "GNSS: antenna, reflections from the superstructure, EK3_GPS_CHECK or EKF2_GPS_CHECK",
+    "height": "barometer in the propellers' wind, or a height from the rangefinder (ekf-height-by-range)",
+    "compass": "steel and currents: raise the compass, calibrate it ashore",
+}
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
+
+
+def _log(p: Snapshot) -> LogHistory | None:
+    return p.log
+
+
+def failsafes(p: Snapshot) -> Finding | None:
+    """Find failsafes, checks and crashes that the autopilot logged."""
+    log = _log(p)
+    if log is None or not log.failsafes:
+        return None
+    shown = [f"{m.what} at {m.at_s:.1f} s" for m in log.failsafes[:_SHOWN]]
+    if len(log.failsafes) > _SHOWN:
+        shown.append(f"{len(log.failsafes) - _SHOWN} more")
+    first = log.failsafes[0].what.lower()
+    fix = next((fix for word, fix in _FIXES.items() if word.lower() in first), "see what the autopilot's texts say at that time")
+    return error("log-failsafe", "; ".join(shown), fix)
+
+
+def estimator(p: Snapshot) -> Finding | None:
+    """Find an estimator that refused its measurements for a second or more."""
+    log = _log(p)
+    if log is None:
+        return None
+    refused = {n: r for n, r in log.ratios.items() if r.over_s >= _REFUSED_S}
+    if not refused:
+        return None
+    worst = max(refused, key=lambda n: refused[n].over_s)
+    said = ", ".join(f"{n} for {r.over_s:.1f} s (ratio {r.worst:.1f} at {r.at_s:.1f} s)" for n, r in refused.items())
+    make = error if refused[worst].over_s >= _REFUSED_LONG_S and worst in ("velocity", "position") else warning
+    return make("log-ekf", f"the EKF refused what it measured: {said}", f"check {_SOURCES.get(worst, worst)}")
+
+
+def clipping(p: Snapshot) -> Finding | None:
+    """Find an accelerometer that reached the end of its range."""
+    log = _log(p)
+    if log is None or log.clipped <= _CLIPPED_MAX:
+        return None
+    return warning(
+        "log-clipping",
+        f"the accelerometer reached the end of its range {log.clipped} times: velocity and height are wrong after each",
+        "mount the autopilot softly, balance the propellers, and look for what strikes it",
+    )
+
+
+def vibration(p: Snapshot) -> Finding | None:
+    """Find vibration above what the stack's documentation allows."""
+    log, autopilot = _log(p), p.autopilot
+    if log is None or autopilot is None or log.vibration_m_s2 is None or log.vibration_m_s2.over_s < _REFUSED_S:
+        return None
+    limit, seen = VIBRATION_LIMIT_M_S2.get(autopilot.stack, 30.0), log.vibration_m_s2
+    return warning(
+        "log-vibration",
+        f"vibration was above {limit:g} m/s^2 for {seen.over_s:.1f} s (worst {seen.worst:.0f} at {seen.at_s:.1f} s): "
+        "a contact is not felt in it",
+        "mount the autopilot softly and balance the propellers before filters are made slower",
+    )
+
+
+def landing_detector(p: Snapshot) -> Finding | None:
+    """Find a landing that the autopilot's detector saw and took back."""
+    log, autopilot = _log(p), p.autopilot
+    if log is None or autopilot is None:
+        return None
+    doubted = [one for one in log.landings if one.lost > 0]
+    if not doubted:
+        return None
+    px4 = "set LNDMC_ROT_MAX 20; "
+    return warning(
+        "log-land-detector",
+        f"the landing at {doubted[0].at_s:.1f} s was detected and taken back {_times(doubted[0].lost)}: a moving deck hides it",
+        f"{px4 if autopilot.stack == 'PX4' else ''}leave vehicle.disarm_on_contact on: the service stops the motors itself",
+    )
+
+
+def armed_on_deck(p: Snapshot) -> Finding | None:
+    """Find a vehicle that stayed armed on a deck that moves."""
+    log = _log(p)
+    if log is None or not p.moving_pad:
+        return None
+    late = [one for one in log.landings if one.armed_s > _ARMED_MAX_S]
+    if not late:
+        return None
+    return warning(
+        "log-armed-on-deck",
+        f"it stayed armed for {late[0].armed_s:.0f} s after the landing at {late[0].at_s:.1f} s: "
+        "it slides, or leaps off with a deck that falls away",
+        "leave vehicle.disarm_on_contact on, or set COM_DISARM_LAND 2 (PX4), and land in LAND (ArduCopter)",
+    )
+
+
+def target_lost(p: Snapshot) -> Finding | None:
+    """Find targets that the autopilot's precision landing lost again and again."""
+    log = _log(p)
+    if log is None or log.targets_lost <= _LOST_MAX:
+        return None
+    return warning(
+        "log-target-lost",
+        f"precision landing lost its target {log.targets_lost} times",
+        "see why targets stop: light, a pad larger than the camera sees near the deck, a full link",
+    )
+
+
+def dropouts(p: Snapshot) -> Finding | None:
+    """Find a log with holes, in which faults may hide."""
+    log = _log(p)
+    if log is None or log.dropouts_s <= _DROPOUT_MAX_S:
+        return None
+    return advice(
+        "log-dropouts", f"the log lost {log.dropouts_s:.1f} s: what happened then is not known", "use a faster card, or log less"
+    )
+
+
+def damaged(p: Snapshot) -> Finding | None:
+    """Find a log that could not be read as it is."""
+    log = _log(p)
+    if log is None or not log.notes:
+        return None
+    return advice(
+        "log-damaged",
+        f"not all of the log is as it was written: {'; '.join(log.notes[:_SHOWN])}",
+        "check the card, and the clock",
+    )
+
+
+LOG_RULES: tuple[Rule, ...] = (
+    failsafes, estimator, clipping, vibration, landing_detector, armed_on_deck, target_lost, dropouts, damaged,
+)  # fmt: skip
+
 
 RULES: tuple[Rule, ...] = (
-    *rules_links.RULES, *rules_values.ARMING, *rules_log.RULES, *rules_ardupilot.RULES, *rules_px4.RULES,
+    *rules_links.RULES, *rules_values.ARMING, *LOG_RULES, *rules_autopilots.RULES, *rules_autopilots.PX4_RULES,
     *rules_values.FAILSAFE_RULES, *rules_values.RULES,
 )  # fmt: skip
 
@@ -15,8 +176,8 @@ def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
 
 
 PARAMETERS = {
-    "ArduPilot": _asked("ArduPilot", rules_ardupilot.PARAMETERS),
-    "PX4": _asked("PX4", rules_px4.PARAMETERS),
+    "ArduPilot": _asked("ArduPilot", rules_autopilots.PARAMETERS),
+    "PX4": _asked("PX4", rules_autopilots.PX4_PARAMETERS),
     "other": (),
 }
 """Parameters that the rules need from an autopilot, by stack."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from msgspec import structs
 
 from companion.tools.doctor.diagnose import PARAMETERS
-from companion.tools.doctor.differs import defaults_of, differing
-from companion.tools.doctor.renamed import names_in
+from companion.tools.doctor.firmware_parameters import defaults_of, differing, names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     GimbalSnapshot,
@@ -20,9 +19,9 @@ from companion.tools.doctor.snapshot import (
     Snapshot,
     TimeSyncSnapshot,
 )
-from drivers.imports import dataflash, parameter_file, px4_ulog, tlog
+from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
-from drivers.imports.log_history import AutopilotLog
+from drivers.imports.log_history import AutopilotLog, parameters_of
 from drivers.imports.stamps import Tell
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
@@ -49,7 +48,7 @@ def examine_log(path: Path) -> Snapshot:
     """
     kind, notes = kind_of(path), list[str]()
     if kind is FileKind.PARAMETERS:
-        return structs.replace(_log_snapshot(path, parameter_file.read_history(path)), log=None)
+        return structs.replace(_log_snapshot(path, parameters_of(path)), log=None)
     if kind not in _HISTORIES:
         raise BadInput(
             f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 
 from companion.tools.doctor.finding import Finding, ParameterChange, Rule, Severity, error, warning
-from companion.tools.doctor.renamed import NamedValue, named_value
+from companion.tools.doctor.firmware_parameters import NamedValue, named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 # Rules for failsafes that work together: an action that returns, and a return that lands where the ship was.

@@ -1,15 +1,25 @@
-"""The report: one page that needs nothing else, from a flight's log."""
+"""The report: one page that needs nothing else, from one flight's log or from two.
 
+Two flights are compared by plots over the time since each landing began, and by what differs in outcome and settings.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from companion.base.mission import ENDED
+from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
-from companion.tools.report import estimate_plots, page_parts, ship_plots, tables
-from companion.tools.report.figures import all_series
+from companion.tools.report import page_parts, plots
+from companion.tools.report.figures import all_series, error_rows, timing_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series
-from companion.tools.report.page_data import events, marks, page_data, page_flight, tracks
+from companion.tools.report.layers import Layer, Plot, Section
+from companion.tools.report.page_data import Mark, PadTrack, PageFlight, events, marks, page_data, page_flight, tracks
+from companion.tools.report.plots import steering_path
 from companion.tools.report.video import FilmFile, film_of
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.time import seconds_between
@@ -51,9 +61,9 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
     series, found = all_series(log), innovation_series(log)
     flight = page_flight(log, log.title, FLIGHTS[0], None if film is None else film.began)
     happened = events(log)
-    place, ship, commands = estimate_plots.place(log, series), ship_plots.ship(log), ship_plots.commands(log)
-    velocity, errors = estimate_plots.velocity(log), estimate_plots.errors(log, series)
-    frames, times, innovations = estimate_plots.verdicts(log), ship_plots.delays(log), estimate_plots.innovations(log, found)
+    place, ship, commands = plots.place(log, series), plots.ship(log), plots.commands(log)
+    velocity, errors = plots.velocity(log), plots.errors(log, series)
+    frames, times, innovations = plots.verdicts(log), plots.delays(log), plots.innovations(log, found)
     if not series:
         place.plots.clear()
         velocity.plots.clear()
@@ -71,20 +81,20 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
         f'<div class="flight">{page_parts.films([flight], [film])}{page_parts.beside([flight], [happened])}</div>',
         page_parts.transport(),
         page_parts.help_line(),
-        f"<section><h2>Touchdown and trajectory</h2>{tables.contacts(log)}{ways}"
+        f"<section><h2>Touchdown and trajectory</h2>{page_parts.contacts(log)}{ways}"
         '<p class="note">The pad with its own paints, to scale. A cross is a contact, its line points where the nose did. The '
         "dot is the drone at the cursor, seen from the pad, levelled.</p></section>",
     ]
     if series:
-        body += [drawn(place, numbers), drawn(velocity, numbers), drawn(errors, numbers, tables.errors(log, series))]
+        body += [drawn(place, numbers), drawn(velocity, numbers), drawn(errors, numbers, page_parts.errors(log, series))]
     else:
         body.append('<h2>Place</h2><p class="note">Nothing was estimated.</p>')
     body += [
-        drawn(ship, numbers, tables.deck_errors(log)),
+        drawn(ship, numbers, page_parts.deck_errors(log)),
         drawn(commands, numbers),
-        drawn(frames, numbers, tables.verdicts(log)),
-        drawn(innovations, numbers, tables.innovations(found)),
-        drawn(times, numbers, tables.times(log)),
+        drawn(frames, numbers, page_parts.verdicts(log)),
+        drawn(innovations, numbers, page_parts.innovations(found)),
+        drawn(times, numbers, page_parts.times(log)),
         settings(log),
         f'<p class="note">{page_parts.thinning(columns)}</p>',
     ]
@@ -124,9 +134,9 @@ def _cards(log: FlightLog) -> str:
         return '<p class="note">No touchdown was recorded.</p>'
     return page_parts.cards(
         [
-            ("lateral error at touchdown", tables.length(t.lateral_m)),
-            ("vertical speed", tables.speed(t.vertical_speed_m_s)),
-            ("lateral speed", tables.speed(t.lateral_speed_m_s)),
+            ("lateral error at touchdown", page_parts.length(t.lateral_m)),
+            ("vertical speed", page_parts.speed(t.vertical_speed_m_s)),
+            ("lateral speed", page_parts.speed(t.lateral_speed_m_s)),
             ("stands on the pad", "yes" if t.on_pad else "no"),
             ("after", f"{seconds_between(log.started, t.at):.1f} s"),
         ]
@@ -137,3 +147,206 @@ def _ended(log: FlightLog) -> str:
     """Return how the mission ended, and why."""
     ended = next((change for change in reversed(log.transitions) if change.target in ENDED), None)
     return "" if ended is None else f"<p><b>{escape(ended.target.value)}: {escape(ended.reason.text)}</b></p>"
+
+
+LETTERS = ("A", "B")
+
+
+def landing_began_s(log: FlightLog) -> float:
+    """Return when the drone first flew to the pad that it saw, s since the log's start; 0 where the mission does not say."""
+    for change in log.transitions:
+        if change.target in (State.INTERCEPT, State.DESCEND):
+            return seconds_between(log.started, change.at)
+    return 0.0
+
+
+def render_comparison(logs: Sequence[FlightLog], films: Sequence[FilmFile | None]) -> str:
+    """Return the page of two flights. The pad that is drawn is the first flight's."""
+    sections = _merged([_sections(log, k) for k, log in enumerate(logs)])
+    shifts = [landing_began_s(log) for log in logs]
+    flights, happened, ways, marked = [], [], list[PadTrack](), list[Mark]()
+    for k, (log, film) in enumerate(zip(logs, films, strict=True)):
+        began = None if film is None else film.began
+        flight = page_flight(log, f"{LETTERS[k]}: {log.title}", FLIGHTS[k], began)
+        flights.append(_shifted(flight, shifts[k]))
+        happened.append([replace(event, t_s=event.t_s - shifts[k]) for event in events(log)])
+        found = [way for way in tracks(log, all_series(log)) if way.name == steering_path(log)]
+        ways += [replace(way, name=LETTERS[k], colour=FLIGHTS[k], t_s=way.t_s - shifts[k]) for way in found]
+        marked += marks(log, FLIGHTS[k], LETTERS[k])
+    spans = [[t - shift for t in span_of(log)] for log, shift in zip(logs, shifts, strict=True)]
+    span = (min(low for low, _ in spans), max(high for _, high in spans))
+    data, columns = page_data(flights, sections, logs[0].pad, ways, marked, span)
+    numbers = page_parts.numbered(sections)
+    title = " and ".join(flight.label for flight in flights)
+    body = [
+        page_parts.header(title, _each_ended(logs), all(map(good, logs)), []),
+        _outcomes(logs, shifts),
+        '<p class="note">Times count from the instant at which the drone first flew to the pad that it saw.</p>',
+        f'<div class="flight pair">{page_parts.films(flights, films)}{page_parts.beside(flights, happened)}</div>',
+        page_parts.transport(),
+        page_parts.help_line(),
+        "<section><h2>Touchdown and trajectory</h2>",
+        *(
+            f"<h3>{escape(flight.label)}</h3>{page_parts.contacts(log, shift)}"
+            for flight, log, shift in _triples(flights, logs, shifts)
+        ),
+        page_parts.views("the pad to scale, the ways of both drones, and their contacts"),
+        _pads(logs),
+        "</section>",
+        *(page_parts.section(section, numbers) for section in sections if section.plots),
+        _settings(logs),
+        f'<p class="note">{page_parts.thinning(columns)}</p>',
+    ]
+    return page_parts.flight_page(title, "\n".join(body), data, films)
+
+
+def _each_ended(logs: Sequence[FlightLog]) -> str:
+    return ", ".join(f"{letter} {log.outcome}" for letter, log in zip(LETTERS, logs, strict=True))
+
+
+def _triples(
+    flights: Sequence[PageFlight], logs: Sequence[FlightLog], shifts: Sequence[float]
+) -> Iterator[tuple[PageFlight, FlightLog, float]]:
+    return zip(flights, logs, shifts, strict=True)
+
+
+def _sections(log: FlightLog, k: int) -> list[Section]:
+    """Return the sections of one flight with what is compared: the path that steered, truth, and single quantities."""
+    series, found = all_series(log), innovation_series(log)
+    path, shift = steering_path(log), landing_began_s(log)
+    commands = plots.commands(log)
+    commands.plots[:] = [
+        replace(plot, title=f"{plot.title} {layer.name}".replace("turn turn", "turn"), layers=[layer])
+        for plot in commands.plots
+        for layer in plot.layers
+    ]
+    sections = [plots.place(log, series), plots.velocity(log), plots.errors(log, series)]
+    sections += [plots.ship(log), commands, plots.innovations(log, found), plots.delays(log)]
+    alike = {path, "filter", "fused", "exposure to belief", "forward", "right", "down", "turn", "north", "east"}
+    for section in sections:
+        kept = []
+        for plot in section.plots:
+            layers = [_of_flight(layer, k, shift) for layer in plot.layers if layer.name in alike]
+            if "minus truth" not in plot.title and not any(layer.style != "band" for layer in layers):
+                layers = [_of_flight(layer, k, shift) for layer in plot.layers if layer.name == "truth"]
+            if layers:
+                title = plot.title.replace(f", {path} minus truth", ": estimate minus truth")
+                kept.append(replace(plot, title=title, layers=layers))
+        section.plots[:] = kept
+    return sections
+
+
+def _of_flight(layer: Layer, k: int, shift: float) -> Layer:
+    """Return a layer in the colour of its flight; two components of one plot stay apart by the name."""
+    name = LETTERS[k] if layer.name not in ("north", "east") else f"{LETTERS[k]} {layer.name}"
+    return replace(layer, name=name, colour=FLIGHTS[k], wide=False, fits=layer.style != "band", t_s=layer.t_s - shift, shown=True)
+
+
+def _merged(both: Sequence[list[Section]]) -> list[Section]:
+    """Return sections whose plots have the layers of both flights, by their titles."""
+    out = []
+    for pair in zip(*both, strict=True):
+        plots: dict[str, Plot] = {}
+        for section in pair:
+            for plot in section.plots:
+                known = plots.get(plot.title)
+                plots[plot.title] = plot if known is None else replace(known, layers=[*known.layers, *plot.layers])
+        note = "" if pair[0].title == "Place" else next((s.note for s in pair if s.plots), "")
+        out.append(Section(pair[0].title, note, list(plots.values())))
+    return out
+
+
+def _shifted(flight: PageFlight, by_s: float) -> PageFlight:
+    video = None if flight.video_from_s is None else flight.video_from_s - by_s
+    return PageFlight(
+        flight.label,
+        flight.colour,
+        video,
+        [(t - by_s, text) for t, text in flight.phases],
+        [(name, unit, digits, t - by_s, y) for name, unit, digits, t, y in flight.figures],
+        [(name, [(t - by_s, text) for t, text in told]) for name, told in flight.kinds],
+    )
+
+
+def _outcomes(logs: Sequence[FlightLog], shifts: Sequence[float]) -> str:
+    """Return the table of what became of both, and by how much they differ."""
+    rows = []
+    numbers = [dict(_figures(log, shift)) for log, shift in zip(logs, shifts, strict=True)]
+    rows.append(["outcome", *(f"<b>{escape(log.outcome)}</b>" for log in logs), "-"])
+    for name in numbers[0] | numbers[1]:
+        values = [found.get(name, math.nan) for found in numbers]
+        unit = name.partition(", ")[2]
+        digits = _digits(values)
+        cells = [f"{value:.{digits}f} {unit}".rstrip() if math.isfinite(value) else "-" for value in values]
+        apart = values[1] - values[0]
+        cells.append(f"{apart:+.{digits}f} {unit}".rstrip() if math.isfinite(apart) else "-")
+        rows.append([escape(name.partition(", ")[0]), *cells])
+    heads = ["", *(f"{LETTERS[k]}<br>{escape(log.title)}" for k, log in enumerate(logs)), "B minus A"]
+    return page_parts.table(heads, rows)
+
+
+def _digits(values: Sequence[float]) -> int:
+    """Return as many decimals as give the larger value three figures; none for counts."""
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    if all(not math.isfinite(value) or value == int(value) for value in values) or not largest:
+        return 0
+    return max(0, min(4, 2 - math.floor(math.log10(largest))))
+
+
+def _figures(log: FlightLog, shift: float) -> Iterator[tuple[str, float]]:
+    """Yield names with their units, and numbers."""
+    t = log.touchdown
+    if t is not None:
+        yield "off centre at touchdown, cm", 100 * t.lateral_m
+        yield "vertical speed at touchdown, m/s", t.vertical_speed_m_s
+        yield "lateral speed at touchdown, m/s", t.lateral_speed_m_s
+        yield "heading at touchdown, °", math.degrees(t.yaw_rad)
+        yield "touchdown after the landing began, s", seconds_between(log.started, t.at) - shift
+    yield "contacts", float(len(log.contacts))
+    yield "go-arounds", float(sum(change.target is State.GO_AROUND for change in log.transitions))
+    total = sum(log.verdicts.values())
+    if total:
+        yield "frames fused, %", 100 * sum(n for v, n in log.verdicts.items() if v.value == "fused") / total
+    path = steering_path(log)
+    for row in error_rows(log, all_series(log)) if log.truth else []:
+        if row.name == path:
+            yield "lateral error median, cm", 100 * row.lateral_median_m
+            yield "lateral error 95 %, cm", 100 * row.lateral_p95_m
+            yield "height error 95 %, cm", 100 * row.down_p95_m
+    for found in innovation_series(log):
+        if (found.path, found.source) == (path, "sighting"):
+            yield "NIS mean of sightings", found.nis_mean
+    for timing in timing_rows(log):
+        if timing.name == "exposure to belief":
+            yield "exposure to belief median, ms", 1e3 * timing.median_s
+            yield "exposure to belief 99 %, ms", 1e3 * timing.p99_s
+
+
+def _pads(logs: Sequence[FlightLog]) -> str:
+    if logs[0].pad == logs[1].pad:
+        return ""
+    names = [escape(log.pad.name) for log in logs]
+    return f'<p class="note">The flights had different pads, {names[0]} and {names[1]}; the first is drawn.</p>'
+
+
+def _settings(logs: Sequence[FlightLog]) -> str:
+    """Return the keys that the flights had otherwise."""
+    found = []
+    for log in logs:
+        try:
+            found.append(dict(_flat(tomllib.loads(log.settings), "")))
+        except tomllib.TOMLDecodeError:
+            return '<section><h2>Settings</h2><p class="note">The settings of one flight cannot be read.</p></section>'
+    names = sorted(name for name in found[0] | found[1] if found[0].get(name) != found[1].get(name))
+    if not names:
+        return '<section><h2>Settings</h2><p class="note">Both flights had the same settings.</p></section>'
+    rows = [[escape(name), *(escape(str(settings.get(name, "-"))) for settings in found)] for name in names]
+    return f"<section><h2>Settings that differ</h2>{page_parts.table(['key', *LETTERS], rows)}</section>"
+
+
+def _flat(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

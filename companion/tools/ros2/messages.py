@@ -73,6 +73,11 @@ def enu_attitude(R_ned_body: Rotation) -> Rotation:
     return Rotation(_ENU_NED @ R_ned_body.matrix @ UP)
 
 
+def from_enu_attitude(R_map_link: Rotation) -> Rotation:
+    """Return the attitude of a rotation from `base_link` to `map`: the inverse of `enu_attitude`."""
+    return Rotation(_ENU_NED.T @ R_map_link.matrix @ UP)
+
+
 def camera_rotation(R_body_cam: Rotation) -> Rotation:
     """Return the rotation from `camera_optical_frame` to `base_link` of a camera's mount."""
     return Rotation(UP @ R_body_cam.matrix)
@@ -335,7 +340,8 @@ class RosMessages:
         roi = self._make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         return self._make(
             "sensor_msgs/msg/CameraInfo",
-            header=self._header(at, CAMERA), height=camera.height, width=camera.width, distortion_model="plumb_bob",
+            header=self._header(at, CAMERA), height=camera.height, width=camera.width,
+            distortion_model="plumb_bob" if camera.lens == "brown" else "equidistant",
             d=np.array(camera.distortion), k=_row(K), r=_row(np.eye(3)), p=_row(np.hstack([K, np.zeros((3, 1))])),
             binning_x=0, binning_y=0, roi=roi,
         )  # fmt: skip

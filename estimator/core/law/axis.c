@@ -7,7 +7,7 @@
 
 #include "law/law.h"
 
-static const double DISTURBANCE_MAX_M_S2 = 4.0;
+static const double DISTURBANCE_MAX_M_S2 = 6.0;
 /* Weight of the gyro against the model in the rate of the tilt. */
 static const double GYRO_SHARE = 0.25;
 /* Time constants of the mean of the vehicle's own part: while the law steers, and while all of the lean is its own. */

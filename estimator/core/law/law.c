@@ -117,12 +117,21 @@ static void keep_in_view(const dl_law_params *o, const double d[3], const double
     lean[1] = within_view(lean[1], trim[1], atan2(d[1] - o->view_right_m, d[2]), o->half_right_rad);
 }
 
-static void shorten(const dl_law_params *o, const dl_law_cycle *in, double lean[2])
+/* Cut the lean to the vehicle's limit. The trim that holds against the wind comes first: a cut of both alike would let the drone be
+ * blown off while it corrects aside. */
+static void shorten(const dl_law_params *o, const dl_law_cycle *in, const double trim[2], double lean[2])
 {
     const double asked = in->has_lean_max ? GRAVITY_M_S2 * tan(in->lean_max_rad) : INFINITY;
-    const double most = fmin(o->tilt_max_m_s2, asked), size = hypot(lean[0], lean[1]);
-    const double cut = size > most ? most / size : 1.0;
-    lean[0] *= cut, lean[1] *= cut;
+    const double most = fmin(o->tilt_max_m_s2, asked), held = hypot(trim[0], trim[1]);
+    const double keep = held > most ? most / held : 1.0;
+    const double base[2] = {keep * trim[0], keep * trim[1]}, more[2] = {lean[0] - base[0], lean[1] - base[1]};
+    const double a = more[0] * more[0] + more[1] * more[1], b = base[0] * more[0] + base[1] * more[1];
+    const double c = fmax(0.0, most * most - base[0] * base[0] - base[1] * base[1]);
+    if (hypot(lean[0], lean[1]) <= most) {
+        return;
+    }
+    const double share = a > 0.0 ? fmin(1.0, fmax(0.0, (sqrt(b * b + a * c) - b) / a)) : 0.0;
+    lean[0] = base[0] + share * more[0], lean[1] = base[1] + share * more[1];
 }
 
 /* The lean to command, m/s^2 forward and right, and the part of it that is trim; the deck now and when the command acts. */
@@ -141,7 +150,7 @@ static void lean_to(const dl_law_in_use *law, const dl_law_cycle *in, nose n, co
     to_level(n, kept, trim);
     to_level(n, u, lean);
     keep_in_view(&law->params, in->d, trim, lean);
-    shorten(&law->params, in, lean);
+    shorten(&law->params, in, trim, lean);
 }
 
 /* The vertical speed to command by one set of gains, m/s down. */

@@ -1,4 +1,4 @@
-/* Project points through a lens with Brown's distortion, and find the rays of pixels. */
+/* Project points through a lens with Brown's distortion or a fisheye, and find the rays of pixels. */
 
 #include "vision/camera.h"
 
@@ -7,6 +7,9 @@
 /* Newton steps from the distorted place, and from where the pixels beside it lead. */
 enum { FIRST_STEPS = 12, NEXT_STEPS = 2 };
 static const double NEAREST_M = 1e-3;
+/* Newton steps of a fisheye, the largest angle from its axis, rad, the least slope that is followed, and the axis itself. */
+enum { FISHEYE_STEPS = 20 };
+static const double WIDEST_RAD = 1.5, LEAST_SLOPE = 0.05, ON_AXIS = 1e-9, SAME_RAD = 1e-13;
 
 /* Source: Brown, Close-range camera calibration, Photogrammetric Engineering 37(8), 1971; the order of coefficients is OpenCV's. */
 static inline void distort(const double d[5], double x, double y, double out[2])
@@ -32,11 +35,41 @@ static inline void undistort_step(const double d[5], double u, double v, double 
     xy[1] -= (off_y * xx - off_x * across) * by;
 }
 
+/* Source: Kannala and Brandt, A generic camera model and calibration method for conventional, wide-angle, and fish-eye lenses,
+ * PAMI 28(8), 2006; the order of coefficients is OpenCV's. */
+static inline double fisheye_bent(const double d[5], double theta)
+{
+    const double t2 = theta * theta;
+    return theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3]))));
+}
+
+/* The ray of a distorted place, from an angle that is near its own; that angle is returned. */
+static inline double fisheye_ray(const double d[5], double u, double v, double theta, double ray[2])
+{
+    const double r = sqrt(u * u + v * v);
+    for (int step = 0; step < FISHEYE_STEPS; step++) {
+        const double t2 = theta * theta;
+        const double slope = 1.0 + t2 * (3.0 * d[0] + t2 * (5.0 * d[1] + t2 * (7.0 * d[2] + 9.0 * t2 * d[3])));
+        const double by = (fisheye_bent(d, theta) - r) / fmax(slope, LEAST_SLOPE);
+        theta = fmin(fmax(theta - by, 0.0), WIDEST_RAD);
+        if (fabs(by) < SAME_RAD) {
+            break;
+        }
+    }
+    const double per = r > ON_AXIS ? tan(theta) / r : 1.0;
+    ray[0] = u * per;
+    ray[1] = v * per;
+    return theta;
+}
+
 void camera_project(const camera_lens *c, const double p[3], double uv[2])
 {
     const double z = p[2] > NEAREST_M ? p[2] : NAN;
     double xy[2] = {p[0] / z, p[1] / z};
-    if (c->distorted) {
+    if (c->fisheye) {
+        const double r = sqrt(xy[0] * xy[0] + xy[1] * xy[1]), per = r > ON_AXIS ? fisheye_bent(c->distortion, atan(r)) / r : 1.0;
+        xy[0] *= per, xy[1] *= per;
+    } else if (c->distorted) {
         distort(c->distortion, xy[0], xy[1], xy);
     }
     uv[0] = xy[0] * c->fx + c->cx;
@@ -46,6 +79,10 @@ void camera_project(const camera_lens *c, const double p[3], double uv[2])
 void camera_ray(const camera_lens *c, double u, double v, double ray[2])
 {
     const double x = (u - c->cx) / c->fx, y = (v - c->cy) / c->fy;
+    if (c->fisheye) {
+        fisheye_ray(c->distortion, x, y, fmin(sqrt(x * x + y * y), WIDEST_RAD), ray);
+        return;
+    }
     ray[0] = x;
     ray[1] = y;
     for (int step = c->distorted ? FIRST_STEPS : 0; step > 0; step--) {
@@ -82,6 +119,14 @@ void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *
     for (int row = 0; row < h; row++, x += w, y += w) {
         const double v = (((double)(part->top + row) + 0.5) * k - 0.5 - c->cy) / c->fy;
         const double u[2] = {(((double)part->left + 0.5) * k - 0.5 - c->cx) / c->fx, k / c->fx};
+        if (c->fisheye) {
+            double theta = fmin(sqrt(u[0] * u[0] + v * v), WIDEST_RAD), ray[2];
+            for (int i = 0; i < w; i++) {
+                theta = fisheye_ray(c->distortion, u[0] + u[1] * i, v, theta, ray);
+                x[i] = (float)ray[0], y[i] = (float)ray[1];
+            }
+            continue;
+        }
         if (c->distorted) {
             undistorted_row(c->distortion, w, u, v, x, y);
             continue;
@@ -91,4 +136,10 @@ void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *
             y[i] = (float)v;
         }
     }
+}
+
+void add_focal_doubt(const camera_lens *c, const double t[3], double cov_pose[36])
+{
+    const double sigma_m = c->focal_sigma * t[2];
+    cov_pose[2 * 6 + 2] += sigma_m * sigma_m;
 }

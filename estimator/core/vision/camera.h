@@ -1,4 +1,4 @@
-/* A pinhole camera with Brown's distortion: points to pixels, and pixels to rays. */
+/* A pinhole camera with Brown's distortion, or a fisheye: points to pixels, and pixels to rays. */
 #ifndef DECKLANDER_CAMERA_H
 #define DECKLANDER_CAMERA_H
 
@@ -12,5 +12,8 @@ void camera_ray(const camera_lens *c, double u, double v, double ray[2]);
 
 /* x/z and y/z of the pixels of a part of a frame, row by row. */
 void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *y);
+
+/* Add what an uncertain focal length does to the covariance of a pose, (6, 6): if it is too long, the depth is by the same share. */
+void add_focal_doubt(const camera_lens *c, const double t[3], double cov_pose[36]);
 
 #endif

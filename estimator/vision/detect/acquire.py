@@ -158,7 +158,8 @@ def search(
     view, plane = view.as_seen(), Plane.of(camera, R_level_body)
     pad = view.pad
     task = _Task(view, sure, budget, memory.refused)
-    if pad.markings.fiducials and (_search_fiducials(task, plane) or not pad.markings.is_searched_by_parts):
+    # A marker that is blurred, cut or half covered is not read, and its drawing is found as any other is.
+    if pad.markings.fiducials and _search_fiducials(task, plane):
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
     of_all = kinds(*view, plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):

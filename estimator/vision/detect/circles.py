@@ -86,7 +86,7 @@ def edge_circles(
         "step": step, "margin": margin_px, "radii": radii.count, "most": most, "only_bright": only_bright,
         "least": radii.least_px * step / camera.fx, "ratio": radii.ratio, "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out, rays = np.empty(most, CORE.dtype("search_circle")), _corner_rays(camera.lens, step, w, h)
+    out, rays = np.empty(most, CORE.dtype("search_circle")), _corner_rays(camera.optics, step, w, h)
     found = CORE.lib.dl_search_circles(
         tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, CORE.array("search_circle", out, most)
     )

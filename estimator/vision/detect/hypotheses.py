@@ -34,6 +34,8 @@ from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import checked, image_of, tracker_of
 from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.regions import covers
 
 _LEVELS = (0, 2)
 """Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide."""
@@ -48,6 +50,20 @@ _TRIED = 8
 """Largest number of components whose heading is searched."""
 _HEADING_PX = 28.0
 """Smallest radius of the pad in the frame that a heading is searched in."""
+_HEADINGS, _ASIDE = 16, 0.05
+"""Headings that are tried for a component beside the pad's centre, and how far beside it is, in radii of the pad."""
+_RASTER, _SILHOUETTES = 401, 3
+"""Points along a side by which a drawing's outlines are found, and the most outlines that are looked for."""
+Contour = NDArray[np.int32]
+
+
+class _Silhouette(NamedTuple):
+    """The outline of what hangs together in a drawing that has neither disc nor ring."""
+
+    centroid_m: tuple[float, float]
+    area_m2: float
+    share: float
+    """Its share of its convex hull."""
 
 
 class _Component(NamedTuple):
@@ -55,13 +71,14 @@ class _Component(NamedTuple):
     """Its outline in the whole frame, (N, 2)."""
     off: float
     """How far its share of its hull is from the drawing's, by the logarithm."""
+    of: _Silhouette
 
 
 def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[Guess]:
-    """Return guesses from components of a frame that resemble the lettering of a pad on the bare deck."""
+    """Return guesses from components of a frame that resemble those of a pad that has neither disc nor ring."""
     found = [c for level in _LEVELS for c in _components(pyramid[level], 1 << level, pad)]
     guesses = []
-    for component in sorted(found, key=lambda c: c.off)[:_TRIED]:
+    for component in sorted(found, key=lambda c: c.off)[: _TRIED if pad.markings.is_letter_alone else 2 * _TRIED]:
         guess = _guess(component, pyramid, camera, pad, plane)
         if guess is not None:
             guesses.append(guess)
@@ -69,29 +86,34 @@ def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) ->
 
 
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
-    """Yield the components that fill as much of their hull as the lettering does and lie within the frame."""
+    """Yield the components that fill as much of their hull as those of the drawing do and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
-    sign = 1 if pad.markings.is_bright else -1
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
-    mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    h, w = grey.shape
-    share = _shape(pad)[1]
-    for contour in contours:
-        if len(contour) < 30:
-            continue
-        # A contour runs through the middles of the outermost pixels: half a pixel is missing all around.
-        area = cv2.contourArea(contour) + 0.5 * cv2.arcLength(contour, True)
-        x, y, wide, high = cv2.boundingRect(contour)
-        if area < _LEAST_AREA_PX or x <= 1 or y <= 1 or x + wide >= w - 1 or y + high >= h - 1:
-            continue
-        hull = cv2.convexHull(contour)
-        off = abs(math.log(area / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / share))
+    bright = 1 if pad.markings.is_bright else -1
+    for sign in (bright,) if pad.ground or pad.markings.is_letter_alone else (bright, -bright):
+        mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            if len(contour) >= 30:
+                yield from _alike(contour, step, grey.shape, _silhouettes(pad))
+
+
+def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...]) -> Iterator[_Component]:
+    """Yield a component for each one of the drawing that it may be."""
+    # A contour runs through the middles of the outermost pixels: half a pixel is missing all around.
+    area = cv2.contourArea(contour) + 0.5 * cv2.arcLength(contour, True)
+    x, y, wide, high = cv2.boundingRect(contour)
+    if area < _LEAST_AREA_PX or x <= 1 or y <= 1 or x + wide >= size[1] - 1 or y + high >= size[0] - 1:
+        return
+    hull = cv2.convexHull(contour)
+    share = area / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True))
+    at = contour.reshape(-1, 2).astype(float)
+    centre = at.mean(axis=0)
+    outward = (at - centre) * math.sqrt(area / max(cv2.contourArea(contour), 1.0)) + centre
+    for silhouette in drawn:
+        off = abs(math.log(share / silhouette.share))
         if off < _FILLED:
-            at = contour.reshape(-1, 2).astype(float)
-            centre = at.mean(axis=0)
-            outward = (at - centre) * (1.0 + math.sqrt(area / max(cv2.contourArea(contour), 1.0)) - 1.0) + centre
-            yield _Component((outward + 0.5) * step - 0.5, off)
+            yield _Component((outward + 0.5) * step - 0.5, off, silhouette)
 
 
 def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> Guess | None:
@@ -101,23 +123,48 @@ def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, pl
     of = cv2.moments(at.reshape(-1, 1, 2))
     if abs(of["m00"]) < 1e-9:
         return None
-    centre = np.array([of["m10"], of["m01"]]) / of["m00"]
-    flat = plane.pose(centre, math.sqrt(abs(of["m00"])), math.sqrt(_shape(pad)[0]))
+    centre, drawn = np.array([of["m10"], of["m01"]]) / of["m00"], component.of
+    flat = plane.pose(centre, math.sqrt(abs(of["m00"])), math.sqrt(drawn.area_m2))
     radius_px = flat.disc_px(camera, pad)
     level = max(0, math.floor(math.log2(max(radius_px, 1.0) / _HEADING_PX)))
-    best = heading(pyramid[level], 1 << level, camera, pad, flat)
-    if best is None:
-        return None
-    R, t = flat.R_cam_pad.matrix.ravel().tolist(), flat.t_cam_pad.tolist()
-    return Guess(R, t, best.turn_rad, best.score, best.score, plane.known)
+    aside = math.hypot(*drawn.centroid_m)
+    best: Guess | None = None
+    turns = np.linspace(0.0, math.tau, _HEADINGS, endpoint=False).tolist() if aside > _ASIDE * pad.disc_radius_m else [None]
+    for turn in turns:
+        # A component beside the centre says where that is at each heading; the drawing tells which heading is right.
+        pose = flat if turn is None else _beside(flat, drawn.centroid_m, turn)
+        seen = heading(pyramid[level], 1 << level, camera, pad, pose)
+        if seen is None or (turn is not None and abs(math.remainder(seen.turn_rad - turn, math.tau)) > math.tau / _HEADINGS):
+            continue
+        if best is None or seen.score > best.score:
+            R, t = pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()
+            best = Guess(R, t, seen.turn_rad, seen.score, seen.score, plane.known)
+    return best
+
+
+def _beside(flat: PadPose, centroid_m: tuple[float, float], turn: float) -> PadPose:
+    """Return the pose of a pad, before it is turned, whose component's centroid lies at a pose's centre."""
+    (x, y), c, s = centroid_m, math.cos(turn), math.sin(turn)
+    return PadPose(flat.R_cam_pad, flat.t_cam_pad - flat.R_cam_pad.matrix[:, :2] @ np.array([c * x - s * y, s * x + c * y]))
 
 
 @lru_cache(maxsize=8)
-def _shape(pad: Pad) -> tuple[float, float]:
-    """Return the lettering's area, m^2, and its share of its convex hull."""
-    outline = pad.markings.letters[0].corners().astype(np.float32).reshape(-1, 1, 2)
-    area = cv2.contourArea(outline)
-    return area, area / cv2.contourArea(cv2.convexHull(outline))
+def _silhouettes(pad: Pad) -> tuple[_Silhouette, ...]:
+    """Return the outlines of what hangs together in the drawing, the largest first."""
+    n = _RASTER
+    per_m = (n - 4) / (2.0 * pad.disc_radius_m)
+    gx, gy = np.meshgrid(*2 * [(np.arange(n) - 0.5 * (n - 1)) / per_m], indexing="ij")
+    at = np.stack([gx.ravel(), gy.ravel()], axis=1)
+    painted = np.any([covers(region, at) for region in pad.regions], axis=0).reshape(n, n)
+    contours, _ = cv2.findContours(painted.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    out = []
+    for contour in contours:
+        area, hull, of = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour)), cv2.moments(contour)
+        if area > 0.0 and hull > 0.0:
+            # Columns of the raster run along y, rows along x.
+            y, x = ((of[m] / of["m00"] - 0.5 * (n - 1)) / per_m for m in ("m10", "m01"))
+            out.append(_Silhouette((x, y), area / per_m**2, area / hull))
+    return tuple(sorted(out, key=lambda one: -one.area_m2)[:_SILHOUETTES])
 
 
 MOST_LETTERS = 8
@@ -237,7 +284,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
 
     any_strokes = Kind(_WORK_STROKES, frame.strokes, usual=0, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
-    if pad.markings.is_letter_alone:
+    if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
         return [*alone, strokes] if pad.markings.is_h else alone
     coarse = Kind(WORK_COARSE * size, lambda: frame.plain(luminance))

@@ -21,6 +21,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.registration import Registration
 
+LETTER_MOST = 2.2
+"""Most log-odds of a letter alone: another marking may have the same one."""
 _INLIERS = (0.9, 0.7)
 """Share of the edges that agree from which on they do not count against a pose, and at which they refute it: 0.98 or more at
 right poses.

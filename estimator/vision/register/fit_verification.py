@@ -78,6 +78,20 @@ TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else _HAND_SET[n
 """The same where a track has confirmed the pad before."""
 
 
+_BY_TOLD = 6.0
+"""Log-odds of what tells twice as much as clutter may. Where clutter tells a number, its chance falls by the exponential of that."""
+
+
+def told_log_odds(times_least: float) -> float:
+    """Return the most log-odds that what a drawing tells of the light about it allows.
+
+    Args:
+        times_least: what it tells times the share that follows it, of the core's `drawing_told`, over the least of its pad. Few
+            pixels tell little, and what is hidden tells nothing.
+    """
+    return _BY_TOLD * (times_least - 1.0)
+
+
 def confidence(log_odds: float) -> float:
     """Return the confidence, 0..1, of a registration from all that speaks for and against it."""
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))

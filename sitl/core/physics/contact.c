@@ -55,6 +55,13 @@ double deck_coverage(const sim_vehicle_params *o, double x, double y, double rad
     return share;
 }
 
+/* The height of the thing that lies on the deck under a point. */
+static double thing_under(const sim_vehicle_params *o, double x, double y)
+{
+    const double *thing = o->effects.thing, ahead = x - thing[0], aside = y - thing[1];
+    return thing[3] > 0.0 && ahead * ahead + aside * aside < thing[2] * thing[2] ? thing[3] : 0.0;
+}
+
 /* A spring and a damper act normal to the deck under each foot (and each upper corner of a body on its side), and friction acts
  * along the deck. The friction would stop the foot within a few steps, but is at most the coefficient times the normal force: it
  * neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so the vehicle ties a
@@ -70,7 +77,7 @@ int contact_force(const sim_vehicle_params *o, const relative *r, double force[3
         const double corner[3] = {i & 2 ? -o->foot_m : o->foot_m, i & 1 ? -o->foot_m : o->foot_m, i < 4 ? o->feet_below_m : -o->hull_top_m};
         double arm[3], slip[3], moment[3];
         rotated(r->R, corner, arm);
-        const double deep = r->d[2] + arm[2];
+        const double deep = r->d[2] + arm[2] + thing_under(o, r->d[0] + arm[0], r->d[1] + arm[1]);
         if (!(deep > 0.0 && deep < DEEPEST_M && deck_holds(o, r->d[0] + arm[0], r->d[1] + arm[1]))) {
             continue;
         }

@@ -27,7 +27,7 @@ static void meet_sea(const sim_flight *f)
 }
 
 int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const double *noise, const double *air_noise,
-                const double *sensor_noise)
+                const double *effect_noise, const double *sensor_noise)
 {
     const sim_vehicle_params *o = f->vehicle_params;
     sim_vehicle *v = f->vehicle;
@@ -43,7 +43,7 @@ int32_t sim_run(const sim_flight *f, int32_t n, const sim_deck *decks, const dou
             meet_sea(f);
         }
         const double z = sea->z + sea->vz * (double)since * o->step_s;
-        sim_vehicle_step(o, v, &decks[i], z, sea->vz, noise + FLIGHT_NOISE * i, air_noise + FLIGHT_NOISE * i);
+        sim_vehicle_step(o, v, &decks[i], z, sea->vz, noise + FLIGHT_NOISE * i, air_noise + FLIGHT_NOISE * i, effect_noise + EFFECT_NOISE * i);
         sensors_step(o, v, f->sensor_params, f->sensors, &decks[i], z, sensor_noise + SENSOR_NOISE * i);
         if (v->touched_what != 0 && v->touched_s != touched_s) {
             return i + 1;

@@ -10,6 +10,8 @@ static const double EARTH_FIELD_NED_T[3] = {1.36e-5, 0.9e-6, 5.0e-5};
 static const double SEA_LEVEL_PA = 101325.0;
 /* PWM in hover out of 255, as recorded in flight with a battery at half charge. */
 static const double HOVER_PWM = 170.0;
+/* Vibration is felt at the second harmonic of the blades of a two-bladed rotor, by its revolutions: over half of any rate of samples. */
+static const double HARMONIC = 4.0, TURN = 6.283185307179586;
 
 /* The distance along a ray (unit, in ned) to the deck or else to the water; infinite where it meets neither. */
 static double reach(const sim_vehicle_params *o, const sim_deck *g, const double d[3], double above_water, const double ray[3])
@@ -101,8 +103,9 @@ void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const s
     rotated_back(v->R, felt, force);
     rotated_back(v->R, EARTH_FIELD_NED_T, field);
     for (int i = 0; i < 3; i++) {
-        out->f_body[i] = force[i] + e->accel_bias[i] + e->accel_sigma[turning] * noise[IMU_NOISE + i];
-        out->w_body[i] = v->w[i] + e->gyro_bias[i] + e->gyro_sigma[turning] * noise[IMU_NOISE + 3 + i];
+        const double shaken = e->vibration > 0.0 && turning ? e->vibration * sin(HARMONIC * TURN * v->revolutions + (double)i) : 0.0;
+        out->f_body[i] = e->accel_scale * force[i] + shaken + e->accel_bias[i] + e->accel_sigma[turning] * noise[IMU_NOISE + i];
+        out->w_body[i] = e->gyro_scale * v->w[i] + e->gyro_bias[i] + e->gyro_sigma[turning] * noise[IMU_NOISE + 3 + i];
         out->magnetometer[i] = field[i] + e->field_bias[i] + e->field_sigma * noise[FIELD_NOISE + i];
     }
     out->rpy_rad[0] = atan2(v->R[7], v->R[8]) + (v->tilt_bias[0] + v->tilt_drift[0]);

@@ -27,6 +27,7 @@ typedef struct {
     int over, wet, motors, touching;
     double tilt_cos;
     int64_t phase;
+    const double *effect_noise;
 } step;
 
 static void quaternion_of_rpy(double roll, double pitch, double yaw, double q[4])
@@ -73,6 +74,47 @@ static void disturb(const sim_vehicle_params *o, sim_vehicle *v, const double no
     for (int i = 0; i < 2; i++) {
         v->flow_error[i] = o->flow_keep * v->flow_error[i] + o->flow_fresh * noise[3 + i];
         v->tilt_drift[i] = o->tilt_keep * v->tilt_drift[i] + o->tilt_fresh * noise[5 + i];
+    }
+}
+
+/* Errors by which the loops fly, turbulence of the own downwash, and the turning of the rotors. */
+static void roughen(const sim_vehicle_params *o, sim_vehicle *v, const double noise[EFFECT_NOISE])
+{
+    const sim_effects *e = &o->effects;
+    for (int i = 0; i < 3; i++) {
+        v->rough[i] = e->downwash_keep * v->rough[i] + e->downwash_fresh * noise[i];
+    }
+    v->climb_error = e->climb_keep * v->climb_error + e->climb_fresh * noise[3];
+    v->revolutions = fmod(v->revolutions + o->step_s * e->revolution_hz * sqrt(fmax(0.0, v->thrust_n / o->mass_kg / GRAVITY_M_S2)), 1.0);
+}
+
+/* The share of thrust that the battery leaves: the voltage falls with the load, and thrust goes with its square. */
+static double sagging(const sim_vehicle_params *o, const sim_vehicle *v)
+{
+    const sim_effects *e = &o->effects;
+    const double voltage = (1.0 - e->sag * v->thrust_n / o->thrust_max_n) / (1.0 - e->sag * e->hover_share);
+    return voltage * voltage;
+}
+
+/* The gain by the ground effect over a deck that moves: the wake needs time to follow, and a gap that closes pushes.
+ *
+ * Source: the inflow of a rotor over moving ground follows with a lag and with the ground's speed (Xin, Prasad & Peters, Dynamic inflow
+ * modeling for simulation of a helicopter operating in ground effect, AIAA 99-4114, 1999). The lag of 0.1 s and the push, half of the gap's
+ * speed by the induced one, fading over a radius, are assumed. */
+static double cushioned(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double gain)
+{
+    const sim_effects *e = &o->effects;
+    v->cushion = v->cushion > 0.0 ? v->cushion + e->cushion_share * (gain - v->cushion) : gain;
+    const double closing = s->over ? clip(s->r.v[2], -3.0, 3.0) : 0.0;
+    return v->cushion * (1.0 + 0.5 * closing / e->induced_m_s * exp(-clip(s->height, 0.0, 50.0) / o->effect_radius_m));
+}
+
+/* The turbulence of the own downwash, which the deck throws back: full below 0.5 m, none from 0.7 m on, half as strong upwards. */
+static void stir(const sim_vehicle_params *o, const sim_vehicle *v, const step *s, double a[3])
+{
+    const double share = s->over && s->motors && v->contact_s <= 0.0 ? clip((0.7 - s->height) / 0.2, 0.0, 1.0) : 0.0;
+    for (int i = 0; i < 3; i++) {
+        a[i] += share * o->effects.downwash * (i < 2 ? 1.0 : 0.5) * v->rough[i];
     }
 }
 
@@ -152,8 +194,8 @@ static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const do
     v->integral[1] = clip(v->integral[1] - gain * v->flow[1], -top, top);
     if (flying) {
         const double tilt = o->euler_angle_max_rad < o->tilt_max_rad ? o->euler_angle_max_rad : o->tilt_max_rad;
-        asked[0] = command[0] * tilt;
-        asked[1] = command[1] * tilt;
+        asked[0] = command[0] * tilt * o->effects.tilt_gain;
+        asked[1] = command[1] * tilt * o->effects.tilt_gain;
         asked[2] = command[3] * o->yaw_rate_max_rad_s;
         return;
     }
@@ -167,6 +209,11 @@ static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const do
 /* Attitude to torque: P and D on roll and pitch, P on the yaw rate, less what the observer found. */
 static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double torque[3])
 {
+    const double sigma = o->effects.on ? o->effects.rate_sigma : 0.0, *noise = s->effect_noise + 4;
+    double w[3];
+    for (int i = 0; i < 3; i++) {
+        w[i] = sigma > 0.0 ? v->w[i] + sigma * noise[i] : v->w[i];
+    }
     const double *R = v->R, c = clip(sqrt(R[0] * R[0] + R[3] * R[3]), 1e-6, 1.0), cos_psi = R[0] / c, sin_psi = R[3] / c;
     const double phi = atan2(R[7], R[8]) + (v->tilt_bias[0] + v->tilt_drift[0]);
     const double theta = atan2(-R[6], c) + (v->tilt_bias[1] + v->tilt_drift[1]);
@@ -175,9 +222,9 @@ static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const dou
     asked_attitude(o, v, command, cos_psi, sin_psi, asked);
     observe_torque(o, v);
     const double turn[3] = {
-        o->tilt_p * (asked[0] - phi) - o->tilt_d * v->w[0] - v->unasked[0],
-        o->tilt_p * (asked[1] - theta) - o->tilt_d * v->w[1] - v->unasked[1],
-        o->yaw_rate_p * (asked[2] - v->w[2]) - v->unasked[2],
+        o->tilt_p * (asked[0] - phi) - o->tilt_d * w[0] - v->unasked[0],
+        o->tilt_p * (asked[1] - theta) - o->tilt_d * w[1] - v->unasked[1],
+        o->yaw_rate_p * (asked[2] - w[2]) - v->unasked[2],
     };
     for (int i = 0; i < 3; i++) {
         torque[i] = clip(o->inertia_kg_m2[i] * turn[i], -o->torque_max_n_m[i], o->torque_max_n_m[i]);
@@ -187,7 +234,7 @@ static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const dou
 /* Climb rate to thrust: the stick's, the one that holds the height, or that of take-off and landing. */
 static double climb_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5])
 {
-    const double z = v->p[2], vz = v->v[2], gaz = command[2];
+    const double z = v->p[2], vz = v->v[2] + v->climb_error, gaz = command[2];
     const int flying = v->phase == PHASE_FLYING;
     const int holding = v->phase == PHASE_HOVERING || (flying && gaz < STICK_MIDDLE && gaz > -STICK_MIDDLE);
     v->z_hold = holding ? v->z_hold : z + STOP_S * vz;
@@ -200,7 +247,38 @@ static double climb_loop(const sim_vehicle_params *o, sim_vehicle *v, const doub
     const double e = down - vz, gain = v->contact_s > 0.0 || v->phase == PHASE_LANDED ? 0.0 : o->climb_i * o->step_s;
     v->integral[2] = clip(v->integral[2] + gain * e, -o->climb_i_max_m_s2, o->climb_i_max_m_s2);
     const double acceleration = o->climb_p * e - o->climb_d * v->a[2] + v->integral[2];
-    return clip(o->mass_kg * (GRAVITY_M_S2 - acceleration) / clip(v->R[8], 0.5, 1.0), 0.0, o->thrust_max_n);
+    return clip(o->effects.loop_mass_kg * (GRAVITY_M_S2 - acceleration) / clip(v->R[8], 0.5, 1.0), 0.0, o->thrust_max_n);
+}
+
+/* What reaches the body of the motors' thrust and torque where the unkind effects act. */
+static void drive_unkindly(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double *lift, double turn[3])
+{
+    const sim_effects *e = &o->effects;
+    const double sag = e->lift_share * (e->sag > 0.0 ? sagging(o, v) : 1.0), asked = *lift;
+    double share[ROTORS_MAX], free[ROTORS_MAX], plain = asked, aside[3] = {turn[0], turn[1], turn[2]};
+    for (int i = 0; i < o->rotors; i++) {
+        free[i] = share[i] = sag * o->rotor_health[i];
+    }
+    if (o->effect_by_rotor) {
+        double factor[ROTORS_MAX];
+        ground_effect_by_rotor(o, &s->r, s->sea_z - s->ahead[2], factor);
+        for (int i = 0; i < o->rotors; i++) {
+            share[i] *= factor[i];
+        }
+        delivered(o, &plain, aside, free);
+        delivered(o, lift, turn, share);
+    } else {
+        if (e->saturates || !o->all_healthy) {
+            delivered(o, lift, turn, share);
+        } else {
+            *lift *= sag;
+        }
+        plain = *lift;
+        *lift *= ground_effect(o, s->height);
+    }
+    if (e->moving_deck && plain > 1e-3) {
+        *lift = plain * cushioned(o, v, s, *lift / plain);
+    }
 }
 
 /* Thrust and torque follow what is asked with the motors' lag, and reach the body through weak rotors and the ground effect. */
@@ -216,7 +294,12 @@ static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double comm
         v->torque_n_m[i] += o->motor_lag * ((s->motors ? torque[i] : 0.0) - v->torque_n_m[i]);
         turn[i] = v->torque_n_m[i];
     }
+    const sim_effects *e = &o->effects;
     *lift = v->thrust_n;
+    if (e->on) {
+        drive_unkindly(o, v, s, lift, turn);
+        return;
+    }
     if (o->effect_by_rotor) {
         ground_effect_by_rotor(o, &s->r, s->sea_z - s->ahead[2], share);
         for (int i = 0; i < o->rotors; i++) {
@@ -239,8 +322,9 @@ static void accelerate(const sim_vehicle_params *o, const sim_vehicle *v, double
         past[i] = v->v[i] - v->gust[i] - o->extra_wind[i] - v->air[i];
     }
     rotated_back(v->R, past, body);
+    const double quadratic = o->effects.drag_per_m > 0.0 ? o->effects.drag_per_m * sqrt(dot(past, past)) : 0.0;
     for (int i = 0; i < 3; i++) {
-        body[i] *= -o->drag_per_s[i];
+        body[i] *= -(o->drag_per_s[i] + quadratic);
     }
     body[2] -= lift / o->mass_kg;
     rotated(v->R, body, a);
@@ -391,12 +475,15 @@ static void begin(const sim_vehicle_params *o, sim_vehicle *v, step *s, double c
 }
 
 void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
-                  const double *air_noise)
+                  const double *air_noise, const double *effect_noise)
 {
-    step s = {.g = g, .sea_z = sea_z, .sea_vz = sea_vz, .phase = v->phase};
+    step s = {.g = g, .sea_z = sea_z, .sea_vz = sea_vz, .phase = v->phase, .effect_noise = effect_noise};
     double command[5], lift, turn[3], a[3], before[3];
     v->seconds += o->step_s;
     disturb(o, v, noise);
+    if (o->effects.on) {
+        roughen(o, v, effect_noise);
+    }
     begin(o, v, &s, command);
     drive(o, v, command, &s, &lift, turn);
     if (o->air.on) {
@@ -405,6 +492,9 @@ void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_dec
         memcpy(v->air, o->wind, sizeof v->air);
     }
     accelerate(o, v, lift, a);
+    if (o->effects.on) {
+        stir(o, v, &s, a);
+    }
     touch(o, v, &s, a, turn);
     memcpy(before, v->v, sizeof before);
     if (v->tied) {

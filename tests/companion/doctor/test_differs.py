@@ -3,8 +3,7 @@
 import pytest
 
 from companion.tools.doctor.diagnose import diagnose
-from companion.tools.doctor.differs import defaults_of, differing
-from companion.tools.doctor.renamed import RENAMED
+from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing
 from companion.tools.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import GOOD
 from tests.companion.doctor.test_set_ups import set_up

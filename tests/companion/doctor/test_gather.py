@@ -19,9 +19,9 @@ from companion.settings.load import Settings
 from companion.settings.metrics import MetricsSettings
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.firmware_parameters import names_in
 from companion.tools.doctor.gather import examine
 from companion.tools.doctor.gather_service import examine_service
-from companion.tools.doctor.renamed import names_in
 from companion.tools.doctor.snapshot import Snapshot, encode
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Event, mav

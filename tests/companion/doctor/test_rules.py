@@ -8,10 +8,10 @@ from msgspec.structs import replace
 from companion.settings.load import from_mapping
 from companion.settings.model import Settings
 from companion.settings.ship_place import contradiction
-from companion.tools.doctor import rules_log, rules_values
-from companion.tools.doctor.diagnose import RULES, diagnose
+from companion.tools.doctor import rules_values
+from companion.tools.doctor.diagnose import LOG_RULES, RULES, diagnose
 from companion.tools.doctor.finding import Severity
-from companion.tools.doctor.rules_px4 import event_id
+from companion.tools.doctor.rules_autopilots import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     GimbalSnapshot,
@@ -300,9 +300,7 @@ def test_an_old_refusal_of_a_vehicle_that_is_armed_is_none() -> None:
 
 def test_every_rule_has_a_broken_set_up() -> None:
     fired = {rule for rule in RULES for _, snapshot, _ in BROKEN.values() if rule(snapshot) is not None}
-    assert fired == set(RULES) - {*rules_values.RULES, *rules_log.RULES, *rules_values.FAILSAFE_RULES}, (
-        "those have tests of their own"
-    )
+    assert fired == set(RULES) - {*rules_values.RULES, *LOG_RULES, *rules_values.FAILSAFE_RULES}, "those have tests of their own"
     assert len(BROKEN) >= 20
 
 

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.firmware_parameters import RENAMED, names_in
 from companion.tools.doctor.gather import examine_log
-from companion.tools.doctor.renamed import RENAMED, names_in
 from companion.tools.doctor.snapshot import Snapshot
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
 from tests.support.flight_logs import dataflash, ulog

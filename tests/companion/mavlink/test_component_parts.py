@@ -12,8 +12,8 @@ import companion.settings.load as settings_of
 from companion.parts.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
 from companion.parts.mavlink.computer import Computer, ComputerReader, computer_status
 from companion.parts.mavlink.operator import LandingProgress
+from companion.parts.mavlink.outputs import MavSeverity, StatusTexts
 from companion.parts.mavlink.parameters import NAMES, ParameterServer, Tunables
-from companion.parts.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.settings.model import Settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from companion.base.health import Health
-from companion.parts.mavlink import link_watch
-from companion.parts.mavlink.link_watch import PART, LinkWatch
+from companion.parts.mavlink import make
+from companion.parts.mavlink.make import PART, LinkWatch
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.autopilot import open_autopilot
@@ -33,7 +33,7 @@ KEY = SigningKey(bytes(range(32)))
 async def watched(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) -> AsyncIterator[tuple[Health, tuple[str, int]]]:
     """A watch ten times as fast as in flight, beside the links."""
     for name in ("_EACH_S", "_WINDOW_S", "_FIRST_S"):
-        monkeypatch.setattr(link_watch, name, 0.1 * getattr(link_watch, name))
+        monkeypatch.setattr(make, name, 0.1 * getattr(make, name))
     clock = SystemClock()
     health, options = Health(clock), AutopilotOptions(f"udpin://{HOST}:0")
     signing = Signing(KEY, SigningTimes(None), 0) if signed else None

@@ -15,10 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.parts.mqtt.commands import CommandHandler
+from companion.parts.mqtt.commands import CommandHandler, Forged, Unsigned, signed, verified
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
 from companion.parts.mqtt.messages import CommandReply, OperatorNotice, decode
-from companion.parts.mqtt.signature import Forged, Unsigned, signed, verified
 from companion.parts.mqtt.topics import Topics
 from companion.settings.load import from_mapping
 from companion.settings.mqtt import MqttSettings

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
+from companion.parts.mqtt.commands import signed
 from companion.parts.mqtt.messages import CommandReply, EventMessage, HealthReport, Message, OperatorNotice, StatusMessage, decode
-from companion.parts.mqtt.signature import signed
 from tests.support.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]

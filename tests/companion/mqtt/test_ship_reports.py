@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.parts.mqtt.commands import REPORT_MAX_BYTES, ShipReportReader, signed
 from companion.parts.mqtt.messages import ShipReport
-from companion.parts.mqtt.ship_reports import REPORT_MAX_BYTES, ShipReportReader
-from companion.parts.mqtt.signature import signed
 from companion.parts.mqtt.topics import Topics
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs

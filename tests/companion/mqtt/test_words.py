@@ -18,8 +18,8 @@ from companion.parts.mqtt import encode, messages
 from companion.parts.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint
 from companion.parts.mqtt.encode import Changes
-from companion.parts.mqtt.make import spool_folder
 from companion.parts.mqtt.messages import PUBLISHED, decode
+from companion.parts.mqtt.part import spool_folder
 from companion.parts.mqtt.topics import Topics, split
 from companion.settings import secret_files
 from companion.settings.mqtt import MqttSettings

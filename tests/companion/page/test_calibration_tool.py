@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.cli.calibrate import block
-from companion.parts.page import calibration_tool
+from companion.parts.page import make
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.guide import Guide
 from estimator.vision.camera import Camera
-from tests.companion.calibration_images import Studio, good_round, lens
 from tests.companion.page.test_settings_tool import names, rig
+from tests.support.calibration_images import Studio, good_round, lens
 from tests.support.page_service import Browser, browsing, serving
 
 BOARD = Board()
@@ -57,7 +57,7 @@ def test_a_guide_names_what_is_missing_until_nothing_is(images: list[NDArray[np.
 async def test_a_person_is_led_to_a_camera_file(
     tmp_path: Path, images: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibration_tool, "_FRAME_S", 0.0)
+    monkeypatch.setattr(make, "_FRAME_S", 0.0)
     path = rig(tmp_path)
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser, browsing(service) as other:
         assert "flies" in (await asked(browser, "begin"))["text"]
@@ -74,14 +74,14 @@ async def test_a_person_is_led_to_a_camera_file(
                 told = await browser.read("calibration")
         assert (told["text"], told["grade"], told["lacks"]) == ("complete", "good", [])
         assert (await asked(browser, "save"))["text"].startswith("saved beside the settings")
-        found = Camera.from_mapping(tomllib.loads((tmp_path / calibration_tool.NAME).read_text()), "camera")
+        found = Camera.from_mapping(tomllib.loads((tmp_path / make.NAME).read_text()), "camera")
         assert abs(found.fx / TRUE.fx - 1) < 0.004
         assert np.allclose(found.T_body_cam.R.matrix, service.pilot.camera.T_body_cam.R.matrix, atol=1e-4), "the mount is kept"
         assert (await asked(browser, "save"))["text"].startswith("saved beside the settings")
         service.flying = True
         while "flies" not in (await asked(browser, "save"))["text"]:
             pass
-    assert names(tmp_path) == [calibration_tool.NAME, f"{calibration_tool.NAME}.before", "rig.toml", "token"]
+    assert names(tmp_path) == [make.NAME, f"{make.NAME}.before", "rig.toml", "token"]
 
 
 async def test_a_take_off_ends_a_calibration_and_garbage_its_connection(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ async def test_a_take_off_ends_a_calibration_and_garbage_its_connection(tmp_path
         told = await browser.read("calibration")
         while told["active"]:
             told = await browser.read("calibration")
-        assert (told["text"], told["file"]) == (calibration_tool.TOOK_OFF, "")
+        assert (told["text"], told["file"]) == (make.TOOK_OFF, "")
         for more in ({"columns": 1}, {"square_mm": 0}, {"board": "../x"}, {"action": "install"}, {"path": "/etc/x"}):
             async with browsing(service) as garbage:
                 await garbage.read("welcome")

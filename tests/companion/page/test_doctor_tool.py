@@ -10,7 +10,7 @@ import pytest
 from companion.tools.doctor import live, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
 from drivers.clock import SystemClock
-from drivers.mavlink import autopilot
+from drivers.mavlink import samples
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
@@ -41,7 +41,7 @@ async def flown_by(fake: MiniatureAutopilot) -> AsyncIterator[Autopilot]:
 def reads_of(fake: MiniatureAutopilot) -> int:
     """The parameters that were asked for, beside those that the driver reads on each connect."""
     asked = [message.param_id for message in fake.messages if message.get_type() == "PARAM_REQUEST_READ"]
-    return sum(name not in autopilot.DELAY_PARAMETERS[Stack.ARDUPILOT] for name in asked)
+    return sum(name not in samples.DELAY_PARAMETERS[Stack.ARDUPILOT] for name in asked)
 
 
 async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.tools.report.comparison import render_comparison
-from companion.tools.report.page import write_page, write_report
+from companion.tools.report.page import render_comparison, write_page, write_report
 from companion.tools.report.video import film_of
 from estimator.contracts.time import MonoNs
 from tests.companion.page.test_browser import LAPTOP, PHONE, Window, chromium

@@ -4,13 +4,15 @@ import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports import ardrone_capture, dataflash, parameter_file, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.log_history import parameters_of
 from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu, Range, Sample, VehicleStatus
@@ -124,7 +126,7 @@ def test_a_telemetry_log_gives_samples_and_parameters(tmp_path: Path) -> None:
 def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
     for name, text in PARAMETERS.items():
         (tmp_path / name).write_text(text, newline="")
-        log = parameter_file.read_history(tmp_path / name)
+        log = parameters_of(tmp_path / name)
         assert log.stack == ("PX4" if "px4" in name else "ArduPilot")
         assert kind_of(tmp_path / name) is FileKind.PARAMETERS
     assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
@@ -225,3 +227,59 @@ def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
             instants = [s.stamp.received_at for s in found]
             assert instants == sorted(instants)
             assert not instants or instants[-1] - instants[0] < 4 * 3600e9
+
+
+def _images(folder: Path, names: Iterable[str]) -> None:
+    folder.mkdir()
+    for n, name in enumerate(names):
+        px = np.full((24, 32, 3), 10 * n, np.uint8)
+        (folder / name).write_bytes(cv2.imencode(Path(name).suffix, px)[1].tobytes())
+
+
+def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
+    """The instants of a folder's frames, the grey of each over ten, and what was told."""
+    told: list[str] = []
+    frames = list(image_folder.frames(folder, tell=told.append))
+    return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(told)
+
+
+@pytest.mark.parametrize("name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png"])
+def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None:
+    at = [1_700_000_000.0 + 0.25 * n for n in range(5)]
+    _images(tmp_path / "f", [name.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s) for s in at])
+    assert kind_of(tmp_path / "f") is FileKind.IMAGES
+    seconds, greys, told = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.25 * n for n in range(5)], abs=1e-6)
+    assert greys == [0, 1, 2, 3, 4]
+    assert told == ""
+
+
+@pytest.mark.parametrize(("head", "row"), [
+    ("#timestamp [ns],filename", "{ns:.0f},{name}"), ("time_s,source", "{s:.2f},{name}"),
+    ("# timestamp filename", "{s:.2f} rgb/{name}"),
+    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"),
+])  # fmt: skip
+def test_a_table_tells_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
+    names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
+    _images(tmp_path / "f", names)
+    lines = [
+        head,
+        *(row.format(s=7.5 + 0.5 * n, ms=7500.0 + 500 * n, ns=7.5e9 + 5e8 * n, name=name) for n, name in enumerate(names)),
+    ]
+    (tmp_path / "f" / "times.csv").write_text("\r\n".join(lines[:-1]) + "\n")
+    seconds, greys, told = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.0, 0.5, 1.0, 1.5])
+    assert greys == [0, 1, 2, 3]
+    assert "1 of 5 images have no time" in told
+
+
+def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -> None:
+    _images(tmp_path / "counted", [f"img{n:04d}.png" for n in range(3)])
+    with pytest.raises(BadInput, match="put a table"):
+        list(image_folder.frames(tmp_path / "counted"))
+    _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
+    (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    seconds, _, told = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.0, 2.0, 4.0])
+    assert "the time of the one before" in told
+    assert "4_1700000004.png" in told

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.mavlink.autopilot import inertial_delay_s
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.samples import MavlinkSampler
+from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation

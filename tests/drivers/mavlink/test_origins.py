@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.origins import Origins
+from drivers.mavlink.roster import Origins
 from estimator.contracts.time import NS_PER_S, MonoNs
 
 # A case of some seconds of messages is not made smaller: its numbers say enough.

@@ -12,7 +12,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.endpoint import Address
 from drivers.mavlink import autopilot as autopilot_module
-from drivers.mavlink import origins, roster
+from drivers.mavlink import roster
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
@@ -153,7 +153,7 @@ async def test_another_program_with_our_ids_is_named_and_an_echo_is_none() -> No
 
 
 async def test_requests_are_few_however_often_an_autopilot_boots(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(origins, "_REBOOT_S", 0.02)
+    monkeypatch.setattr(roster, "_REBOOT_S", 0.02)
     monkeypatch.setattr(autopilot_module, "_AGAIN_S", 0.3)
     fake = MiniatureAutopilot()
     async with routed() as (autopilot, _, url), fake.talking_to(url):

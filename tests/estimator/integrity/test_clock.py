@@ -73,3 +73,27 @@ def test_a_delay_that_has_held_gives_way_to_no_other() -> None:
 def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:
     assert set(delays([0.09 + 0.04 * (i % 3) for i in range(200)])) == {None}
     assert set(delays([0.09 + 0.001 * i for i in range(300)])) == {None}
+
+
+def test_a_clock_that_stands_is_told_by_the_arrivals_and_one_that_goes_on_is_taken_at_once() -> None:
+    state, out = ClockWatch(), []
+    times = [0.005 * i for i in range(200)]
+    for t in times:
+        stood = Stamp(MonoNs(round(min(t, 0.5) * 1e9)), MonoNs(round((t + 0.01) * 1e9)), 0.001, "sim")
+        if t > 0.75:
+            stood = stamp(t + 0.01)
+        state, verdict = watch_delay(state, "Imu", stood, 0.5, 1.0)
+        out.append((t, verdict, state.off("Imu")))
+    refused = [t for t, verdict, _ in out if verdict is Verdict.TOO_OLD]
+    assert 0.6 <= refused[0] < 0.61, "0.1 s after the newest stamp"
+    assert refused[-1] == 0.75
+    assert [off for t, _, off in out if t > 0.75] == [False] * sum(t > 0.75 for t in times)
+
+
+def test_samples_that_come_twice_or_after_a_pause_have_a_clock_that_goes() -> None:
+    state = ClockWatch()
+    for t in (0.0, 0.01, 0.02, 0.9, 0.91, 1.9):
+        for late in (0.0, 0.02):
+            twice = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.01 + late) * 1e9)), 0.001, "sim")
+            state, verdict = watch_delay(state, "Imu", twice, 0.5, 1.0)
+            assert verdict is None

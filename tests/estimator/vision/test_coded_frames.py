@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.ardrone.h264 import AccessUnitDecoder
+from drivers.ardrone.video import AccessUnitDecoder
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad

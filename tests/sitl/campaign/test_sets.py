@@ -11,13 +11,12 @@ import pytest
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.plan import Job, SetPlan
+from sitl.campaign.plan import Job, SetPlan, is_set, load_set, shipped_sets
 from sitl.campaign.report import REPORT
 from sitl.campaign.tables import by_scenario, in_columns
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.sets import is_set, load, shipped_sets
 from tests.sitl.campaign.fakes import fake_fly, plan
 from tests.sitl.near import NEAR
 
@@ -123,21 +122,21 @@ def test_the_table_counts_each_scenario_and_names_causes() -> None:
 
 @pytest.mark.parametrize("name", shipped_sets())
 def test_shipped_sets_load_and_every_scenario_acts_at_its_level(name: str) -> None:
-    chosen, scenarios = load(name)
+    chosen, scenarios = load_set(name)
     assert is_set(name)
     for member in chosen.scenario:
         perceive(chosen.level(member)).refuse(scenarios[member.name].faults)
 
 
 def test_the_thirty_are_thirty_and_each_says_what_is_right() -> None:
-    _, scenarios = load("thirty_faults")
+    _, scenarios = load_set("thirty_faults")
     assert len(scenarios) >= 29
     assert all(scenario.because and scenario.faults for scenario in scenarios.values())
 
 
 def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
     path = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', 'base = "sea_state_4"\n'))
-    _, scenarios = load(path)
+    _, scenarios = load_set(path)
     rough = load_scenario("sea_state_4")
     assert scenarios["held.toml"].sea == rough.sea
     assert scenarios["held.toml"].expect == "hold"
@@ -156,7 +155,7 @@ def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(BadInput) as why:
-        load(path)
+        load_set(path)
     assert str(why.value).startswith(f"{path}: ")
     assert said in str(why.value)
 

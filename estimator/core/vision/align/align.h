@@ -178,6 +178,9 @@ void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pos
 void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
                     aligned_pad *out);
 
+/* How much the drawing tells of samples whose local light was fitted. */
+void align_told(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_told *out);
+
 /* The rows of the scratch: of the pixels, then of the samples. */
 void align_rows(int n, float *scratch, pixels *from, samples *s);
 

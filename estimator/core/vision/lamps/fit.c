@@ -253,5 +253,9 @@ int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_pri
         out->off_px[g] = focal_px * hypot(groups.group[g].off[0], groups.group[g].off[1]);
     }
     out->middle_sigmas = median_sigmas(&groups), out->extent_px = extent_px(&groups, focal_px);
-    return covariance(pad, &groups, A, &out->pose, out->cov);
+    if (!covariance(pad, &groups, A, &out->pose, out->cov)) {
+        return 0;
+    }
+    add_focal_doubt(camera, out->pose.t, out->cov);
+    return 1;
 }

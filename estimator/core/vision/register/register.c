@@ -202,6 +202,7 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
     in_camera_axes(pose.R, STATES, s->cov, out->cov);
     in_camera_axes(pose.R, POSE, information, out->information);
     doubt_coded(k, &pose, s->H, out);
+    add_focal_doubt(k->seen.camera, pose.t, out->cov);
     blur_in_frame(&pose, pose.R, out->blur_px2);
     out->noise_light = s->noise_light, out->edge_rms_px = s->edge_rms_px, out->visible = s->visible;
     out->inliers = s->inliers, out->last_step_px = s->last_step_px;

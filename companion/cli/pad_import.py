@@ -1,0 +1,103 @@
+"""`decklander pad import`: make a pad file of a drawing or of a photograph of a pad."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from companion.tools.pads.svg import read_svg
+from companion.tools.pads.trace import Picture, drawn, file_text, photographed, traced
+from estimator.contracts.errors import BadInput
+from estimator.vision.pad import LARGEST_M, SMALLEST_M, Pad
+from estimator.vision.regions import part_of
+
+
+def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander pad import` to the parser."""
+    p = actions.add_parser(
+        "import",
+        help="make a pad file of an SVG drawing or a photograph",
+        description="Make a pad file of an SVG drawing, or of a photograph of a painted or printed pad. Up in the picture is along "
+        "the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, and "
+        "judge it with pad check.",
+    )
+    p.add_argument("drawing", metavar="FILE", help=".svg, or a photograph (.jpg, .png)")
+    p.add_argument("--out", required=True, metavar="FILE", help="pad file to write (.toml)")
+    p.add_argument(
+        "--size-mm", metavar="MM", help="largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle"
+    )
+    p.add_argument(
+        "--corners", metavar="PX", help='pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
+        "left, fore right, aft right, aft left",
+    )  # fmt: skip
+    p.add_argument("--paints", type=int, default=2, choices=range(2, 6), help="paints in a photograph, the ground's among them")
+    p.add_argument("--name", metavar="NAME", help="name of the pad (default: the file's)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the pad's file; return 0.
+
+    Raises:
+        BadInput: a file cannot be read or written, an argument is wrong, or the drawing cannot be measured as a pad.
+    """
+    path, out = Path(args.drawing), Path(args.out)
+    if out.suffix != ".toml":
+        raise BadInput(f"--out must end in .toml, got {args.out!r}")
+    size_m = _size_m(args.size_mm, args.corners is not None)
+    try:
+        data = path.read_bytes()
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    picture = _picture(path, data, size_m, args)
+    keys = traced(picture, args.name or path.stem, str(path))
+    text = file_text(keys, f"Made of {path.name} by decklander pad import.")
+    pad = Pad.from_mapping(tomllib.loads(text), str(path))
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as why:
+        raise BadInput(f"{out}: {why.strerror or why}") from why
+    parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
+    sys.stdout.write(f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), ground {pad.ground}\n")
+    return 0
+
+
+def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: argparse.Namespace) -> Picture:
+    if path.suffix.lower() == ".svg":
+        if args.corners is not None:
+            raise BadInput("--corners is for photographs: a drawing is seen from straight above")
+        return drawn(read_svg(data.decode("utf-8", "replace"), str(path)), None if size_m is None else max(size_m), str(path))
+    px = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if px is None:
+        raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
+    if size_m is None:
+        raise BadInput("--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners")
+    return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path))
+
+
+def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    parts = text.lower().split("x")
+    try:
+        sizes = [float(part) / 1000.0 for part in parts]
+    except ValueError:
+        sizes = []
+    if len(sizes) != (2 if of_rectangle else 1) or not all(SMALLEST_M <= size <= LARGEST_M for size in sizes):
+        wanted = "WIDTHxLENGTH of the rectangle" if of_rectangle else "one length"
+        raise BadInput(f"--size-mm must be {wanted} in mm, {1000 * SMALLEST_M:g} to {1000 * LARGEST_M:g}, got {text!r}")
+    return sizes[0], sizes[-1]
+
+
+def _corners(text: str | None) -> np.ndarray | None:
+    if text is None:
+        return None
+    values = re.findall(r"[-+]?\d+(?:\.\d+)?", text)
+    if len(values) != 8:
+        raise BadInput(f'--corners must be four places "u,v u,v u,v u,v" in px, got {text!r}')
+    return np.array(values, float).reshape(4, 2)

@@ -1,0 +1,108 @@
+"""The wind over the drone, by the lean that holds it in place, and how much of it the vehicle's tilt can fly.
+
+What the drone leans beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
+is gusts. A vehicle can fly a steady lean up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
+the tilt is for them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from msgspec import Struct
+
+from companion.guidance.controller import Knowledge
+from companion.settings.response import TiltResponse
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.time import MonoNs, seconds_between
+
+MEAN_S = 5.0
+"""Time constant of mean and gusts, and the time before either counts, s."""
+GUST_SIGMAS = 2.5
+_SMOOTH_S = 0.3
+"""Time constant that takes the accelerometer's noise from the lean, s: gusts last longer."""
+_GAP_MAX_S = 0.5
+_SPENT = 0.95
+"""Share of the tilt limit beyond which a steady lean leaves nothing to hold the place with."""
+
+
+class WindOverDrone(NamedTuple):
+    """The wind as it is known in one cycle."""
+
+    speed_m_s: float
+    """Mean speed of the air past the drone, by its drag."""
+    gust_m_s: float
+    """Standard deviation of the gusts on one axis."""
+    limit_m_s: float
+    """The largest mean speed that the vehicle's tilt can fly in these gusts."""
+    into_level: tuple[float, float]
+    """Unit vector into the wind, forward and right; zero in a calm."""
+    lean_rad: float
+    """The mean lean against it."""
+    spent: bool
+    """Whether it takes all of the tilt."""
+
+    @property
+    def too_strong(self) -> bool:
+        return self.speed_m_s > self.limit_m_s
+
+
+class WindWatch(Struct, frozen=True):
+    """The watch's memory, in axes that do not turn with the nose; accelerations in m/s^2."""
+
+    at: MonoNs | None = None
+    known_s: float = 0.0
+    """Time that has been watched."""
+    smooth: tuple[float, float] = (0.0, 0.0)
+    mean: tuple[float, float] = (0.0, 0.0)
+    var: float = 0.0
+    """Variance of the gusts on one axis."""
+
+
+def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
+    """Return the memory after one guidance cycle; one without a body's motion changes nothing."""
+    body, now = knowledge.body, knowledge.at
+    if body is None:
+        return watch
+    c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
+    (forward, right), (ahead, aside, _) = body.lean_m_s2, body.a_level.tolist()
+    x, y = forward - ahead, right - aside
+    north, east = c * x - s * y, s * x + c * y
+    dt = 0.0 if watch.at is None else seconds_between(watch.at, now)
+    if not 0.0 < dt <= _GAP_MAX_S:
+        fresh = watch.at is None
+        return WindWatch(now, watch.known_s, (north, east) if fresh else watch.smooth, watch.mean, watch.var)
+    known_s = watch.known_s + dt
+    quick, slow = 1.0 - math.exp(-dt / _SMOOTH_S), dt / min(MEAN_S, known_s)
+    smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
+    off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
+    mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
+    # Of what is off, the part that has gone into the mean is none of the gusts (Welford's update of a variance).
+    var = watch.var + slow * (0.5 * (1.0 - slow) * (off[0] ** 2 + off[1] ** 2) - watch.var)
+    return WindWatch(now, known_s, smooth, mean, max(0.0, var))
+
+
+def wind_over_drone(watch: WindWatch, tilt: TiltResponse, heading_rad: float) -> WindOverDrone | None:
+    """Return the wind by what was watched; None before `MEAN_S`.
+
+    Args:
+        tilt: the vehicle's, with its limit and its drag.
+        heading_rad: of `level` in the axes of the memory.
+    """
+    if watch.known_s < MEAN_S:
+        return None
+    size, gust = math.hypot(*watch.mean), math.sqrt(watch.var)
+    most_rad = math.atan(tilt.max_m_s2 / G_M_S2)
+    lean_rad = math.atan(size / G_M_S2)
+    left_rad = max(0.0, most_rad - GUST_SIGMAS * math.atan(gust / G_M_S2))
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    north, east = (watch.mean[0] / size, watch.mean[1] / size) if size > 0.0 else (0.0, 0.0)
+    return WindOverDrone(
+        size / tilt.drag_1_s,
+        gust / tilt.drag_1_s,
+        G_M_S2 * math.tan(left_rad) / tilt.drag_1_s,
+        (c * north + s * east, c * east - s * north),
+        lean_rad,
+        lean_rad > _SPENT * most_rad,
+    )

@@ -1,0 +1,458 @@
+"""Rules for ArduPilot and PX4: the settings that each needs, and the messages that it sends without them or is sent."""
+
+from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
+from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+
+PARAMETERS = (
+    "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
+    "PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_XY_DIST_MAX", "PLND_ALT_MAX", "INS_GYR_CAL",
+    "EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW", "EK3_RNG_USE_HGT",
+    "SCR_ENABLE", "SCR_HEAP_SIZE", "DKL_ENABLE",
+    *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
+)  # fmt: skip
+_EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
+_BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
+_MOVING_TARGET = 1
+_SCRIPT = "configs/autopilot/decklander_disarm.lua"
+_HEAP_MIN = 40_000.0
+"""Memory that the script needs, with ArduPilot's own share of it, bytes."""
+
+
+def _ardupilot(p: Snapshot) -> AutopilotSnapshot | None:
+    return p.autopilot if p.autopilot is not None and p.autopilot.stack == "ArduPilot" else None
+
+
+def _value(p: Snapshot, name: str) -> float | None:
+    a = _ardupilot(p)
+    return None if a is None else a.parameters.get(name)
+
+
+def _enabled(p: Snapshot) -> bool:
+    return bool(_value(p, "PLND_ENABLED"))
+
+
+def _texts_of(p: Snapshot, text: str) -> bool:
+    a = _ardupilot(p)
+    return a is not None and any(text in t.lower() for t in a.texts)
+
+
+def plnd_missing(p: Snapshot) -> Finding | None:
+    """Find a firmware that was built without precision landing."""
+    a = _ardupilot(p)
+    if a is None or not a.parameters or "PLND_ENABLED" not in a.absent:
+        return None
+    return error(
+        "plnd-missing",
+        "this firmware has no precision landing (no parameter PLND_ENABLED)",
+        "install a build with AC_PRECLAND: boards with 1 MB of flash need a custom build (custom.ardupilot.org)",
+    )
+
+
+def plnd_disabled(p: Snapshot) -> Finding | None:
+    """Find precision landing switched off."""
+    if _value(p, "PLND_ENABLED") != 0.0:
+        return None
+    return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot", {"PLND_ENABLED": 1.0})
+
+
+def plnd_not_rebooted(p: Snapshot) -> Finding | None:
+    """Find precision landing that was enabled after the boot and therefore does not run."""
+    a = _ardupilot(p)
+    if a is None or not _enabled(p) or _value(p, "PLND_TYPE") != _COMPANION:
+        return None
+    if a.precland_enabled and a.precland_healthy is False:
+        return error(
+            "plnd-not-rebooted",
+            "PLND_ENABLED and PLND_TYPE are set, but precision landing does not run",
+            "reboot the autopilot: it is started at boot only, and ignores LANDING_TARGET without a word until then",
+        )
+    return None
+
+
+def plnd_type(p: Snapshot) -> Finding | None:
+    """Find another source of targets than a companion computer."""
+    kind = _value(p, "PLND_TYPE")
+    if not _enabled(p) or kind is None or kind == _COMPANION:
+        return None
+    fix = "set PLND_TYPE 1 (companion computer) and reboot the autopilot"
+    return error("plnd-type", f"PLND_TYPE is {kind:g}", fix, {"PLND_TYPE": _COMPANION})
+
+
+def plnd_estimator(p: Snapshot) -> Finding | None:
+    """Find targets that are used as they come, without the autopilot's Kalman filter."""
+    kind = _value(p, "PLND_EST_TYPE")
+    if not _enabled(p) or kind is None or kind == _KALMAN:
+        return None
+    what = "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad"
+    return warning("plnd-estimator", what, "set PLND_EST_TYPE 1", {"PLND_EST_TYPE": _KALMAN})
+
+
+def plnd_lag(p: Snapshot) -> Finding | None:
+    """Find a lag, seconds, that is more than 0.05 s from the measured delay between exposure and estimate."""
+    lag_s, delay_s = _value(p, "PLND_LAG"), p.service.exposure_to_belief_s
+    if not _enabled(p) or lag_s is None or delay_s is None:
+        return None
+    best_s = min(max(delay_s, 0.02), 0.25)
+    if abs(lag_s - best_s) <= 0.05:
+        return None
+    return advice(
+        "plnd-lag",
+        f"PLND_LAG is {lag_s:g} s, but a frame is {1e3 * delay_s:.0f} ms old when it is understood",
+        f"set PLND_LAG {best_s:.2f} and reboot: then targets are of instants that were seen, not predicted",
+        {"PLND_LAG": round(best_s, 2)},
+    )
+
+
+def plnd_still_target(p: Snapshot) -> Finding | None:
+    """Find an autopilot that takes a moving pad to stand still."""
+    options = _value(p, "PLND_OPTIONS")
+    if not _enabled(p) or options is None or not p.moving_pad or int(options) & _MOVING_TARGET:
+        return None
+    return error(
+        "plnd-still-target",
+        "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
+        f"set PLND_OPTIONS {int(options) | _MOVING_TARGET} (bit 0: moving target)",
+        {"PLND_OPTIONS": float(int(options) | _MOVING_TARGET)},
+    )
+
+
+def plnd_mount_twice(p: Snapshot) -> Finding | None:
+    """Find a camera mount that is set in the autopilot although the service already applies it."""
+    if not _enabled(p):
+        return None
+    names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
+    wrong = {n: v for n in names if (v := _value(p, n)) is not None and v != 0.0}
+    orient = _value(p, "PLND_ORIENT")
+    if orient is not None and orient != _DOWN:
+        wrong["PLND_ORIENT"] = orient
+    if not wrong:
+        return None
+    return error(
+        "plnd-mount-twice",
+        f"the camera's mount is set in the autopilot too: {', '.join(f'{n} {v:g}' for n, v in wrong.items())}",
+        "set PLND_CAM_POS_* and PLND_YAW_ALIGN 0, PLND_ORIENT 25: what is sent is already from the body's origin",
+        {n: _DOWN if n == "PLND_ORIENT" else 0.0 for n in wrong},
+    )
+
+
+def plnd_blind(p: Snapshot) -> Finding | None:
+    """Find an autopilot that goes on to land when the pad is out of sight."""
+    if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
+        return None
+    return warning(
+        "plnd-blind",
+        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
+        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
+        {"PLND_STRICT": 2.0 if p.moving_pad else 1.0},
+    )
+
+
+def plnd_low_ceiling(p: Snapshot) -> Finding | None:
+    """Find a height limit for targets below 4 m."""
+    ceiling_m = _value(p, "PLND_ALT_MAX")
+    if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
+        return None
+    what = f"PLND_ALT_MAX is {ceiling_m:g} m: above it the pad is not looked for"
+    return warning("plnd-ceiling", what, "set PLND_ALT_MAX 8 or more", {"PLND_ALT_MAX": 8.0})
+
+
+def _kinds(p: Snapshot) -> dict[int, float]:
+    found = {n: _value(p, f"RNGFND{n}_TYPE") for n in range(1, 5)}
+    return {n: v for n, v in found.items() if v is not None}
+
+
+def no_rangefinder(p: Snapshot) -> Finding | None:
+    """Find an autopilot without any rangefinder, which does not slow down near the deck."""
+    kinds = _kinds(p)
+    if not kinds or any(kinds.values()):
+        return None
+    return warning(
+        "no-rangefinder",
+        "there is no rangefinder: the copter does not slow down near the deck, it touches down at full speed",
+        "fit a lidar, or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances to the pad serve as one",
+    )
+
+
+def rangefinder_unfed(p: Snapshot) -> Finding | None:
+    """Find a rangefinder that waits for distances which nobody sends."""
+    if _BY_MAVLINK not in _kinds(p).values() or p.service.sends_ranges is not False:
+        return None
+    return error(
+        "rangefinder-unfed",
+        "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
+        "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0",
+    )
+
+
+def rangefinder_turned(p: Snapshot) -> Finding | None:
+    """Find a rangefinder over MAVLink that does not look down, so that our distances are dropped."""
+    for n, kind in _kinds(p).items():
+        orient = _value(p, f"RNGFND{n}_ORIENT")
+        if kind == _BY_MAVLINK and orient not in (None, _DOWN):
+            return error(
+                "rangefinder-turned",
+                f"RNGFND{n}_ORIENT is {orient:g}: distances that look down are dropped",
+                f"set RNGFND{n}_ORIENT 25 and reboot",
+                {f"RNGFND{n}_ORIENT": _DOWN},
+            )
+    return None
+
+
+def ekf_external(p: Snapshot) -> Finding | None:
+    """Find an EKF that waits for a position or heading from outside."""
+    names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+    wrong = [f"EK3_SRC1_{n}" for n in names if _value(p, f"EK3_SRC1_{n}") == _EXTERNAL_NAV]
+    if not wrong:
+        return None
+    return error(
+        "ekf-external",
+        f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} 6: the EKF waits for a position that is never sent",
+        "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
+        {name: 1.0 if name.endswith(("POSZ", "YAW")) else 3.0 for name in wrong},
+    )
+
+
+def ekf_height_by_range(p: Snapshot) -> Finding | None:
+    """Find an EKF whose height follows a moving deck."""
+    to = {"EK3_SRC1_POSZ": 1.0} if _value(p, "EK3_SRC1_POSZ") == _BY_RANGE else {}
+    to |= {"EK3_RNG_USE_HGT": -1.0} if (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0 else {}
+    if not to or not p.moving_pad:
+        return None
+    return error(
+        "ekf-height-by-range",
+        "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
+        "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
+        to,
+    )
+
+
+def gyro_calibration(p: Snapshot) -> Finding | None:
+    """Find gyros that are calibrated at each boot, on a deck that moves."""
+    if _value(p, "INS_GYR_CAL") != 1.0 or not p.moving_pad:
+        return None
+    return warning(
+        "gyro-calibration",
+        "INS_GYR_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
+        "calibrate once ashore, then set INS_GYR_CAL 0",
+    )
+
+
+def frame_not_supported(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that a target came in a frame it does not know."""
+    if not _texts_of(p, "frame not supported"):
+        return None
+    return error(
+        "frame-not-supported",
+        'the autopilot said "Plnd: Frame not supported" (once; it then drops every such target without a word)',
+        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_BODY_FRD (12)",
+    )
+
+
+def init_failed(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that targets come too rarely to begin with."""
+    if not _texts_of(p, "init failed"):
+        return None
+    return error(
+        "target-too-rare",
+        'the autopilot said "PrecLand: Init Failed": targets come too rarely or with gaps',
+        "send at 10 Hz and more: check the link's losses, and why targets are withheld",
+    )
+
+
+def target_lost(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that targets stopped."""
+    if not _texts_of(p, "target lost"):
+        return None
+    return warning(
+        "target-lost",
+        'the autopilot said "PrecLand: Target Lost"',
+        "see why targets stopped: light, a pad smaller than the camera sees near the deck, a full link",
+    )
+
+
+def disarm_script(p: Snapshot) -> Finding | None:
+    """Find a copter that stays armed on the deck when the service dies there, as far as it can run scripts."""
+    a, scripting = _ardupilot(p), _value(p, "SCR_ENABLE")
+    if a is None or scripting is None or not p.moving_pad:
+        return None
+    what = "a service that dies in the last decimetres leaves it armed on deck: "
+    if scripting != 1.0:
+        fix = f"copy {_SCRIPT} to APM/scripts, set SCR_ENABLE 1 and reboot"
+        return advice("disarm-script", what + f"SCR_ENABLE is {scripting:g}, no script runs", fix)
+    heap = _value(p, "SCR_HEAP_SIZE")
+    if heap is not None and heap < _HEAP_MIN:
+        few = f"SCR_HEAP_SIZE is {heap:g}, too little for a script"
+        return advice("disarm-script", what + few, "set SCR_HEAP_SIZE 80000 and reboot")
+    if "DKL_ENABLE" in a.absent:
+        fix = f"copy {_SCRIPT} to APM/scripts on the SD card and reboot"
+        return advice("disarm-script", what + "the script that disarms it there does not run (no parameter DKL_ENABLE)", fix)
+    if _value(p, "DKL_ENABLE") == 0.0:
+        return advice("disarm-script", what + "DKL_ENABLE is 0", "set DKL_ENABLE 1")
+    return None
+
+
+def old_firmware(p: Snapshot) -> Finding | None:
+    """Find ArduPilot before 4.1, which reads targets as angles only."""
+    a = _ardupilot(p)
+    if a is None or a.firmware is None or a.firmware >= (4, 1, 0):
+        return None
+    version = ".".join(map(str, a.firmware))
+    return warning(
+        "firmware-old",
+        f"ArduPilot {version} reads angles only and needs its own rangefinder for them",
+        "update to 4.5 or newer: position, moving targets and strict landing come with it",
+    )
+
+
+RULES: tuple[Rule, ...] = (
+    plnd_missing, plnd_disabled, plnd_not_rebooted, plnd_type, plnd_estimator, plnd_lag, plnd_still_target, plnd_mount_twice,
+    plnd_blind, plnd_low_ceiling, no_rangefinder, rangefinder_unfed, rangefinder_turned, ekf_external, ekf_height_by_range,
+    gyro_calibration, frame_not_supported, init_failed, target_lost, disarm_script, old_firmware,
+)  # fmt: skip
+
+
+PX4_PARAMETERS = (
+    "PLD_HACC_RAD", "PLD_BTOUT", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL", "EKF2_HGT_REF",
+    "MAV_PROTO_VER",
+)  # fmt: skip
+_RANGE_HEIGHT = 2.0
+_OFFBOARD_ACTIONS = {
+    3.0: ("return", "leaves the ship"),
+    4.0: ("land", "lands where it is"),
+    6.0: ("terminate", "falls out of the air"),
+    7.0: ("disarm", "falls out of the air"),
+}
+_MOTORS_OFF = (6.0, 7.0)
+
+
+def event_id(name: str) -> int:
+    """Return the number that EVENT carries: component 1 and 24 bits of the name's FNV-1a hash. Source: PX4, Tools/px4events."""
+    value = 0x811C9DC5
+    for byte in name.encode():
+        value = (value ^ byte) * 0x1000193 & 0xFFFFFFFF
+    return 1 << 24 | value & 0xFFFFFF
+
+
+def _px4(p: Snapshot) -> AutopilotSnapshot | None:
+    return p.autopilot if p.autopilot is not None and p.autopilot.stack == "PX4" else None
+
+
+def _px4_value(p: Snapshot, name: str) -> float | None:
+    a = _px4(p)
+    return None if a is None else a.parameters.get(name)
+
+
+def precland_missing(p: Snapshot) -> Finding | None:
+    """Find a firmware that was built without precision landing."""
+    a = _px4(p)
+    if a is None or not a.parameters or "PLD_HACC_RAD" not in a.absent:
+        return None
+    return warning(
+        "px4-precland-missing",
+        "this firmware has no precision landing (no parameter PLD_HACC_RAD): AUTO.PRECLAND does not exist",
+        "fly by velocity (OFFBOARD), which needs no module, or build with CONFIG_NAVIGATOR precision landing",
+    )
+
+
+def precland_moving(p: Snapshot) -> Finding | None:
+    """Find AUTO.PRECLAND over a pad that moves, on which it never descends."""
+    a = _px4(p)
+    if a is None or not p.moving_pad or a.mode != "auto.precland":
+        return None
+    return error(
+        "px4-precland-moving",
+        "AUTO.PRECLAND never descends on a pad that moves at 1 m/s",
+        "fly by velocity: let the service take the vehicle in OFFBOARD",
+    )
+
+
+def unsupported_frame(p: Snapshot) -> Finding | None:
+    """Find PX4's message or event that a target came in a frame it does not know."""
+    a = _px4(p)
+    if a is None:
+        return None
+    in_text = any("unsupported" in t.lower() and "frame" in t.lower() for t in a.texts)
+    if not in_text and event_id("mavlink_rcv_lnd_target_unsup_coord") not in a.events:
+        return None
+    return error(
+        "px4-frame",
+        "PX4 said that a landing target's coordinate frame is unsupported",
+        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_LOCAL_NED (1)",
+    )
+
+
+def offboard_loss(p: Snapshot) -> Finding | None:
+    """Find a time limit of OFFBOARD above 2 s."""
+    timeout_s = _px4_value(p, "COM_OF_LOSS_T")
+    if timeout_s is None or timeout_s <= 2.0:
+        return None
+    return warning(
+        "px4-offboard-loss",
+        f"COM_OF_LOSS_T is {timeout_s:g} s: so long it flies on with the last velocity when the service dies",
+        "set COM_OF_LOSS_T 1",
+        {"COM_OF_LOSS_T": 1.0},
+    )
+
+
+def offboard_action(p: Snapshot) -> Finding | None:
+    """Find an action at the loss of OFFBOARD that leaves a moving ship."""
+    action = _px4_value(p, "COM_OBL_RC_ACT")
+    if action is None or action not in _OFFBOARD_ACTIONS or not p.moving_pad:
+        return None
+    name, does = _OFFBOARD_ACTIONS[action]
+    return (error if action in _MOTORS_OFF else warning)(
+        "px4-offboard-action",
+        f"COM_OBL_RC_ACT is {action:g} ({name}): when the service dies it {does}",
+        "set COM_OBL_RC_ACT 0 (position) or 5 (hold)",
+        {"COM_OBL_RC_ACT": 5.0},
+    )
+
+
+def height_by_range(p: Snapshot) -> Finding | None:
+    """Find an EKF whose height follows a moving deck."""
+    if _px4_value(p, "EKF2_HGT_REF") != _RANGE_HEIGHT or not p.moving_pad:
+        return None
+    return error(
+        "ekf-height-by-range",
+        "EKF2_HGT_REF is 2: the height follows the deck's heave, and jumps at the deck's edge",
+        "set EKF2_HGT_REF 1 (GNSS) or 0 (barometer)",
+        {"EKF2_HGT_REF": 1.0},
+    )
+
+
+def external_vision(p: Snapshot) -> Finding | None:
+    """Find an EKF that waits for a vision position."""
+    if not _px4_value(p, "EKF2_EV_CTRL"):
+        return None
+    return warning(
+        "px4-external-vision",
+        f"EKF2_EV_CTRL is {_px4_value(p, 'EKF2_EV_CTRL'):g}: the EKF waits for a vision position, and a pad on a ship is none",
+        "set EKF2_EV_CTRL 0 unless another source sends ODOMETRY",
+        {"EKF2_EV_CTRL": 0.0},
+    )
+
+
+def targets_withheld(p: Snapshot) -> Finding | None:
+    """Find targets that the service did not send, whatever the autopilot."""
+    s = p.service
+    if s.targets_sent is None or s.targets_sent > 0 or not s.withheld:
+        return None
+    why = max(s.withheld, key=lambda k: s.withheld[k])
+    cures = {
+        "not seen": "the pad is not in the frame, or colours and light do not suit: decklander detect on a frame shows why",
+        "on ground": "no targets are sent while the vehicle reports that it is on the ground: this is as it should be",
+        "taking off": "no targets are sent during a take-off: this is as it should be",
+        "no attitude": "no attitude covers the instant: see attitude-slow and clock-not-locked",
+        "no local position": "LOCAL_POSITION_NED does not come: see stream-silent",
+        "no newer position": "LOCAL_POSITION_NED comes too rarely: ask for 30 Hz and more, see link-lossy",
+        "not below": "the pad is not below the vehicle: check the camera's mount (rpy_body_cam_deg)",
+        "unknown autopilot": "neither ArduPilot nor PX4: no form of target is known to be obeyed",
+    }
+    make = advice if why in ("on ground", "taking off") else error
+    return make("targets-withheld", f"no target was sent: {why}", cures.get(why, "see the log"))
+
+
+PX4_RULES: tuple[Rule, ...] = (
+    precland_missing, precland_moving, unsupported_frame, offboard_loss, offboard_action, height_by_range, external_vision,
+    targets_withheld,
+)  # fmt: skip

@@ -1,0 +1,149 @@
+"""Price a pad by clutter: how often a search takes something else for it, from what size on it is found, and what decides that.
+
+The pad is searched for in views without one (`clutter`), and in views that it is planted in (`planted`). What clutter
+tells has an exponential tail, as every likelihood ratio has: from it follow the chance of a false pad in a frame, and what the
+drawing has to tell so that it is rare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.tools.pads.clutter import HEIGHT, VIEWS, WIDTH, view
+from companion.tools.pads.planted import U8, planted, random_pose
+from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.by_paint import WORTH_A_TRY
+from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import search
+from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.pad import RARE, TOLD, Calibration, Pad
+from estimator.vision.pose import Orientation
+from estimator.vision.register.fit_verification import told_log_odds
+from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.verified import verified
+
+FRAMES = 4.0
+"""Views in a frame of 640x360: it has so many times as many places."""
+_MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
+CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
+_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+_RADII_PX = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 60.0)
+_EACH = 6
+"""Views that the pad is planted in at each size."""
+_FOUND = 0.8
+"""Share of those in which it has to be found."""
+_ALL, _LEAST_TOLD = 1e-6, 0.3
+"""What a drawing has to tell where all finds count, and the least that is asked."""
+_DOUBTED = -1.0
+"""Log-odds of a find's edges and light from which on it counts as one that might be the pad."""
+_CLEAR_PX, _MISSED, _BELOW = 28.0, 0.2, 0.6
+"""Radius of a pad that is seen clearly, and the share of what the weakest of those tell that is asked at most."""
+_CANDIDATES, _DECK_RAD = 2, math.radians(2.0)
+_TAKEN_PX = (24.0, 48.0)
+"""Radii of other pads that the pad is looked for in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Price:
+    """What a search for a pad costs in clutter."""
+
+    views: int
+    per_1000: tuple[float, float]
+    """False pads that are expected in 1,000 frames of 640x360 at confidence 0.5 and 0.9, with the calibration."""
+    found: Mapping[float, float]
+    """Share of the planted pads that is found by radius, px."""
+    taken_for: tuple[str, ...]
+    """Names of other pads that are taken for it."""
+    calibration: Calibration
+
+
+def price(
+    pad: Pad, others: Mapping[str, Pad], views: int = VIEWS, progress: Callable[[int, int], None] = lambda done, of: None
+) -> Price:
+    """Search for a pad in clutter, in views with the pad and in views with others, and return its price.
+
+    Args:
+        others: pads that it may be taken for, by name; itself among them does not count.
+        progress: takes how many views are done, of how many.
+    """
+    bare = replace(pad, calibration=Calibration(least_told=_ALL, chance=0.0))
+    clutter = []
+    for k in range(views):
+        clutter.append(_finds(bare, view(k), k % 2 == 0))
+        progress(k + 1, views)
+    tail = _Tail.of(clutter)
+    shown = {r: [_planted_finds(bare, bare, r, 100 * i + k) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
+    clear = [max(find.told for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
+    most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
+    least = float(np.clip(tail.exceeded(RARE / FRAMES), _LEAST_TOLD, most))
+    sure = {r: float(np.mean(_surest(finds, least) >= 0.0)) for r, finds in shown.items()}
+    least_px = next((r for r in _RADII_PX if all(sure[s] >= _FOUND for s in _RADII_PX if s >= r)), 0.0)
+    taken = []
+    for name, other in others.items():
+        seen = [_planted_finds(bare, other, radius_px, 900 + k) for k, radius_px in enumerate(_TAKEN_PX)]
+        if other.regions != pad.regions and np.any(_surest(seen, least) >= 0.0):
+            taken.append(name)
+    chance, nine = (min(1.0, FRAMES * tail.chance(least * (1.0 + odds / told_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))
+    calibration = Calibration(round(least, 2), float(f"{chance:.2g}"), least_px, pad.fingerprint)
+    return Price(views, (1000.0 * chance, 1000.0 * nine), sure, tuple(taken), calibration)
+
+
+class _Find(NamedTuple):
+    log_odds: float
+    """Those of its edges and its light alone."""
+    told: float
+    """What the drawing tells there, times the share that follows it."""
+
+
+def _finds(pad: Pad, px: U8, level: bool) -> list[_Find]:
+    """Return what a search of one frame of a flight registers; the vehicle is level if it says how it lies."""
+    attitude = Attitude(_STAMP, Rotation.identity(), np.eye(3) * math.radians(1.0) ** 2) if level else None
+    view_of, body = FrameView(Pyramid(px), CAMERA, pad), None if attitude is None else attitude.R_ned_body.without_heading()
+    out = []
+    for candidate in search(view_of, body, budget=FRAME_WORK).candidates[:_CANDIDATES]:
+        if candidate.score >= WORTH_A_TRY:
+            found = verified(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
+            if found is not None:
+                told, sure = found.found.record["aligned"]["told"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
+                out.append(_Find(math.log(sure / (1.0 - sure)), float(told["told"]) * float(told["share"])))
+    return out
+
+
+def _planted_finds(pad: Pad, shown: Pad, radius_px: float, number: int) -> list[_Find]:
+    rng = np.random.default_rng([0x9AD, number])
+    pose = random_pose(rng, CAMERA, shown, radius_px)
+    return _finds(pad, planted(view(10_000 + number), CAMERA, shown, pose, rng), False)
+
+
+def _surest(views: Sequence[Sequence[_Find]], least_told: float) -> F64:
+    """Return the log-odds of the surest find of each view, -30 for none."""
+    return np.array([max([min(f.log_odds, told_log_odds(f.told / least_told)) for f in finds], default=-30.0) for finds in views])
+
+
+@dataclass(frozen=True, slots=True)
+class _Tail:
+    """What clutter tells where its edges and its light alone would make it a pad: of so many views, and how much on average."""
+
+    share: float
+    mean: float
+
+    @staticmethod
+    def of(views: Sequence[Sequence[_Find]]) -> _Tail:
+        """Return the tail of the finds of some views; one more view than was seen has one, and it tells little."""
+        told = [max(f.told for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)]
+        return _Tail((len(told) + 1.0) / (len(views) + 1.0), (sum(told) + _LEAST_TOLD) / (len(told) + 1.0))
+
+    def chance(self, told: float) -> float:
+        """Return the chance that a view tells so much."""
+        return min(1.0, self.share * math.exp(-told / self.mean))
+
+    def exceeded(self, chance: float) -> float:
+        """Return what a view tells with a small chance, and more."""
+        return self.mean * math.log(self.share / chance)

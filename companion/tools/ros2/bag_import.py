@@ -1,0 +1,220 @@
+"""Read a bag of ROS 1 or ROS 2 as samples and frames, by the library rosbags, which is installed with the extra `ros2`.
+
+It reads sensor_msgs Imu, Range, Image and CompressedImage, and a velocity in `base_stabilized` as our own bags have it, all in
+the axes of REP-103. Of several IMUs or cameras the one with the most messages is read. A header's stamp counts where it is of the
+clock by which the bag was written; else a message counts as measured when it was written.
+"""
+
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from companion.tools.ros2.messages import LEVEL, UP, from_enu_attitude
+from companion.tools.ros2.typestore import require_rosbags, typestore
+from drivers.camera.images import ImageRefused, decode
+from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, Sample
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+
+_LATEST_S = 5.0
+"""A header whose stamp is older than this when its message is written is of another clock."""
+_DOWN = ("down", "rangefinder", "altimeter")
+"""What the topic or frame of a range is called that looks down; a message itself does not say."""
+_KINDS: Final = {
+    "sensor_msgs/msg/Imu": "IMU", "sensor_msgs/msg/Range": "range", "sensor_msgs/msg/Image": "camera",
+    "sensor_msgs/msg/CompressedImage": "camera", "geometry_msgs/msg/TwistWithCovarianceStamped": "velocity",
+}  # fmt: skip
+_COLOURS: Final[Mapping[str, tuple[int, type, int | None]]] = {
+    "bgr8": (3, np.uint8, None), "rgb8": (3, np.uint8, cv2.COLOR_RGB2BGR), "mono8": (1, np.uint8, cv2.COLOR_GRAY2BGR),
+    "8UC1": (1, np.uint8, cv2.COLOR_GRAY2BGR), "8UC3": (3, np.uint8, None), "bgra8": (4, np.uint8, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, np.uint8, cv2.COLOR_RGBA2BGR), "mono16": (1, np.uint16, cv2.COLOR_GRAY2BGR),
+    "16UC1": (1, np.uint16, cv2.COLOR_GRAY2BGR), "yuv422": (2, np.uint8, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": (2, np.uint8, cv2.COLOR_YUV2BGR_YUYV), "bayer_rggb8": (1, np.uint8, cv2.COLOR_BayerRGGB2BGR),
+    "bayer_bggr8": (1, np.uint8, cv2.COLOR_BayerBGGR2BGR), "bayer_gbrg8": (1, np.uint8, cv2.COLOR_BayerGBRG2BGR),
+    "bayer_grbg8": (1, np.uint8, cv2.COLOR_BayerGRBG2BGR),
+}  # fmt: skip
+"""Values of a pixel, their type and the conversion, by the encoding's name in sensor_msgs/image_encodings."""
+_WHITE_16 = 257.0
+
+
+def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
+    """Yield what a bag holds in the order in which it was written, the first message at 0.
+
+    Args:
+        path: a bag's folder (ROS 2), or its file (`.bag`, `.db3`, `.mcap`), whatever its name.
+
+    Raises:
+        BadInput: rosbags is not installed; the bag cannot be read, or nothing in it is imported.
+    """
+    require_rosbags("record import of a bag")
+    from rosbags.highlevel import AnyReader
+
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        named = Path(folder) / f"bag{_suffix(path)}"
+        named.symlink_to(path.resolve())
+        try:
+            with AnyReader([named], default_typestore=typestore()) as bag:
+                yield from _Import(bag, path, tell).messages()
+        except BadInput:
+            raise
+        except Exception as why:  # of the library and of what it calls: any of a damaged bag
+            raise BadInput(f"{path}: not a bag that can be read: {' '.join(str(why).split()) or type(why).__name__}") from why
+
+
+def _suffix(path: Path) -> str:
+    """Return the ending by which rosbags tells files apart."""
+    if path.is_dir():
+        return ""
+    with path.open("rb") as file:
+        head = file.read(8)
+    return ".bag" if head.startswith(b"#ROSBAG") else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
+
+
+class _Import:
+    """One pass through a bag."""
+
+    def __init__(self, bag: Any, path: Path, tell: Tell) -> None:
+        self._bag, self._path, self._tell = bag, path, tell
+        self._left_out: Counter[str] = Counter()
+        self._frames = 0
+
+    def messages(self) -> Iterator[Sample | Frame]:
+        chosen = self._chosen()
+        if not chosen:
+            names = ", ".join(sorted({c.msgtype for c in self._bag.connections})) or "nothing"
+            raise BadInput(f"{self._path}: no IMU, range or camera in it that is imported; it holds {names}")
+        written = [at for _, at, _ in self._bag.messages(connections=chosen)]
+        when = timeline([at // 1000 for at in written], self._tell)
+        given = 0
+        for (connection, at, data), since_ns in zip(self._bag.messages(connections=chosen), when, strict=True):
+            if since_ns is None:
+                continue
+            try:
+                message = self._bag.deserialize(data, connection.msgtype)
+            except Exception:  # of the library: any of a damaged message
+                self._left_out[f"of {connection.topic} are damaged"] += 1
+                continue
+            stamp = self._stamp(connection.topic, message, at, since_ns)
+            for one in () if stamp is None else self._of(connection.topic, message, stamp):
+                given += 1
+                yield one
+        for why, n in sorted(self._left_out.items()):
+            self._tell(f"{n} messages {why}")
+        if not given:
+            raise BadInput(f"{self._path}: not one message of it can be read")
+
+    def _chosen(self) -> list[Any]:
+        """Return the connections that are read: of each kind the topic with the most messages, and all ranges that look down."""
+        chosen = []
+        by_kind: dict[str, list[Any]] = {}
+        for connection in self._bag.connections:
+            if connection.msgtype in _KINDS:
+                by_kind.setdefault(_KINDS[connection.msgtype], []).append(connection)
+        for kind, found in by_kind.items():
+            counts: Counter[str] = Counter()
+            for connection in found:
+                counts[connection.topic] += connection.msgcount
+            topics = {topic for topic, _ in counts.most_common(1)}
+            if kind == "IMU":  # our own bags have the attitude beside the readings, and mavros does
+                topics = {topic for topic in counts if topic.rpartition("/")[0] == next(iter(topics)).rpartition("/")[0]}
+            if kind in ("range", "velocity"):
+                topics = set(counts)
+            chosen += [connection for connection in found if connection.topic in topics]
+            if left := sorted(set(counts) - topics):
+                self._tell(f"of the {kind}s, {', '.join(sorted(topics))} is read; left out: {', '.join(left)}")
+        return chosen
+
+    def _stamp(self, topic: str, message: Any, written_ns: int, since_ns: int) -> Stamp | None:
+        """Return when a message was measured; None for one that was before the bag began."""
+        header = message.header.stamp
+        late_s = (written_ns - (header.sec * NS_PER_S + header.nanosec)) / NS_PER_S
+        if not 0.0 <= late_s <= _LATEST_S:
+            self._left_out[f"of {topic} have a header of another clock: their time is that of the bag"] += 1
+            late_s = 0.0
+        measured_ns = since_ns - round(late_s * NS_PER_S)
+        return Stamp(MonoNs(measured_ns), MonoNs(since_ns), SIGMA_S, "synced") if measured_ns >= 0 else None
+
+    def _of(self, topic: str, message: Any, stamp: Stamp) -> Iterator[Sample | Frame]:
+        try:
+            yield from _MAKE[message.__msgtype__](self, topic, message, stamp)
+        except ImageRefused as why:
+            self._left_out[f"of {topic} are no image that can be used: {why}"] += 1
+        except (ValueError, ArithmeticError, cv2.error):
+            self._left_out[f"of {topic} hold what no sensor measures"] += 1
+
+    def imu(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
+        """Yield the readings and the attitude, each where the message has it."""
+        if m.angular_velocity_covariance[0] != -1.0 and m.linear_acceleration_covariance[0] != -1.0:
+            yield Imu(stamp, UP @ _vector(m.angular_velocity), UP @ _vector(m.linear_acceleration))
+        q = m.orientation
+        # A driver that knows no orientation says -1, or leaves all of it at zero.
+        if m.orientation_covariance[0] != -1.0 and abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) < 0.01 and _is_turned(m):
+            cov = UP @ np.asarray(m.orientation_covariance).reshape(3, 3) @ UP
+            if not np.trace(cov) > 0.0:
+                cov = np.diag([SIGMA_TILT_RAD**2, SIGMA_TILT_RAD**2, SIGMA_YAW_RAD**2])
+            yield Attitude(stamp, from_enu_attitude(Rotation.from_quat([q.w, q.x, q.y, q.z])), cov)
+
+    def range(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
+        """Yield the distance below."""
+        if not any(word in f"{topic} {m.header.frame_id}".lower() for word in _DOWN):
+            self._left_out[
+                f"of {topic} are ranges of which nothing says that they look down (in the names of topic or frame)"
+            ] += 1
+        elif m.min_range <= m.range <= m.max_range:
+            yield Range(stamp, float(m.range), math.sqrt(v) if (v := getattr(m, "variance", 0.0)) > 0.0 else 0.02)
+
+    def velocity(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
+        """Yield a velocity in the level frame; those in other frames are left out."""
+        if m.header.frame_id == LEVEL:
+            cov = UP @ np.asarray(m.twist.covariance).reshape(6, 6)[:3, :3] @ UP
+            yield BodyVelocity(stamp, UP @ _vector(m.twist.twist.linear), cov)
+        else:
+            self._left_out[f"of {topic} are velocities in {m.header.frame_id!r} and not in {LEVEL!r}"] += 1
+
+    def image(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Frame]:
+        """Yield a raw image."""
+        if m.encoding not in _COLOURS:
+            raise ImageRefused(f"the encoding {m.encoding[:40]!r} is not read")
+        channels, kind, conversion = _COLOURS[m.encoding]
+        item = np.dtype(kind).newbyteorder(">" if m.is_bigendian else "<")
+        width, height, step = int(m.width), int(m.height), int(m.step)
+        if not 0 < width * channels * item.itemsize <= step or not 0 < step * height <= len(m.data):
+            raise ImageRefused(f"{width}x{height} px in lines of {step} bytes do not fit {len(m.data)} bytes")
+        lines = np.asarray(m.data, np.uint8)[: step * height].reshape(height, step)[:, : width * channels * item.itemsize]
+        px = np.ascontiguousarray(lines).view(item).reshape(height, width, channels)
+        if item.itemsize == 2:
+            px = np.rint(px / _WHITE_16).astype(np.uint8)
+        yield self._frame(px if conversion is None else cv2.cvtColor(px, conversion), stamp)
+
+    def compressed(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Frame]:
+        """Yield an image of a file's format."""
+        yield self._frame(decode(np.asarray(m.data, np.uint8).tobytes()), stamp)
+
+    def _frame(self, px: Any, stamp: Stamp) -> Frame:
+        self._frames += 1
+        return Frame(stamp, self._frames, np.ascontiguousarray(px, np.uint8))
+
+
+def _vector(v: Any) -> F64:
+    return np.array([v.x, v.y, v.z], float)
+
+
+def _is_turned(m: Any) -> bool:
+    """Return whether an orientation is more than the identity of a driver that fills nothing in."""
+    q = m.orientation
+    return bool(np.any(np.asarray(m.orientation_covariance)) or any((q.x, q.y, q.z)))
+
+
+_MAKE: Final[Mapping[str, Callable[[_Import, str, Any, Stamp], Iterator[Sample | Frame]]]] = {
+    "sensor_msgs/msg/Imu": _Import.imu, "sensor_msgs/msg/Range": _Import.range, "sensor_msgs/msg/Image": _Import.image,
+    "sensor_msgs/msg/CompressedImage": _Import.compressed,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _Import.velocity,
+}  # fmt: skip

@@ -1,0 +1,65 @@
+"""The wind over the drone: its mean and gusts by the lean, whatever the nose does, and how much of it the tilt can fly."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.guidance.controller import Knowledge
+from companion.guidance.wind import GUST_SIGMAS, MEAN_S, WindWatch, watched, wind_over_drone
+from companion.settings.response import TiltResponse
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.motion import G_M_S2, BodyMotion
+from tests.companion.mission_flights import ns
+
+TILT = TiltResponse(0.05, 4.0, 0.8, max_deg=28.0, drag_1_s=0.35)
+DT = 0.02
+
+
+def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.ndarray) -> Knowledge:
+    """A body that leans against an air's push and accelerates beside it."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    level = np.array([[c, s], [-s, c]])
+    forward, right = level @ (against_ned + a_ned)
+    pitch = -math.atan(forward / G_M_S2)
+    roll = math.atan(right * math.cos(pitch) / G_M_S2)
+    a = np.array([*(level @ a_ned), 0.0])
+    reported = Rotation.from_rpy(roll, pitch, heading_rad)
+    return Knowledge(ns(t), None, BodyMotion(ns(t), heading_rad, a, 0.01 * np.eye(3), np.zeros(3), reported, 1e-4 * np.eye(3)))
+
+
+@given(st.floats(0.0, 12.0), st.floats(-3.1, 3.1), st.floats(-0.3, 0.3), st.floats(0.0, 2.0))
+@settings(max_examples=15, deadline=None)
+def test_wind_is_what_the_lean_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
+    into = np.array([math.cos(bearing), math.sin(bearing)])
+    watch, heading = WindWatch(), 0.0
+    for n in range(1500):
+        t = n * DT
+        heading = turn * t
+        # Gusts along the wind that go round in 2 s: of amplitude g they are g / 2 on one axis of two.
+        push = 0.35 * (speed + gust * math.sin(math.pi * t)) * into
+        a = 0.8 * np.array([math.sin(2.0 * t), math.cos(3.0 * t)])
+        watch = watched(watch, leaning(t, heading, push, a))
+        early = wind_over_drone(watch, TILT, heading)
+        assert (early is None) == (watch.known_s < MEAN_S)
+    wind = wind_over_drone(watch, TILT, heading)
+    assert wind is not None
+    assert wind.speed_m_s == pytest.approx(speed, abs=0.15 + 0.25 * gust)
+    assert wind.gust_m_s == pytest.approx(0.5 * gust, abs=0.1 + 0.2 * gust)
+    assert wind.limit_m_s <= G_M_S2 * math.tan(math.radians(28.0)) / 0.35 + 1e-9
+    left = math.radians(28.0) - GUST_SIGMAS * math.atan(0.35 * wind.gust_m_s / G_M_S2)
+    assert wind.limit_m_s == pytest.approx(G_M_S2 * math.tan(left) / 0.35)
+    if speed > 2.0 + gust:
+        turned = np.array([math.cos(bearing - heading), math.sin(bearing - heading)])
+        assert wind.into_level == pytest.approx(turned, abs=0.2)
+
+
+def test_a_pause_keeps_what_is_known_and_no_motion_changes_nothing() -> None:
+    watch = WindWatch()
+    for n in range(400):
+        watch = watched(watch, leaning(n * DT, 0.3, np.array([1.4, 0.0]), np.zeros(2)))
+    assert watched(watch, Knowledge(ns(8.1), None)) is watch
+    late = watched(watch, leaning(60.0, 0.3, np.array([9.0, 9.0]), np.zeros(2)))
+    assert (late.mean, late.known_s) == (watch.mean, watch.known_s)

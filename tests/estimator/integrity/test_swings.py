@@ -1,0 +1,107 @@
+"""Gyro against attitude with the pad's own rotation as the third witness (own truth)."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Imu
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity import inertial
+from estimator.integrity.inertial import Inertial
+from estimator.integrity.options import IntegrityOptions
+
+OPTIONS = IntegrityOptions()
+DT, BEGIN_S, LATE_S = 0.01, 2.0, 0.12
+G = np.array([0.0, 0.0, -9.81])
+Change = Callable[[F64], F64]
+
+
+def body(t: float) -> Rotation:
+    return Rotation.from_rpy(0.15 * math.sin(4.0 * t), 0.12 * math.sin(3.1 * t + 1.0), 0.3 + 0.1 * math.sin(0.5 * t))
+
+
+def deck(t: float) -> Rotation:
+    return Rotation.from_rpy(0.06 * math.sin(0.8 * t), 0.04 * math.cos(0.7 * t), 1.0)
+
+
+def flown(gyro: Change, attitude: Change, until: float = 5.0, seen: bool = True, well_from: float = math.inf) -> list[Inertial]:
+    """Return the states every `DT`.
+
+    Args:
+        gyro: what it makes of its rates, rad/s, from `BEGIN_S` on.
+        attitude: what it makes of roll and pitch, rad.
+        well_from: from when on both are well again, s.
+    """
+    rng, state, out, frames = np.random.default_rng(5), Inertial(), [], list[float]()
+    said = {}
+    for n in range(round(until / DT)):
+        t = n * DT
+        lies = BEGIN_S <= t < well_from
+        stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round(t * 1e9)), 0.001, "sim")
+        w = (body(t - DT).inv @ body(t)).rotvec_rad / DT + 0.01 * rng.standard_normal(3)
+        state, _ = inertial.felt(state, Imu(stamp, gyro(w) if lies else w, G + 0.1 * rng.standard_normal(3)), OPTIONS, True)
+        roll, pitch, yaw = body(t).rpy_rad
+        if lies:
+            roll, pitch = attitude(np.array([roll, pitch]))
+        R = said[n] = Rotation.from_rpy(roll, pitch, yaw) @ Rotation.from_rotvec(0.002 * rng.standard_normal(3))
+        state = inertial.levelled(state, Attitude(stamp, R, 1e-4 * np.eye(3)), True)
+        frames += [t] if n % 3 == 0 else []
+        while seen and frames and frames[0] <= t - LATE_S:
+            at = frames.pop(0)
+            R_then = said[round(at / DT)]
+            tilted = Rotation.from_rotvec(0.006 * rng.standard_normal(3))
+            R_pad = R_then @ body(at).inv @ deck(at) @ tilted
+            state = inertial.pictured(state, round(at * 1e9), R_then.matrix, R_pad.matrix)
+        out.append(state)
+    return out
+
+
+def named(states: list[Inertial]) -> tuple[str, float]:
+    """Return who was named first, and how long after the fault's beginning."""
+    for n, state in enumerate(states):
+        if state.gyro_fault or state.attitude_fault:
+            return "gyro" if state.gyro_fault else "attitude", n * DT - BEGIN_S
+    return "", math.inf
+
+
+FAULTS: dict[str, Change] = {
+    "sign": lambda x: -x,
+    "a third": lambda x: 0.334 * x,
+    "frozen on an axis": lambda x: x * (np.arange(len(x)) != 0),
+    "twice": lambda x: 2.0 * x,
+    "swapped": lambda x: x[[1, 0, *range(2, len(x))]],
+}
+
+
+def plain(x: F64) -> F64:
+    return x
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("who", ["gyro", "attitude"])
+def test_of_two_that_turn_apart_the_picture_names_the_one_that_lies(who: str, fault: str) -> None:
+    change = FAULTS[fault]
+    states = flown(change, plain) if who == "gyro" else flown(plain, change)
+    found, after_s = named(states)
+    assert found == who
+    assert 0.0 < after_s < 1.0
+    assert len(states[-1].lost) == 1
+
+
+def test_a_clean_flight_over_a_deck_that_rolls_names_nobody() -> None:
+    assert named(flown(plain, plain, 8.0)) == ("", math.inf)
+
+
+def test_an_attitude_that_is_well_again_counts_again_and_the_filter_starts_again() -> None:
+    states = flown(plain, FAULTS["sign"], 7.0, well_from=4.0)
+    assert states[390].attitude_fault is not None
+    assert states[-1].attitude_fault is None
+    assert states[-1].named == 2, "once without it and once with it"
+
+
+def test_without_pictures_a_gyro_that_turns_against_the_attitude_is_the_one() -> None:
+    found, after_s = named(flown(FAULTS["sign"], plain, seen=False))
+    assert (found, after_s < 0.7) == ("gyro", True)
