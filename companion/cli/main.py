@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from companion.base import signals
-from companion.cli.colour import style
+from companion.base.colour import style
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
@@ -43,7 +43,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "start": ("companion.cli.start", "make the settings of your drone: asks, writes, checks"),
         "config": ("companion.cli.config", "check, show or explain settings"),
         "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
-        "pad": ("companion.cli.pad", "list, check or print pads"),
+        "pad": ("companion.cli.pad", "list, import, check or print pads"),
         "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
     },
     "study": {
@@ -212,8 +212,7 @@ def _dispatch(argv: list[str], load: Load) -> int:
             subparsers.add_parser(name, help=summary)
     if asked is None:
         parser.parse_args(argv)
-        sys.stderr.write(parser.format_help())
-        return WRONG
+        parser.exit(WRONG, parser.format_help())
     if sys.maxsize < 2**32:
         raise SetupImpossible(
             "this is a 32-bit Python; decklander needs a 64-bit operating system and Python (on a Raspberry Pi: arm64)"

@@ -63,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
     except OSError as why:
         raise BadInput(f"{out}: {why.strerror or why}") from why
     parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
-    sys.stdout.write(f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), ground {pad.ground}\n")
+    sys.stdout.write(
+        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), ground {pad.ground}\n"
+    )
     return 0
 
 
@@ -76,7 +78,9 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
     if px is None:
         raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
     if size_m is None:
-        raise BadInput("--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners")
+        raise BadInput(
+            "--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners"
+        )
     return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path))
 
 

@@ -63,7 +63,11 @@ def price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
             yield f"it is seen in {', '.join(found.taken_for)}, too"
     else:
         yield f"by its file: {1000.0 * known.chance:.3g} false pads in 1,000 frames of a search at confidence .5"
-    yield f"found from a radius of {known.least_px:g} px on" if known.least_px else "not found at all sizes: it hardly shows on some decks"
+    yield (
+        f"found from a radius of {known.least_px:g} px on"
+        if known.least_px
+        else "not found at all sizes: it hardly shows on some decks"
+    )
     yield "it is told by " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in deciding(pad).items())
 
 
@@ -72,7 +76,11 @@ def price_warnings(pad: Pad) -> list[str]:
     known = pad.calibration
     if known is None or known.chance <= RARE:
         return []
-    fate = "its file accepts that" if pad.accept_false_pads else "it is refused for flight unless its file has accept_false_pads = true"
+    fate = (
+        "its file accepts that"
+        if pad.accept_false_pads
+        else "it is refused for flight unless its file has accept_false_pads = true"
+    )
     return [f"clutter is taken for it in {1000.0 * known.chance:.3g} of 1,000 frames, at most {1000.0 * RARE:g} is good: {fate}"]
 
 
@@ -80,7 +88,12 @@ def price_record(found: Price | None, pad: Pad) -> dict[str, Any]:
     """Return a pad's price as JSON."""
     known = pad.calibration
     assert known is not None
-    out: dict[str, Any] = {"chance": known.chance, "least_told": known.least_told, "least_px": known.least_px, "told_by": deciding(pad)}
+    out: dict[str, Any] = {
+        "chance": known.chance,
+        "least_told": known.least_told,
+        "least_px": known.least_px,
+        "told_by": deciding(pad),
+    }
     if found is not None:
         shares = {f"{radius:g}": share for radius, share in found.found.items()}
         out |= {"views": found.views, "false_per_1000": list(found.per_1000), "found": shares, "taken_for": list(found.taken_for)}
@@ -92,7 +105,13 @@ def deciding(pad: Pad) -> dict[str, float]:
     edges = edges_of(pad)
     grey = linear_light(dict(pad.paints)[pad.ground] if pad.ground else (128, 128, 128)) @ LUMA
     contrast = np.where(edges.bare, linear_light(edges.inside_rgb) @ LUMA - grey, edges.contrast)
-    names = {EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering", EdgeKind.UPPER: "upper lettering"}
+    names = {
+        EdgeKind.DISC: "disc",
+        EdgeKind.RING: "ring",
+        EdgeKind.ARROW: "arrowhead",
+        EdgeKind.H: "lettering",
+        EdgeKind.UPPER: "upper lettering",
+    }
     each = {name: float((edges.spacing_m * contrast**2)[edges.kind == kind].sum()) for kind, name in names.items()}
     total = sum(each.values()) or 1.0
     return {name: round(value / total, 3) for name, value in sorted(each.items(), key=lambda of: -of[1]) if value > 0.0}
