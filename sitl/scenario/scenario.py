@@ -106,6 +106,8 @@ def contradictions(
 _EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios that have one fault each."""
+TITLE_MAX = 120
+"""Number of characters of a title."""
 
 
 def _switch(meaning: str) -> Meta:
@@ -165,7 +167,7 @@ class PadView(Struct, frozen=True, forbid_unknown_fields=True):
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     """One flight to simulate."""
 
-    title: Annotated[str, text("one line for people", 120)]
+    title: Annotated[str, text("one line for people", TITLE_MAX)]
     duration_limit_s: Annotated[float, number("longest time of the flight", "s", 1.0, 36000.0)] = 120.0
     sea: Sea = Sea()
     vessel: VesselSettings = VesselSettings()

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from textwrap import shorten
 
 import msgspec
 import numpy as np
@@ -15,7 +16,7 @@ from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from sitl.faults.corrupted import Corrupted, draw
 from sitl.faults.kinds import OperatorActs, ServiceKilled, VesselReports
-from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios, signals_of, vehicle_model
+from sitl.scenario.scenario import FAULTS, TITLE_MAX, Scenario, load, shipped_scenarios, signals_of, vehicle_model
 
 VIRTUAL_ONLY = (ServiceKilled, OperatorActs, VesselReports)
 """Faults of what runs beside the drone, which no drone behind sockets can have."""
@@ -52,7 +53,7 @@ def faulty(
         if not choices:
             raise BadInput(f"{FAULTS}/{name}: not a fault scenario that can be added to {scenario.title!r}")
     name, fault = choices[int(np.random.default_rng([seed, 0xFA]).integers(len(choices)))]
-    title = f"{scenario.title}; {FAULTS}/{name}"[:120]
+    title = _title(f"{scenario.title}; {FAULTS}/{name}")
     faults = (*scenario.faults, *fault.faults)
     right = {name: getattr(fault, name) for name in ("expect", "unreached_contacts", "refusal", "because")}
     return msgspec.structs.replace(scenario, title=title, faults=faults, **right)
@@ -64,6 +65,11 @@ def _choices() -> list[tuple[str, Scenario]]:
     # A fault that has a vessel or a vehicle of its own needs it: a ship at anchor does not stop.
     usual = load("demo")
     return [(name, other) for name, other in every if other.vessel == usual.vessel and other.vehicle == usual.vehicle]
+
+
+def _title(text: str) -> str:
+    """Return the text as a title: whole words, with dots where it is too long."""
+    return shorten(text, TITLE_MAX, placeholder=" ...")
 
 
 _OVER_FEET_M, _HIGHEST_M = 0.1, 8.0
@@ -89,7 +95,7 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
 
 def with_corrupted(scenario: Scenario, faults: Sequence[Corrupted]) -> Scenario:
     """Return the scenario with these faults besides; it may land or refuse."""
-    title = f"{', '.join(fault.words for fault in faults)}: {scenario.title}"[:120]
+    title = _title(f"{', '.join(fault.words for fault in faults)}: {scenario.title}")
     because = "whatever a sensor says, it lands on the pad or says why not"
     return msgspec.structs.replace(
         scenario, title=title, faults=(*scenario.faults, *faults), expect="either", refusal="", because=because

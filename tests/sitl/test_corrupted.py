@@ -124,6 +124,9 @@ def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_holds_the_same(s
     drawn = with_random_faults(base, seed, "model")
     faults = [fault for fault in drawn.faults if isinstance(fault, Corrupted)]
     assert 1 <= len(faults) <= 2
+    words = f"{', '.join(fault.words for fault in faults)}: {base.title}".split()
+    assert len(drawn.title) <= 120
+    assert drawn.title.removesuffix(" ...").split() == words[: len(drawn.title.removesuffix(" ...").split())], "whole words"
     text = as_toml("rendezvous", drawn, faults, ["head"])
     data = tomllib.loads(text)
     assert data.pop("base") == "rendezvous"
