@@ -31,6 +31,11 @@ from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 
+_NO_BOARD = (
+    "the board: no image shows it; check --board, --squares (squares, not inner corners) and --square-mm, "
+    "and that all of it is in view"
+)
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander calibrate` to the parser."""
@@ -140,7 +145,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
-        lacks = assess.missing_before(collection.views, size) if collection.views else ["the board"]
+        lacks = assess.missing_before(collection.views, size) if collection.views else [_NO_BOARD]
         if collection.mirrored:
             lacks.insert(
                 0, "a camera that does not mirror: turn off the horizontal flip of the camera, its driver or its pipeline"

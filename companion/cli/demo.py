@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import dataclasses
 import json
 import math
 import signal
@@ -139,6 +140,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                         outcome = await live(daemon, pilot)
                 except TimeoutError:
                     outcome = None
+                stopped = ending_signal() is not None
                 if ending_signal() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
                     check()
                 ended = clock.now()
@@ -151,6 +153,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                     for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
                         recorder.on_truth(kept_flight.truth_from_log(line))
     ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health, child)
+    if stopped:
+        ending = dataclasses.replace(ending, without_outcome="stopped by a person")
     if not args.no_report:
         _write_report(args, log, ending, truth)
     if args.json:

@@ -327,7 +327,7 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except (UnicodeDecodeError, csv.Error) as why:
-        raise BadInput(f"{path}: not a CSV file: {why}") from why
+        raise BadInput(f"{path}: not a CSV file of text; its first line must be source,roll_deg,pitch_deg") from why
     header = [cell.strip() for cell in rows[0]] if rows else []
     if any(name not in header for name in ("source", "roll_deg", "pitch_deg")):
         raise BadInput(f"{path}: the first line must be source,roll_deg,pitch_deg, got {','.join(header)[:80]!r}")

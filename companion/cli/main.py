@@ -12,38 +12,60 @@ import errno
 import gc
 import importlib
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
 from companion.base import signals
+from companion.base.colour import style
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("companion.cli.demo", "land a simulated drone on this machine and write a report"),
-    "run": ("companion.cli.run", "run the landing service"),
-    "fly": ("companion.cli.fly", "give orders to the running service, or fly by the keyboard"),
-    "gamepad": ("companion.cli.gamepad", "list gamepads and show what they send"),
-    "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
-    "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
-    "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
-    "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
-    "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
-    "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
-    "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
-    "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
-    "ros2": ("companion.cli.ros2", "publish a flight in ROS 2 while it is flown"),
-    "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
-    "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
-    "pad": ("companion.cli.pad", "list, check or print pads"),
-    "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
-    "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
-    "config": ("companion.cli.config", "check, show or explain settings"),
-    "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "see it": {
+        "demo": ("companion.cli.demo", "land a simulated drone on this machine and write a report"),
+        "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
+        "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
+        "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
+        "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
+    },
+    "fly": {
+        "run": ("companion.cli.run", "run the landing service"),
+        "fly": ("companion.cli.fly", "give orders to the running service, or fly by the keyboard"),
+        "gamepad": ("companion.cli.gamepad", "list gamepads and show what they send"),
+        "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
+        "ros2": ("companion.cli.ros2", "publish a flight in ROS 2 while it is flown"),
+    },
+    "set up": {
+        "start": ("companion.cli.start", "make the settings of your drone: asks, writes, checks"),
+        "config": ("companion.cli.config", "check, show or explain settings"),
+        "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
+        "pad": ("companion.cli.pad", "list, import, check or print pads"),
+        "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
+    },
+    "study": {
+        "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
+        "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
+        "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
+        "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
+    },
+    "maintain": {
+        "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
+        "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
+        "completion": ("companion.cli.completion", "print the completion of commands for bash, zsh or fish"),
+    },
 }
-"""Module and one line of help for each command."""
+"""By what a person wants: module and one line of help for each command."""
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+_EXAMPLES = (
+    ("decklander demo --page", "a landing over a simulated ship, in your browser"),
+    ("decklander start", "settings for your own drone"),
+    ("decklander run --config rig.toml", "the service, then: decklander fly takeoff"),
+    ("decklander simulate sea_state_4 --seed 1", "one flight, the same every time"),
+)
 _NOW = {
     "identify": "calibrate vehicle",
     "soak": "campaign --soak",
@@ -57,11 +79,37 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 
+_PLAIN = {
+    r"^argument ([^:]+): invalid int value: (.*)": r"\1 must be a whole number, found \2",
+    r"^argument ([^:]+): invalid float value: (.*)": r"\1 must be a number, found \2",
+    r"^argument ([^:]+): invalid choice: (.*) \(choose from (.*)\)": r"\1 must be one of \3, found \2",
+}
+"""Errors of argparse, and how a person would put them."""
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(WRONG, f"{self.prog}: {_one_line(message)} (see {self.prog} --help)\n")
+        said = _one_line(message)
+        for words, meant in _PLAIN.items():
+            said = re.sub(words, meant, said)
+        self.exit(WRONG, f"{self.prog}: {said} (see {self.prog} --help)\n")
+
+
+class _MainParser(Parser):
+    """The parser of the whole command line, whose help has the commands by what a person wants."""
+
+    def format_help(self) -> str:
+        width = max(map(len, COMMANDS))
+        lines = [f"usage: {self.prog} COMMAND ...", "", str(self.description)]
+        for title, group in GROUPS.items():
+            lines += ["", style(title, "1"), *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())]
+        wide = max(len(command) for command, _ in _EXAMPLES)
+        lines += ["", style("examples", "1"), *(f"  {command:<{wide}}  {what}" for command, what in _EXAMPLES)]
+        return "\n".join(
+            [*lines, "", "decklander COMMAND --help has the options of a command; --version prints the version.", ""]
+        )
 
 
 class _Version(argparse.Action):
@@ -149,9 +197,11 @@ def _drop_output() -> None:
 
 
 def _dispatch(argv: list[str], load: Load) -> int:
-    parser = Parser(prog="decklander", description="Land a quadcopter on a small helipad on a moving ship.", allow_abbrev=False)
+    parser = _MainParser(
+        prog="decklander", description="Land a quadcopter on a small helipad on a moving ship.", allow_abbrev=False
+    )
     parser.add_argument("--version", action=_Version)
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=Parser)
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in COMMANDS:
         near = [_NOW[asked]] if asked in _NOW else difflib.get_close_matches(asked, COMMANDS, n=1)
@@ -162,7 +212,7 @@ def _dispatch(argv: list[str], load: Load) -> int:
             subparsers.add_parser(name, help=summary)
     if asked is None:
         parser.parse_args(argv)
-        parser.error(f"a command is needed: {', '.join(COMMANDS)}")
+        parser.exit(WRONG, parser.format_help())
     if sys.maxsize < 2**32:
         raise SetupImpossible(
             "this is a 32-bit Python; decklander needs a 64-bit operating system and Python (on a Raspberry Pi: arm64)"
@@ -199,8 +249,26 @@ def _load_for_good(name: str) -> ModuleType:
 
 
 def _refuse(why: DecklanderError) -> int:
-    sys.stderr.write(f"decklander: {_one_line(str(why))}\n")
+    from companion.cli.refusal_place import pointed
+
+    said = _one_line(str(why))
+    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {said}{_cure(why)}\n")
+    if sys.stderr.isatty() and isinstance(why, BadInput):
+        sys.stderr.write(pointed(said))
     return WRONG if isinstance(why, BadInput) else FAILED
+
+
+def _cure(why: DecklanderError) -> str:
+    """Return what helps where a file is missing: the folder that there is none of, or a name that is alike."""
+    missing = why.__cause__
+    if not isinstance(missing, FileNotFoundError) or not isinstance(missing.filename, str | os.PathLike):
+        return ""
+    path = Path(missing.filename)
+    absent = [folder for folder in path.parents if not folder.exists()]
+    if absent:
+        return f"; there is no folder {absent[-1]}: make it, or correct the path"
+    near = difflib.get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections import deque
@@ -12,6 +13,9 @@ from typing import Any, TextIO
 
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
+
+_WIDE = 100
+"""Columns that the whole line takes; below it has time, phase and place alone."""
 
 
 class ProgressObserver(NullObserver):
@@ -47,7 +51,9 @@ class ProgressObserver(NullObserver):
         if new_phase and self._phase:
             self._end_line()
         self._said, self._phase = decision.at, decision.phase
-        line = self._line(decision)
+        columns = self._columns()
+        line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
+        line = line[: columns - 1] if self._live else line
         self._out.write(f"\r\x1b[2K{line}" if self._live else f"{line}\n")
         self._out.flush()
 
@@ -59,6 +65,19 @@ class ProgressObserver(NullObserver):
         if self._live:
             self._out.write("\n")
             self._out.flush()
+
+    def _columns(self) -> int:
+        """Return the width of the terminal; a line that is longer would leave its beginning behind at each redrawing."""
+        try:
+            return (os.get_terminal_size(self._out.fileno()).columns or 80) if self._live else _WIDE
+        except (OSError, ValueError):
+            return 80
+
+    def _short_line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief, time_s = decision.belief, seconds_between(self._began, decision.at)
+        where = "no pad yet" if belief is None else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
+        return f"{time_s:5.1f} s {decision.phase} {where}"
 
     def _line(self, decision: Decision) -> str:
         assert self._began is not None

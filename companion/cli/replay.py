@@ -305,7 +305,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
         ]
         rows = done.errors()
         if rows:
-            heads = f"{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}{'NEES':>8}"
+            heads = f"{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}{'NEES':>10}"
             out.append(f"{'against truth':<16}{'count':>7}{heads}")
         out += [_row(row) for row in rows]
         decks = done.decks()
@@ -322,7 +322,9 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
 def _row(r: ErrorRow) -> str:
     lengths = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
     angles = [("-" if math.isnan(a) else f"{math.degrees(a):.2f}") for a in (r.yaw_median_rad, r.yaw_p95_rad)]
-    return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>8}"
+    return (
+        f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>10}"
+    )
 
 
 def _deck_row(r: DeckRow) -> str:
@@ -332,16 +334,16 @@ def _deck_row(r: DeckRow) -> str:
 
 
 def _ratio(x: float) -> str:
-    return f"{x:.2f}" if math.isfinite(x) else "-"
+    return "-" if not math.isfinite(x) else f"{x:.2f}" if x < 1e4 else f"{x:.1e}"
 
 
 def _difference(name: str, d: Difference) -> str:
     if d.both == 0:
         return f"{d.path} against {name}: no instants in common"
     if d.identical == d.both:
-        return f"{d.path} against {name}: {d.both} beliefs, all the same to the bit"
+        return f"{d.path} against {name}: all {d.both} states identical to the bit"
     return (
-        f"{d.path} against {name}: {d.both} beliefs, {d.identical} the same; apart by {_mm(d.d_median_m)} median, "
+        f"{d.path} against {name}: {d.identical} of {d.both} states identical; apart by {_mm(d.d_median_m)} median, "
         f"{_mm(d.d_p95_m)} at 95 %, {_mm(d.d_max_m)} at most, heading by {math.degrees(d.yaw_max_rad):.2f} deg at most"
     )
 

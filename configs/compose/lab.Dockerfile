@@ -3,7 +3,7 @@
 
 FROM debian:bookworm-slim
 RUN apt-get update \
- && apt-get install --yes --no-install-recommends python3 python3-venv \
+ && apt-get install --yes --no-install-recommends python3 python3-venv gcc libc6-dev \
  && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY requirements requirements
@@ -15,6 +15,7 @@ COPY drivers drivers
 COPY estimator estimator
 COPY sitl sitl
 COPY configs configs
+COPY supply supply
 RUN /opt/decklander/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 RUN useradd --uid 10001 --create-home --shell /usr/sbin/nologin decklander \
  && install --directory --owner decklander --group decklander /campaigns

@@ -175,7 +175,7 @@ def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
     said = capsys.readouterr().out
     assert f"{part} is cut short" in said
     assert re.search(r"outputs: sha256 [0-9a-f]{64}\n", said)
-    assert "all the same to the bit" in said
+    assert "states identical to the bit" in said
 
 
 @pytest.mark.parametrize(

@@ -211,7 +211,7 @@ def test_the_page_is_one_file_and_says_what_happened(tmp_path):
     assert "A test &lt;flight&gt; &amp; more" in text
     assert "calm &amp; &lt;b&gt;" in text
     assert "&lt;settings&gt;" in text
-    for said in ("31.2 mm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
+    for said in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
         assert said in text
     assert "0.38 m over the deck" in text, "the cause of a transition"
     assert "contact with the deck" in text

@@ -235,8 +235,9 @@ def main() -> int:
         builder = Builder(work)
         service = builder.build(ROOT / "Dockerfile")
         broker = builder.build(ROOT / "configs/compose/broker.Dockerfile")
+        lab = builder.build(ROOT / "configs/compose/lab.Dockerfile")
         base = builder._bases["debian:bookworm-slim"]
-        print(f"sizes: base {sizes(Image(base))}, service {sizes(service)}, broker {sizes(broker)}", flush=True)
+        print(f"sizes: base {sizes(Image(base))}, service {sizes(service)}, broker {sizes(broker)}, lab {sizes(lab)}", flush=True)
         fly(work, service, broker, asked.config or CONFIG)
     finally:
         if not asked.keep and asked.work is None:

@@ -22,7 +22,7 @@ from tests.packaging.image import stages
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "configs/compose"
-DOCKERFILES = [ROOT / "Dockerfile", COMPOSE / "broker.Dockerfile"]
+DOCKERFILES = [ROOT / "Dockerfile", *sorted(COMPOSE.glob("*.Dockerfile"))]
 
 needs_compose = pytest.mark.skipif(shutil.which("docker-compose") is None, reason="there is no docker-compose here")
 

@@ -108,7 +108,10 @@ def release(source: str | None, wheels: Path | None) -> Iterator[Release]:
                     f"{source}: no such file or folder, and no version; give a wheel, a folder of wheels, a checkout, or "
                     f"{NAME}==VERSION"
                 )
-            _pip(["download", "--no-deps", "--only-binary", ":all:", "--dest", folder, wanted], f"{wanted}: not to be fetched")
+            _pip(
+                ["download", "--no-deps", "--only-binary", ":all:", "--dest", folder, wanted],
+                f"{wanted} cannot be fetched; name a wheel or a folder of wheels",
+            )
             yield read(_only(Path(folder)), wheels)
 
 

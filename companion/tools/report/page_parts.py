@@ -334,10 +334,10 @@ def number(x: float) -> str:
 
 
 def length(metres: float) -> str:
-    """Return a length as text, in mm where it is short."""
+    """Return a length as text, in cm below a metre, as the terminal does."""
     if not math.isfinite(metres):
         return "-"
-    return f"{1e3 * metres:.1f} mm" if abs(metres) < 0.1 else f"{metres:.2f} m"
+    return f"{100 * metres:.1f} cm" if abs(metres) < 1.0 else f"{metres:.2f} m"
 
 
 def speed(metres_s: float) -> str:

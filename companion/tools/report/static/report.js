@@ -25,6 +25,13 @@ const seen = new IntersectionObserver(
   { rootMargin: "300px" },
 );
 for (const { canvas } of drawings) seen.observe(canvas);
+// Paper has no window: everything is drawn before it.
+addEventListener("beforeprint", () => {
+  for (const drawing of drawings) {
+    drawing.inSight = true;
+    drawing.draw();
+  }
+});
 const redraw = () => drawings.forEach((drawing) => drawing.draw());
 new ResizeObserver(redraw).observe(document.body);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
@@ -105,4 +112,8 @@ clock.on("play", () => {
   play.textContent = clock.playing ? "Pause" : "Play";
 });
 clock.hurry(1);
-clock.seek(clock.begin);
+// The first instant of which there is something to show: the first picture, else the first figure.
+const firsts = clock.videos.length
+  ? clock.videos.map((video) => video.from)
+  : figures.flatMap(({ flight }) => flight.figures.map(({ t }) => page.columns[t][0] ?? Infinity));
+clock.seek(Math.max(clock.begin, Math.min(...firsts, clock.end)));

@@ -1,0 +1,321 @@
+"""`decklander start`: ask for vehicle, camera, pad and place, write a commented settings file, check it and show the page."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+import selectors
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.cli import config, doctor
+from companion.parts.page.access import make_token
+from companion.settings.load import SHIPPED
+from drivers.camera.v4l2 import cameras
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.errors import BadInput, unusable
+
+VEHICLES = {
+    "sim": "the simulated AR.Drone of this machine (python -m sitl.emulators.ardrone.serve demo)",
+    "ardrone1": "an AR.Drone 1.0, over its Wi-Fi",
+    "ardrone2": "an AR.Drone 2.0, over its Wi-Fi",
+    "ardupilot": "a copter with ArduPilot",
+    "px4": "a copter with PX4",
+}
+PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
+_ARDRONE = ("192.168.1.1", 5559)
+"""An AR.Drone's address in its own network, and its port of the configuration."""
+_UDP_PORTS = (14550, 14540)
+_SPEEDS = (921600, 57600, 115200)
+_SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What the settings file is made from."""
+
+    vehicle: str
+    link: str
+    """MAVLink link of an autopilot; address of an AR.Drone."""
+    camera: str
+    """V4L2 device, or "vehicle"."""
+    camera_file: str
+    pad: str
+    place: str
+    page: str
+    """Address that the page listens on; empty for none."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander start` to the parser."""
+    parser = subparsers.add_parser(
+        "start",
+        help="make the settings of your drone: asks, writes, checks",
+        description="Ask for vehicle, camera, pad and place, write a commented settings file, check it, diagnose the setup and "
+        "print the operator page's address. Autopilots and cameras are found. What an option answers is not asked. Exit code: "
+        "that of the doctor, or 2 for a wrong answer.",
+    )
+    parser.add_argument("--vehicle", choices=sorted(VEHICLES), help="vehicle")
+    parser.add_argument("--link", metavar="URL", help="MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
+    parser.add_argument("--camera", metavar="DEVICE", help="V4L2 camera: a path or a part of its name (default: found)")
+    parser.add_argument("--camera-file", metavar="FILE", help="camera file of yours (default: a shipped one to begin with)")
+    parser.add_argument("--pad", metavar="NAME", help="pad: a shipped one or a file of yours")
+    parser.add_argument("--where", choices=sorted(PLACES), help="place of the flights")
+    parser.add_argument(
+        "--page", metavar="ADDRESS", help="address for the operator page: 127.0.0.1, one of this computer's by TLS, or off"
+    )
+    parser.add_argument("--out", type=Path, default=Path("rig.toml"), metavar="FILE", help="file to write (default: rig.toml)")
+    parser.add_argument("--yes", action="store_true", help="ask nothing: take what is found or usual")
+    parser.add_argument("--no-doctor", action="store_true", help="skip the diagnosis")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the settings file and return the exit code.
+
+    Raises:
+        BadInput: the file exists, an answer is wrong, or nothing can be asked.
+    """
+    if args.out.exists():
+        raise BadInput(f"{args.out}: it exists and is not overwritten; give --out FILE")
+    if not args.yes and not sys.stdin.isatty():
+        raise BadInput("no terminal to ask at: give --yes, and --vehicle, --camera, --pad, --where as you need them")
+    answers = _answers(args)
+    _write(args.out, settings_text(answers, args.out))
+    sys.stdout.write(f"\n{args.out}: written\n")
+    parser = argparse.ArgumentParser()
+    commands = parser.add_subparsers()
+    config.add_parser(commands)
+    doctor.add_parser(commands)
+    config.run(parser.parse_args(["config", "check", str(args.out)]))
+    code = 0
+    if not args.no_doctor:
+        code = doctor.run(parser.parse_args(["doctor", "--config", str(args.out)]))
+    _next_steps(answers, args.out)
+    return code
+
+
+def _answers(args: argparse.Namespace) -> Answers:
+    ask = _Asker(args.yes)
+    heard = [] if args.vehicle or args.link else found_vehicles()
+    vehicle = args.vehicle or ask("vehicle", VEHICLES, heard[0].name if heard else "ardrone2")
+    link = args.link or next((one.link for one in heard if one.name == vehicle), "") or _usual_link(vehicle)
+    flies_itself = vehicle in ("sim", "ardrone1", "ardrone2")
+    there = [] if flies_itself else [one for one in cameras() if one.index == 0]
+    device = "vehicle" if flies_itself else args.camera or ""
+    if not device:
+        names = {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
+        device = ask("camera", names, next(iter(names)))
+    shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
+    pads = {path.stem: "" for path in sorted((SHIPPED / "pads").glob("*.toml"))}
+    pad = args.pad or ask("pad", pads, "thesis" if flies_itself else "printed")
+    place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
+    page = args.page or ask("page", _page_addresses(), "127.0.0.1")
+    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, "" if page == "off" else page)
+
+
+class _Asker:
+    """Ask for one of some answers on the terminal; a number, a name or Return for the usual one."""
+
+    def __init__(self, silent: bool) -> None:
+        self._silent = silent
+
+    def __call__(self, what: str, among: dict[str, str], usual: str) -> str:
+        if self._silent:
+            return usual
+        names = list(among)
+        sys.stdout.write(f"\n{what}?\n")
+        for number, name in enumerate(names, 1):
+            sys.stdout.write(f"  {number:2} {name}{f'  ({among[name]})' if among[name] else ''}\n")
+        while True:
+            sys.stdout.write(f"[{usual}] ")
+            sys.stdout.flush()
+            line = sys.stdin.readline()
+            if not line:
+                raise BadInput(f"{what}: no answer")
+            answer = line.strip() or usual
+            if answer.isdecimal() and 1 <= int(answer) <= len(names):
+                return names[int(answer) - 1]
+            if answer in names or what in ("pad", "camera"):
+                return answer
+            sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
+
+
+@dataclass(frozen=True, slots=True)
+class FoundVehicle:
+    """A vehicle that answers, and where."""
+
+    name: str
+    link: str
+
+
+def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
+    """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
+    found = [*_heard_udp(seconds), *_heard_serial(seconds)]
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        if probe.connect_ex(_ARDRONE) == 0:
+            found.append(FoundVehicle("ardrone2", _ARDRONE[0]))
+    for one in found:
+        sys.stdout.write(f"found: {VEHICLES[one.name]} at {one.link}\n")
+    return found
+
+
+def _heard_udp(seconds: float) -> Iterator[FoundVehicle]:
+    with selectors.DefaultSelector() as selector:
+        for port in _UDP_PORTS:
+            listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                listener.bind(("0.0.0.0", port))
+            except OSError:  # a service or a ground station has it
+                listener.close()
+                continue
+            selector.register(listener, selectors.EVENT_READ, (port, Codec(255, 190, datagrams=True)))
+        end = time.monotonic() + seconds
+        told: set[int] = set()
+        while selector.get_map() and (left := end - time.monotonic()) > 0:
+            for key, _ in selector.select(left):
+                port, codec = key.data
+                name = _stack(codec.feed(key.fileobj.recv(2048)))  # type: ignore[union-attr]
+                if name and port not in told:
+                    told.add(port)
+                    yield FoundVehicle(name, f"udpin://0.0.0.0:{port}")
+        for key in list(selector.get_map().values()):
+            key.fileobj.close()  # type: ignore[union-attr]
+
+
+def _heard_serial(seconds: float) -> Iterator[FoundVehicle]:
+    import serial
+
+    ports = [path for pattern in _SERIAL for path in sorted(Path("/").glob(pattern.lstrip("/")))]
+    for port, speed in itertools.product(ports, _SPEEDS):
+        try:
+            with serial.Serial(str(port), speed, timeout=seconds) as line:
+                name = _stack(Codec(255, 190).feed(line.read(2048)))
+        except (OSError, serial.SerialException):
+            continue
+        if name:
+            yield FoundVehicle(name, f"serial://{port}:{speed}")
+
+
+def _stack(messages: Sequence[Message]) -> str:
+    """Return the name of the autopilot that one of the messages is a HEARTBEAT of; empty if none is."""
+    stacks = {mav.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mav.MAV_AUTOPILOT_PX4: "px4"}
+    return next((stacks[m.autopilot] for m in messages if m.get_type() == "HEARTBEAT" and m.autopilot in stacks), "")
+
+
+def _usual_link(vehicle: str) -> str:
+    return {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}.get(vehicle, "serial:///dev/ttyAMA0:921600")
+
+
+def _page_addresses() -> dict[str, str]:
+    """Return where the page may listen: on loopback, on this computer's own address by TLS, or nowhere."""
+    found = {"127.0.0.1": "this computer alone; from elsewhere through SSH"}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.168.1.1", 9))  # sends nothing: it chooses the address towards that network
+            found[probe.getsockname()[0]] = "phones and laptops of this network, by TLS with a certificate of its own"
+        except OSError:
+            pass
+    return found | {"off": "no page"}
+
+
+def settings_text(answers: Answers, out: Path) -> str:
+    """Return the settings file, at most 40 lines, with a comment where a person has to look."""
+    autopilot = answers.vehicle in ("ardupilot", "px4")
+    sections = [["# Written by decklander start. Every key: docs/configuration.md, or decklander config show FILE."]]
+    if autopilot:
+        sections.append(["[vehicle]", 'kind = "mavlink"', f'links = "{answers.link}"    # UART or UDP port of the autopilot'])
+    else:
+        model = ['model = "1.0"'] if answers.vehicle == "ardrone1" else []
+        sections.append(["[vehicle]", 'kind = "ardrone"', f'host = "{answers.link}"', *model])
+    camera = ["[camera]", f'file = "{answers.camera_file}"    # measure yours: decklander calibrate camera']
+    if autopilot:
+        camera += ['source = "v4l2"', f'device = "{answers.camera}"']
+        if answers.place != "indoors":
+            camera += ['controls = "auto_exposure=1, exposure_time_absolute=50"    # short: motion blurs', "exposure_s = 0.005"]
+    sections.append(camera)
+    sections.append(["[pad]", f'file = "{answers.pad}"    # print it: decklander pad print {answers.pad} --out pad.pdf'])
+    colours = "simulator" if answers.vehicle == "sim" else "indoor" if answers.place == "indoors" else "outdoor"
+    sections.append(["[vision]", f'colours = "{colours}"'])
+    sections.append(["[guidance]", 'start = "signal"    # wait for an order: decklander fly begin, or the page'])
+    if autopilot:
+        sections.append(["[guidance.cone]", "feet_below_m = 0.1    # measure: the feet below the autopilot"])
+    fence, height_m = ("ship", 30) if answers.place == "ship" else ("start", 4 if answers.place == "indoors" else 30)
+    sections.append(["[limits]", f'fence = "{fence}"', f"fence_radius_m = {max(height_m, 5)}.0", f"height_max_m = {height_m}.0"])
+    sections.append(["[recorder]", "enabled = true    # every flight, in the folder recordings"])
+    if answers.page:
+        secure = answers.page != "127.0.0.1"
+        page = ["[page]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{out.stem}.token"']
+        if secure:
+            page += [f'host = "{answers.page}"', f'certificate_file = "{out.stem}.crt"', f'key_file = "{out.stem}.key"']
+        sections.append(page)
+    return "\n".join("\n".join(lines) for lines in sections) + "\n"
+
+
+def _write(out: Path, text: str) -> None:
+    """Write the settings, and the token and certificate that they name, each new and readable by its user alone."""
+    token, certificate, key = (out.with_name(out.stem + ending) for ending in (".token", ".crt", ".key"))
+    try:
+        if f'"{token.name}"' in text and not token.exists():
+            _write_secret(token, make_token() + "\n")
+        if f'"{certificate.name}"' in text and not certificate.exists():
+            _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
+        out.write_text(text, encoding="utf-8")
+    except OSError as why:
+        raise unusable(str(out), why) from why
+
+
+def _write_secret(path: Path, text: str) -> None:
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+        file.write(text)
+
+
+def _certify(certificate: Path, key: Path, address: str) -> None:
+    """Make a certificate of one's own for an address, by openssl.
+
+    Raises:
+        BadInput: openssl is missing or refuses.
+    """
+    if shutil.which("openssl") is None:
+        raise BadInput("--page: a page beyond 127.0.0.1 needs a certificate, and openssl is missing: apt install openssl")
+    words = (
+        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 365 -subj /CN=decklander "
+        f"-addext subjectAltName=IP:{address}"
+    ).split()
+    done = subprocess.run([*words, "-keyout", key, "-out", certificate], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise BadInput(f"--page {address}: {done.stderr.strip().splitlines()[-1]}")
+    key.chmod(0o600)
+
+
+def _next_steps(answers: Answers, out: Path) -> None:
+    say: Callable[[str], int] = sys.stdout.write
+    say(f"\nstart the service:  decklander run --config {out}\nfly:                decklander fly takeoff --wait 20\n")
+    if not answers.page:
+        return
+    token = out.with_name(out.stem + ".token").read_text(encoding="utf-8").strip()
+    secure = answers.page != "127.0.0.1"
+    address = f"{'https' if secure else 'http'}://{answers.page}:8480/#token={token}"
+    say(f"page:               {address}\n")
+    if secure and sys.stdout.isatty():
+        say("\n" + qr_code(address))
+
+
+def qr_code(text: str) -> str:
+    """Return a QR code of a text for a terminal: two rows of modules in each line of half blocks, with the quiet zone of four."""
+    import cv2
+    import numpy as np
+
+    dark = np.pad(cv2.QRCodeEncoder.create().encode(text) == 0, 2)  # the encoder leaves two modules of the quiet zone
+    dark = np.pad(dark, ((0, dark.shape[0] % 2), (0, 0)))
+    blocks = {(False, False): "█", (False, True): "▀", (True, False): "▄", (True, True): " "}
+    rows = ("".join(blocks[bool(a), bool(b)] for a, b in zip(dark[i], dark[i + 1], strict=True)) for i in range(0, len(dark), 2))
+    return "\n".join(rows) + "\n"

@@ -1,0 +1,114 @@
+"""`decklander start` and what a person reads first: settings that load, a QR code that reads back, help, carets, completion."""
+
+import socket
+import threading
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.cli import completion, start
+from companion.cli.main import COMMANDS, main
+from companion.cli.progress import ProgressObserver
+from companion.cli.refusal_place import pointed
+from companion.settings.load import load
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from estimator.contracts.time import MonoNs
+from tests.support.mqtt_service import decision
+
+
+@pytest.mark.parametrize("where", sorted(start.PLACES))
+@pytest.mark.parametrize("vehicle", sorted(start.VEHICLES))
+def test_the_file_is_short_commented_good_and_never_overwritten(
+    vehicle: str, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "rig.toml"
+    words = ["start", "--yes", "--no-doctor", "--vehicle", vehicle, "--where", where, "--camera", "usb", "--out", str(out)]
+    assert main([*words, "--page", "127.0.0.1"]) == 0
+    text = out.read_text()
+    assert len(text.splitlines()) <= 40
+    assert text.count("#") >= 4
+    assert load(out).limits.height_max_m == tomllib.loads(text)["limits"]["height_max_m"]
+    token = tmp_path / "rig.token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert f"http://127.0.0.1:8480/#token={token.read_text().strip()}" in capsys.readouterr().out
+    assert main(words) == 2
+    assert out.read_text() == text
+
+
+def test_an_autopilot_on_the_network_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setattr(start, "_UDP_PORTS", (port,))
+    monkeypatch.setattr(start, "_SERIAL", ())
+    monkeypatch.setattr(start, "_ARDRONE", ("127.0.0.1", 1))
+    beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4, 0, 0, 0, 3)
+    data, over = Codec(1, 1).pack(beat), threading.Event()
+
+    def beating() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.wait(0.05):
+                sender.sendto(data, ("127.0.0.1", port))
+
+    thread = threading.Thread(target=beating)
+    thread.start()
+    found = start.found_vehicles(1.0)
+    over.set()
+    thread.join()
+    assert found == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{port}")]
+
+
+def test_the_code_in_the_terminal_is_read_by_a_phone() -> None:
+    address = "https://192.168.1.20:8480/#token=3f2a91c07d5e3f2a91c07d5e3f2a91c0"
+    light = {"█": (1, 1), "▀": (1, 0), "▄": (0, 1), " ": (0, 0)}
+    rows = start.qr_code(address).splitlines()
+    cells = np.array([[light[c][half] for c in row] for row in rows for half in (0, 1)], np.uint8)
+    picture = cv2.resize(255 * cells, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST)
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == address
+
+
+def test_commands_are_shown_by_what_a_person_wants(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([])
+    said = capsys.readouterr().err
+    places = [said.index(f"\n{title}\n") for title in ("see it", "fly", "set up", "study", "maintain", "examples")]
+    assert places == sorted(places)
+    assert all(f"\n  {name} " in said for name in COMMANDS)
+    assert "\x1b" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "row", "mark"),
+    [
+        ('[vehicle]\nkind = "ardrone"\nhots = "x"\n', "vehicle.hots is not a known key", 3, "hots"),
+        ('[vehicle]\nkind = "ardrone\n', "not valid TOML: ... (at line 2, column 16)", 2, "\n"),
+        ("[vision]\nthreads = 1\n[camera]\n", "camera.file is missing", 3, "camera"),
+    ],
+)
+def test_the_place_of_a_fault_has_a_caret(text: str, message: str, row: int, mark: str, tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(text)
+    place, line, caret, page = pointed(f"{file}: {message}").splitlines()
+    assert f"{file}:{row}:" in place
+    assert caret.index("^") == (line + "\n").index(mark)
+    assert "docs/configuration.md" in page
+
+
+def test_shells_complete_every_command_and_its_options() -> None:
+    words = completion.completions()
+    assert set(words) == set(COMMANDS)
+    assert {"--seed", "--perception"} <= set(words["simulate"])
+    assert {"check", "reference", "--expert"} <= set(words["config"])
+
+
+def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(ProgressObserver, "_columns", lambda self: 40)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    progress = ProgressObserver()
+    progress.on_decision(decision(MonoNs(10**9)))
+    shown = capsys.readouterr().err.split("\x1b[2K")[1]
+    assert 10 < len(shown) < 40
