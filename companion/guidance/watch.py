@@ -95,7 +95,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
         deck = s.knowledge.deck
-        rise_m = p.deck_rise_m - (0.0 if deck is None else since_last_s * deck.v_level.item(2))
+        rise_m = p.deck_rise_m + since_last_s * (fastest_climb_m_s(s, o) if deck is None else -deck.v_level.item(2))
         p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
@@ -135,6 +135,11 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
         return None
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
+
+
+def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the fastest climb that the vehicle can make, m/s."""
+    return max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
 
 
 def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
