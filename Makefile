@@ -129,7 +129,7 @@ $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	@touch $@
 
 # An environment with the service's needs and every extra's, and nothing else.
-$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt | $(BIN)/python
+$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt | $(BIN)/python
 	$(BIN)/python -m venv --clear --without-pip $@
 	$(PIP) --python $@ install --require-hashes $(foreach pins,$^,-r $(pins))
 	@touch $@
@@ -152,7 +152,8 @@ pins:
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --extra report --extra lab --extra ros2 --extra compare --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --extra report --extra lab --extra ros2 --extra compare --extra rl --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

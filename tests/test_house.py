@@ -34,6 +34,7 @@ DRAWINGS = {
     "sitl/experiments/page.py",
     "sitl/campaign/plots.py",
     "companion/tools/calibrate/figures.py",
+    "sitl/gym/environment.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
@@ -48,6 +49,9 @@ ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typ
 
 COMPARE = {"estimator/constant_velocity.py"}
 """What needs the extra `compare`. `pipeline.require_filterpy` is asked first."""
+
+TRAINING = {"sitl/gym/environment.py"}
+"""What needs the extra `rl`."""
 
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
@@ -367,22 +371,18 @@ def test_the_readme_shows_the_two_commands_and_ci_uses_one_of_them() -> None:
 
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    needed = {"report": DRAWINGS, "lab": LAB, "ros2": ROS2, "compare": COMPARE, "rl": TRAINING}
     runtime = import_names(project["dependencies"])
-    report = import_names(project["optional-dependencies"]["report"])
-    lab = import_names(project["optional-dependencies"]["lab"])
-    ros2 = import_names(project["optional-dependencies"]["ros2"])
-    compare = import_names(project["optional-dependencies"]["compare"])
-    dev = runtime | report | lab | ros2 | compare | import_names(project["optional-dependencies"]["dev"])
+    dev = runtime.union(*(import_names(extras[name]) for name in (*needed, "dev")))
     undeclared = set()
     for path in files():
         if path.suffix == ".py":
             top = path.relative_to(ROOT).parts[0]
             shipped = top in PACKAGES
-            drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
-            drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
-            drawn = drawn | (ros2 if str(path.relative_to(ROOT)) in ROS2 else set())
-            drawn = drawn | (compare if str(path.relative_to(ROOT)) in COMPARE else set())
-            declared = runtime | drawn if shipped else dev | extra(top)
+            where = str(path.relative_to(ROOT))
+            further = set().union(*(import_names(extras[name]) for name, paths in needed.items() if where in paths))
+            declared = runtime | further if shipped else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(parsed(path.read_text()))}
             ours = {"", *PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}
             undeclared |= {(str(path.relative_to(ROOT)), top) for top in tops - sys.stdlib_module_names - declared - ours}

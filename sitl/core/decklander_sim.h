@@ -166,6 +166,88 @@ void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const s
 void sim_vessel_moved(int32_t harmonics, const sim_harmonic *h, int32_t n, const double *t_s, sim_vessel_motion *out);
 void sim_vessel_mounted(int32_t n, const sim_vessel_origin *origin, const sim_vessel_motion *m, const sim_mount *at, sim_mounted *out);
 
+/* ---- training/: many flights of one scenario, step by step, for controllers that learn ---- */
+
+/* The numbers of an action, each -1 to 1: acceleration (or velocity) forward and right, velocity down against the deck, yaw rate. */
+enum action_number {
+    ACTION_FORWARD, ACTION_RIGHT, ACTION_DOWN, ACTION_YAW, ACTION_NUMBERS,
+};
+
+/* Where the parts of an observation begin: the pad's place (3) m and its velocity against the body (3) m/s in level axes, the body's
+ * lean and the trim against wind and drag as accelerations (2 + 2) m/s^2 forward and right, the deck's velocity and acceleration down, its roll and pitch
+ * about the body's heading, sine and cosine of the heading against the arrow, the last action, seconds since the last sighting. */
+enum view_number {
+    VIEW_PLACE = 0, VIEW_VELOCITY = 3, VIEW_LEAN = 6, VIEW_TRIM = 8, VIEW_DECK = 10, VIEW_DECK_TILT = 12, VIEW_HEADING = 14,
+    VIEW_ACTION = 16, VIEW_AGE = 20, VIEW_NUMBERS = 21,
+};
+
+/* The terms of a reward, before their weights. */
+enum reward_term {
+    REWARD_NEARER, REWARD_OUTSIDE, REWARD_EFFORT, REWARD_TIME, REWARD_LANDED, REWARD_MISSED_BY, REWARD_SPEED, REWARD_FAILED,
+    REWARD_TERMS,
+};
+
+/* How an episode ended. */
+enum episode_end {
+    EPISODE_GOES_ON, EPISODE_LANDED, EPISODE_OFF_PAD, EPISODE_HARD, EPISODE_IN_WATER, EPISODE_LEFT, EPISODE_TIMED_OUT,
+};
+
+/* What a wrong model changes: factors on the vehicle's, and seconds of delay more. */
+enum wrong_number {
+    WRONG_TILT_FREQUENCY, WRONG_TILT_DAMPING, WRONG_THRUST, WRONG_DRAG, WRONG_COMMAND_DELAY_S, WRONG_NUMBERS,
+};
+
+enum {
+    /* The largest number of harmonics of a vessel's motion. */
+    HARMONICS_MAX = 256,
+    /* The largest number of observations that may be under way. */
+    VIEWS_MAX = 16,
+};
+
+/* A vessel's motion by harmonics: displacement (6) and rate (6) by the real and by the imaginary part of each one's phasor, and by
+ * how much a step of the controller turns it. */
+typedef struct {
+    double by_re[12], by_im[12], turn_re, turn_im;
+} sim_sway;
+
+/* What is the same for all worlds: the scenario, and the rules of the training. */
+typedef struct {
+    int64_t harmonics, physics_steps, steps_max, velocity_actions, true_view, view_delay;
+    double step_s, acceleration_max_m_s2, velocity_max_m_s, velocity_gain, down_max_m_s, yaw_rate_max_rad_s,
+        start_low[4], start_high[4], pad_radius_m, vertical_max_m_s, lateral_max_m_s, reach_m, trim_keep, place_sigma_m, place_sigma_by_height, velocity_sigma_m_s, velocity_sigma_by_height,
+        error_keep, error_fresh, tilt_sigma_rad, lost_share, found_share, wrong_sigma[WRONG_NUMBERS];
+    sim_vessel_origin course;
+    sim_mount pad;
+    sim_vehicle_params vehicle_params;
+    sim_vehicle vehicle;
+    sim_sway sway[HARMONICS_MAX];
+} sim_training;
+
+/* One world: the vehicle, the sea's phasors, the deck at both ends of a step, the errors of the estimate. */
+typedef struct {
+    uint64_t random[4];
+    int64_t steps, lost, view_at;
+    double t_s, deck_at[2][12], error[6], tilt_error[2], trim[2], action[ACTION_NUMBERS], goal_m, phasor_re[HARMONICS_MAX],
+        phasor_im[HARMONICS_MAX];
+    float views[VIEWS_MAX * VIEW_NUMBERS];
+    sim_deck deck;
+    sim_vehicle_params vehicle_params;
+    sim_vehicle vehicle;
+} sim_training_world;
+
+/* What a step of `count` worlds gives: an observation each, the terms of its reward, how its episode ended, and for episodes that did
+ * the last observation and the touchdown's place (lateral distance, m) and speeds (down, along the deck, m/s). */
+typedef struct {
+    float *views, *terms, *last_views, *touchdowns;
+    int8_t *ends;
+} sim_training_step;
+
+/* Begin an episode of every world with its random state; write the observations. */
+void sim_training_begin(const sim_training *rules, int32_t count, sim_training_world *worlds, float *views);
+/* Take one step of the controller in every world by ACTION_NUMBERS each. A world whose episode ends begins the next one. */
+void sim_training_step_all(const sim_training *rules, int32_t count, sim_training_world *worlds, const float *actions,
+    const sim_training_step *out);
+
 /* ---- render/ and sea/: what a camera sees ---- */
 
 /* The paints of a pad, in the order of their shares; the first is what lies around it. */

@@ -129,9 +129,9 @@ class Vessel:
             coefficient = np.concatenate([coefficient, slow], axis=-1)
             w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
         c = coefficient.transpose(1, 2, 0)
-        self._harmonics = np.empty(w.shape, SIM.dtype("sim_harmonic"))
+        self.harmonics = np.empty(w.shape, SIM.dtype("sim_harmonic"))
         """(B, N) of the motion."""
-        self._harmonics["w_rad_s"], self._harmonics["re"], self._harmonics["im"] = w, c.real, c.imag
+        self.harmonics["w_rad_s"], self.harmonics["re"], self.harmonics["im"] = w, c.real, c.imag
 
     @property
     def batch(self) -> int:
@@ -142,7 +142,7 @@ class Vessel:
         t = np.asarray(t_s, dtype=float)
         flat = np.ascontiguousarray(t).reshape(-1)
         out = np.empty((self.batch, flat.size), SIM.dtype("sim_vessel_motion"))
-        for harmonics, moved in zip(self._harmonics, out, strict=True):
+        for harmonics, moved in zip(self.harmonics, out, strict=True):
             numbers, times = SIM.array("sim_harmonic", harmonics), SIM.array("double", flat)
             SIM.lib.sim_vessel_moved(len(harmonics), numbers, flat.size, times, SIM.array("sim_vessel_motion", moved))
         whole = out.reshape(self.batch, *t.shape)

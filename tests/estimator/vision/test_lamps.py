@@ -19,7 +19,7 @@ from estimator.vision.lamp import CENTRE_PX, lamp_accuracy, points_of
 from estimator.vision.lamp_sighting import detect_lamps, is_dark
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pad_rules import check_for_detection
+
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import camera_pose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
@@ -75,9 +75,9 @@ def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not
     bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": []})
 
     assert not disc.is_identifiable_by_paint
-    check_for_detection(disc.regions, disc.lamps, "mine.toml")
+    disc.check_for_detection("mine.toml")
     with pytest.raises(BadInput, match="or add lamps"):
-        check_for_detection(bare.regions, bare.lamps, "mine.toml")
+        bare.check_for_detection("mine.toml")
     scene = pad_scene(np.random.default_rng(3), CAMERA, disc, 2.0, "plain", 0.1)
     seen, _ = track(TrackerConfig(CAMERA, disc), TrackerMemory(), Frame(STAMP, 0, scene.px), None)
     assert seen.selected is None or seen.chosen == "lamps"

@@ -1,0 +1,1 @@
+"""The simulated sea as a training ground for controllers that learn (docs/training.md)."""

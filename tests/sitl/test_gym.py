@@ -1,0 +1,115 @@
+"""The training worlds: the same by seed however many step together, a deck as the vessel's, and every end of an episode."""
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from estimator.contracts.errors import BadInput
+from sitl.gym.environment import LandEnv, LandVectorEnv, register, weighted
+from sitl.gym.training import ENDS, STEP_S, TERMS, TrainingOptions, TrainingWorlds
+from sitl.scenario.scenario import load
+from sitl.world.stage import sea_and_vessel
+
+
+def towards_pad(seen: np.ndarray, full_m_s2: float) -> np.ndarray:
+    """Return the actions of a proportional-derivative law that descends in a cone over the pad."""
+    actions = np.zeros((len(seen), 4), np.float32)
+    actions[:, :2] = (0.8 * seen[:, :2] + 1.4 * seen[:, 3:5]) / full_m_s2
+    actions[:, 2] = np.where(np.hypot(seen[:, 0], seen[:, 1]) < 0.15 + 0.3 * seen[:, 2], 0.7, 0.0)
+    return actions
+
+
+def test_a_simple_law_lands_in_the_worlds() -> None:
+    worlds = TrainingWorlds(load("sea_state_3"), 32)
+    worlds.begin(range(32))
+    ends, distances = np.zeros(len(ENDS), int), []
+    for _ in range(900):
+        worlds.step(towards_pad(worlds.views, worlds.acceleration_m_s2))
+        ends += np.bincount(worlds.ends, minlength=len(ENDS))
+        distances.append(worlds.touchdowns[worlds.ends == ENDS.index("landed"), 0])
+    assert ends[ENDS.index("landed")] > 15
+    assert ends[ENDS.index("landed")] > 0.9 * ends[1:].sum()
+    assert np.median(np.concatenate(distances)) < 0.25
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_world_is_the_same_among_others_as_alone(threads: int) -> None:
+    """World 2 of eight meets the single environment of its seed to the bit, through the end of an episode."""
+    many, alone = LandVectorEnv(8, "weather_4", threads=threads), LandEnv("weather_4")
+    seen, _ = many.reset(seed=5)
+    first, _ = alone.reset(seed=7)
+    assert (seen[2] == first).all()
+    rng, ended = np.random.default_rng(0), False
+    while not ended:
+        actions = rng.uniform(-0.4, 0.4, (8, 4)).astype(np.float32)
+        seen, rewards, *_, info = many.step(actions)
+        first, reward, terminated, truncated, _ = alone.step(actions[2])
+        ended = terminated or truncated
+        assert rewards[2] == np.float32(reward)
+        assert ((info["final_obs"] if ended else seen)[2] == first).all()
+
+
+def test_the_deck_moves_as_the_vessel_s_responses_say() -> None:
+    """The closed form of the same harmonics with a world's phases, against what the worlds carry step by step."""
+    scenario = load("sea_state_4")
+    worlds = TrainingWorlds(scenario, 1)
+    worlds.begin([3])
+    vessel = sea_and_vessel(scenario, [0])[1]
+    harmonics, count = vessel.harmonics[0], len(vessel.harmonics[0])
+    world = worlds.snapshot(0)
+    phases = np.array(world["phasor_re"][:count]) + 1j * np.array(world["phasor_im"][:count])
+    steps = 300
+    for _ in range(steps):
+        worlds.step(np.zeros((1, 4), np.float32))
+        assert worlds.ends[0] == 0
+    turned = phases * np.exp(-1j * harmonics["w_rad_s"] * steps * STEP_S)
+    eta = ((harmonics["re"] + 1j * harmonics["im"]) * turned[:, None]).real.sum(axis=0)
+    assert worlds.snapshot(0)["deck_at"][1][:6] == pytest.approx(eta, abs=1e-9)
+    heave_m = worlds.snapshot(0)["deck"]["p"][2] + vessel.hull.freeboard_m
+    arm_m = 2.0 * abs(eta[3:5]).max() * math.hypot(*vessel.hull.d_vessel_pad_m)
+    assert heave_m == pytest.approx(eta[2], abs=arm_m + 0.01)
+
+
+def test_every_action_is_flown_and_every_episode_ends() -> None:
+    """Actions without bounds, and NaN, end no episode otherwise than as listed; observations stay finite."""
+    worlds = TrainingWorlds(load("weather_5"), 16, TrainingOptions(time_limit_s=6.0, wrong_model=3.0))
+    worlds.begin(range(16))
+    rng, seen = np.random.default_rng(1), set()
+    for step in range(400):
+        actions = (rng.standard_normal((16, 4)) * 10.0).astype(np.float32)
+        actions[:4, 2] = 1.0
+        actions[4:8, :3] = (0.0, 1.0, 0.3)
+        actions[8] = np.nan if step % 2 else np.inf
+        worlds.step(actions)
+        seen |= {ENDS[end] for end in worlds.ends}
+        assert np.isfinite(worlds.views).all()
+        assert np.isfinite(worlds.terms).all()
+    assert {"left", "timed_out"} < seen
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"action": "velocity", "perception": "truth", "vehicle": "quad_1_5kg"},
+        {"observation": "pixels", "render_mode": "rgb_array"},
+    ],
+)
+def test_gymnasium_s_checker_finds_nothing(options: dict[str, str], recwarn: pytest.WarningsRecorder) -> None:
+    register()
+    check_env(gymnasium.make("Decklander/Land-v0", **options).unwrapped, skip_render_check="render_mode" not in options)
+    assert not [str(w.message) for w in recwarn if "infinity" not in str(w.message)]
+
+
+def test_a_reward_of_one_s_own_replaces_the_shipped_one() -> None:
+    env = LandEnv("calm", reward=weighted(dict.fromkeys(TERMS, 0.0) | {"time": 1.0}))
+    env.reset(seed=1)
+    assert env.step(np.zeros(4, np.float32))[1] == pytest.approx(-STEP_S)
+
+
+def test_a_vessel_that_turns_is_refused() -> None:
+    with pytest.raises(BadInput, match="steady course"):
+        TrainingWorlds(load("supply_ship_turning"), 2)
