@@ -17,7 +17,7 @@ from companion.guidance.progress import Progress
 from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.time import MonoNs, after, seconds_between
 
 EventWithReason = tuple[Event, Reason]
@@ -196,7 +196,12 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     if p.in_sight:
         return p.seen_height_m
     from_m = 0.0 if p.was_silent else min(p.seen_height_m, o.tries.safe_height_m)
-    return from_m + _climbed_blind_m(p, s, o)
+    reckoned_m = from_m + _climbed_blind_m(p, s, o)
+    estimate = s.estimate
+    if estimate is None or estimate.alerts != (IntegrityAlert.UNFELT,) or estimate.age_s(s.at) > o.stale_after_s:
+        return reckoned_m
+    # The height is seen all the same.
+    return min(reckoned_m, estimate.height_m)
 
 
 def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:

@@ -137,6 +137,11 @@ class Inertial(Struct, frozen=True):
     """How often parity has named a sensor."""
 
     @property
+    def accel_lost(self) -> bool:
+        """Whether the estimator does without the accelerometer."""
+        return self.accel.frozen or self.accel_fault is not None
+
+    @property
     def lost(self) -> tuple[str, ...]:
         """The sensors that the estimator does without, in words."""
         found = []

@@ -213,7 +213,11 @@ def _check_holes(region: PaintedPolygon, where: str) -> None:
         points = np.array(hole, dtype=float).reshape(-1, 2)
         fits = 3 <= len(points) <= 60 and _is_simple(points)
         rest = msgspec.structs.replace(region, holes_m=region.holes_m[:i])
-        if not fits or depth_in(rest, points).min() <= _TOUCH_M or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0):
+        if (
+            not fits
+            or depth_in(rest, points).min() <= _TOUCH_M
+            or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0)
+        ):
             raise BadInput(
                 f"{where}.holes_m[{i}] must be 3 to 60 corners of a line that does not touch itself and lies within the polygon, "
                 "beside its other holes"
@@ -263,7 +267,11 @@ class Pad:
     def __post_init__(self) -> None:
         object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints), self.ground))
         # A pad is the key of caches that every frame asks.
-        object.__setattr__(self, "_hash", hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground, self.calibration)))
+        object.__setattr__(
+            self,
+            "_hash",
+            hash((self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground, self.calibration)),
+        )
 
     def __hash__(self) -> int:
         return self._hash
@@ -278,7 +286,9 @@ class Pad:
         """
         file: PadFile = pad_file(data, where)
         paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
-        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground, file.calibration, file.accept_false_pads)
+        return Pad(
+            file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground, file.calibration, file.accept_false_pads
+        )
 
     @property
     def fingerprint(self) -> str:
@@ -301,7 +311,9 @@ class Pad:
     @property
     def is_identifiable_by_paint(self) -> bool:
         """Whether its paint is enough to identify it among what else lies on decks; if not, only its lamps are looked for."""
-        return self.accept_false_pads or not (self.is_calibrated and self.calibration is not None and self.calibration.chance > RARE)
+        return self.accept_false_pads or not (
+            self.is_calibrated and self.calibration is not None and self.calibration.chance > RARE
+        )
 
     def check_for_detection(self, where: str) -> None:
         """Check that clutter is rarely taken for this pad, or that it has lamps.
