@@ -328,6 +328,13 @@ def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
     surely_m = estimate.height_m - _OFF_DECK_SIGMAS * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
+    if surely_m - o.cone.feet_below_m > contact.NEAR_M:
+        # Lower it may be left to come down again, where it comes down on the pad.
+        x, y, _ = estimate.d_body_pad_level.tolist()
+        vx, vy, _ = estimate.v_pad_level.tolist()
+        falls_s = (estimate.height_m - o.cone.feet_below_m) / o.cone.commit_rate_m_s
+        if math.hypot(x + falls_s * vx, y + falls_s * vy) > limits.ON_PAD * o.limits.commit_error_m:
+            most_m = min(most_m, o.cone.feet_below_m + contact.NEAR_M)
     return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
 
 
