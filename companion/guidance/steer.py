@@ -53,7 +53,7 @@ def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_gro
     """
     if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
-    if s.knowledge.deck is None:
+    if s.estimate is None:
         return fastest_climb_m_s(s, o)
     return 0.0 if over_ground else rising_m_s(s.knowledge)
 

@@ -95,7 +95,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
         deck = s.knowledge.deck
-        rise_m = p.deck_rise_m + since_last_s * (fastest_climb_m_s(s, o) if deck is None else -deck.v_level.item(2))
+        up_m_s = fastest_climb_m_s(s, o) if estimate is None else 0.0 if deck is None else -deck.v_level.item(2)
+        rise_m = p.deck_rise_m + since_last_s * up_m_s
         p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
