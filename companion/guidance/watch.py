@@ -41,6 +41,8 @@ _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
 """A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
 _FRESH_S = 0.2
 """Age of a sighting up to which it tells that the drone has left the deck, s."""
+_STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
+"""Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 BOUNCES_MOST = 2
@@ -296,7 +298,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
-                if lost_s > o.tries.climb_after_s:
+                lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
+                if lost_s > o.tries.climb_after_s or lies:
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 

@@ -340,6 +340,14 @@ def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_d
     assert TABLES["cone"][state][Event.LIMIT] is State.GO_AROUND
 
 
+@pytest.mark.parametrize(("alert", "at_once"), [("UNFELT", True), ("ATTITUDE", True), ("CAMERA_FROZEN", False)])
+def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str, at_once: bool) -> None:
+    p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.4, in_sight=False)
+    doubted = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
+    found = of(Event.LIMIT, p, cycle(doubted), OPTIONS)
+    assert (found is not None and found.cause is ReasonCause.LOST_LOW) is at_once
+
+
 @pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
 def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(state: State) -> None:
     """0.12 m under the feet by two standard deviations, and 1.4 of the commit's limit aside at 0.4 m/s down."""
