@@ -80,6 +80,7 @@ _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.APART: "Wait: the filter starts again by itself; if it comes back, land by hand and calibrate accelerometer and gyro.",
     _A.ELSEWHERE: "Look whether there is a second pad; begin again to land on the one that is seen.",
     _A.RANGE: "Check focal length and pad size; look for something under the range sensor.",
+    _A.UNFELT: "Land by hand and calibrate the accelerometer.",
     _A.DECK: "Land by hand: the accelerometer may lie (decklander doctor).",
     _A.HEIGHT: "Check focal length and pad size; a gust into the barometer passes.",
 }

@@ -33,6 +33,8 @@ FROZEN_S = 0.15
 """Time for which the upward force repeats one value, to the last bit, after which the accelerometer feels nothing, s."""
 MOST_M_S = 1.2
 """Velocity that no landing's contact takes away at its first push, m/s: more is a spike of the sensor."""
+_QUICK_S = 0.01
+"""Time between samples up to which a contact lasts for several of them; of these one alone is in doubt, s."""
 _AGAIN_S = 3.0
 """Time after a push within which another one is in doubt, s."""
 
@@ -88,7 +90,11 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     if not 0.0 < dt <= MEAN_S:
         return fresh
     push = up - watch.mean_m_s2
+    last_s = math.inf if watch.newest is None else seconds_between(watch.newest.at, now)
     if push <= LEAST_M_S2:
+        if watch.since is not None and watch.since == watch.at and watch.taken_m_s >= LEAST_M_S and last_s > QUIET_S:
+            # It was gone with the next sample: feet on a deck push for longer.
+            fresh = replace(fresh, newest=Impact(watch.at, "accelerometer", watch.peak_m_s2, doubtful=True))
         return replace(fresh, mean_m_s2=watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push)
     # The mean waits while something pushes: it stands for flight.
     since = now if watch.since is None else watch.since
@@ -97,8 +103,8 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
         return fresh
     taken, peak = watch.taken_m_s + push * dt, max(watch.peak_m_s2, push)
     watch = replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
-    last_s = math.inf if watch.newest is None else seconds_between(watch.newest.at, now)
-    if taken >= LEAST_M_S and last_s > QUIET_S:
+    alone = since == now and dt <= _QUICK_S
+    if taken >= LEAST_M_S and last_s > QUIET_S and not alone:
         return replace(watch, newest=Impact(now, "accelerometer", peak, doubtful=taken > MOST_M_S or last_s <= _AGAIN_S))
     return watch
 

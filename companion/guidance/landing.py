@@ -30,7 +30,7 @@ from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Command, Lean
-from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.estimates import IntegrityAlert, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion, DeckMotion
@@ -130,6 +130,9 @@ FORECAST_S = 0.2
 _NIS_WEIGHT = 0.1
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
+_UNFELT_S = 1.0
+"""Time without the accelerometer after which nobody lands, s: thrust and sightings tell the speed late, and the vehicle swings
+about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
 """Age up to which a range tells of a contact, s."""
 _PLAIN = (
@@ -196,6 +199,8 @@ class LandingGuidance:
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
+        self._unfelt_since: MonoNs | None = None
+        """Instant since which the estimate does without the accelerometer."""
         """When the deck was last believed to move as none does."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
@@ -307,10 +312,25 @@ class LandingGuidance:
             self._response.on_take_off()
         self._changes += changes
 
-    def judge(self, now: MonoNs, deck: DeckMotion | None) -> None:
-        """Judge in each guidance cycle how the deck is believed to move."""
+    def judge(self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False) -> None:
+        """Judge in each guidance cycle how the deck is believed to move, and whether the vehicle can be held still.
+
+        Args:
+            accelerates_unfelt: the estimate does without the accelerometer.
+        """
+        if not accelerates_unfelt:
+            self._unfelt_since = None
+        elif self._unfelt_since is None:
+            self._unfelt_since = now
         if limits.impossible_deck(deck):
             self._impossible = now
+
+    def doubted(self, now: MonoNs) -> IntegrityAlert | None:
+        """Return why nobody lands by an estimate that is consistent by itself; None if it may be landed by."""
+        if self.deck_impossible(now):
+            return IntegrityAlert.DECK
+        unfelt_s = 0.0 if self._unfelt_since is None else seconds_between(self._unfelt_since, now)
+        return IntegrityAlert.UNFELT if unfelt_s > _UNFELT_S else None
 
     def deck_impossible(self, now: MonoNs) -> bool:
         """Return whether the deck is believed to move as none does, now or within the last second."""

@@ -179,7 +179,8 @@ class Pilot:
             return None
         if self.state is State.ANOTHER_PAD:
             believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
-        return _alerted(believed, IntegrityAlert.DECK) if self.landing.deck_impossible(now) else believed
+        doubt = self.landing.doubted(now)
+        return believed if doubt is None else _alerted(believed, doubt)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -295,9 +296,12 @@ class Pilot:
 
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
-        self.landing.judge(now, deck)
-        if self.landing.deck_impossible(now):
-            relative, deck = None if relative is None else _alerted(relative, IntegrityAlert.DECK), None
+        self.landing.judge(now, deck, accelerates_unfelt=self.estimation.memory.guard.inertial.accel_lost)
+        doubt = self.landing.doubted(now)
+        if doubt is not None and relative is not None:
+            relative = _alerted(relative, doubt)
+        if doubt is IntegrityAlert.DECK:
+            deck = None
         return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 
     def _why(self, belief: RelativeState | None) -> str:

@@ -63,7 +63,7 @@ class Progress(Struct, frozen=True, eq=False):
     """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
     in_sight: bool = False
     deck_rise_m: float = 0.0
-    """Rise of the deck since the newest sight, by its forecast, m."""
+    """Rise of the deck since the newest sight, m; where there is no estimate, as fast as the vehicle climbs."""
     deck_top_m: float = 0.0
     """The highest that it has been since then."""
     track: int | None = None

@@ -12,7 +12,7 @@ from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, off_deck
+from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, fastest_climb_m_s, off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -45,15 +45,17 @@ def rising_m_s(knowledge: Knowledge) -> float:
     return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
 
 
-def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> float:
     """Return how fast the drone climbs before a deck that comes up to it out of sight.
 
     It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
-    further than to the safe height, where no deck reaches it.
+    further than to the safe height, where no deck reaches it. A deck of which nothing is known may rise.
     """
     if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
-    return rising_m_s(s.knowledge)
+    if s.estimate is None:
+        return fastest_climb_m_s(s, o)
+    return 0.0 if over_ground else rising_m_s(s.knowledge)
 
 
 def _falling_m_s(knowledge: Knowledge) -> float:
@@ -170,7 +172,7 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     """Climb from the pad on the side where nothing stands."""
     rate = -o.tries.climb_m_s
     estimate = usable(s, o.tries, o.stale_after_s)
-    fastest = max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
+    fastest = fastest_climb_m_s(s, o)
     old = estimate is not None and estimate.age_s(s.at) > o.tries.climb_after_s
     if estimate is None or old or (p.track is not None and estimate.track != p.track):
         rising = 0.0 if over_ground else rising_m_s(s.knowledge)
@@ -196,8 +198,8 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
         # A deck that rises comes up to a drone that stays where it is.
-        if p.state is State.HOLD_BLIND and not over_ground:
-            climb_m_s += _comes_up_m_s(p, s, o)
+        if p.state is State.HOLD_BLIND:
+            climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
         return replace(p, held=None), without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

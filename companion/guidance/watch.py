@@ -17,7 +17,7 @@ from companion.guidance.progress import Progress
 from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.time import MonoNs, after, seconds_between
 
 EventWithReason = tuple[Event, Reason]
@@ -41,6 +41,8 @@ _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
 """A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
 _FRESH_S = 0.2
 """Age of a sighting up to which it tells that the drone has left the deck, s."""
+_STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
+"""Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 BOUNCES_MOST = 2
@@ -95,7 +97,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
         deck = s.knowledge.deck
-        rise_m = p.deck_rise_m - (0.0 if deck is None else since_last_s * deck.v_level.item(2))
+        up_m_s = fastest_climb_m_s(s, o) if estimate is None else 0.0 if deck is None else -deck.v_level.item(2)
+        rise_m = p.deck_rise_m + since_last_s * up_m_s
         p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
@@ -135,6 +138,11 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
         return None
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
+
+
+def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the fastest climb that the vehicle can make, m/s."""
+    return max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
 
 
 def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
@@ -191,7 +199,12 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     if p.in_sight:
         return p.seen_height_m
     from_m = 0.0 if p.was_silent else min(p.seen_height_m, o.tries.safe_height_m)
-    return from_m + _climbed_blind_m(p, s, o)
+    reckoned_m = from_m + _climbed_blind_m(p, s, o)
+    estimate = s.estimate
+    if estimate is None or estimate.alerts != (IntegrityAlert.UNFELT,) or estimate.age_s(s.at) > o.stale_after_s:
+        return reckoned_m
+    # The height is seen all the same.
+    return min(reckoned_m, estimate.height_m)
 
 
 def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
@@ -285,7 +298,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
-                if lost_s > o.tries.climb_after_s:
+                lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
+                if lost_s > o.tries.climb_after_s or lies:
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
@@ -318,6 +332,13 @@ def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
     surely_m = estimate.height_m - _OFF_DECK_SIGMAS * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
+    if surely_m - o.cone.feet_below_m > contact.NEAR_M:
+        # Lower it may be left to come down again, where it comes down on the pad.
+        x, y, _ = estimate.d_body_pad_level.tolist()
+        vx, vy, _ = estimate.v_pad_level.tolist()
+        falls_s = (estimate.height_m - o.cone.feet_below_m) / o.cone.commit_rate_m_s
+        if math.hypot(x + falls_s * vx, y + falls_s * vy) > limits.ON_PAD * o.limits.commit_error_m:
+            most_m = min(most_m, o.cone.feet_below_m + contact.NEAR_M)
     return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
 
 

@@ -74,6 +74,7 @@ class IntegrityAlert(Enum):
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"
     HEIGHT = "the barometer contradicts the camera"
+    UNFELT = "without its accelerometer the vehicle is not held still enough to land"
     DECK = "the deck is believed to move as no deck does"
 
 

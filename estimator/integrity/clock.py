@@ -105,7 +105,7 @@ def delay_after(
     """Process a delay of one stream, as `watch_delay` does; `delay` is None before the stream's first sample.
 
     Args:
-        quick: the stream has at least ten samples a second, so a stamp that comes again later than that is of a clock that stands.
+        quick: the stream has ten samples a second or more, so a stamp that comes again later is of a clock that stands.
     """
     received_at = stamp.received_at
     d = (received_at - stamp.measured_at) / NS_PER_S

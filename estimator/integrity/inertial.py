@@ -6,6 +6,7 @@ agree for two seconds before it counts again. What the estimator believed with i
 
 import math
 from itertools import pairwise
+from operator import eq
 from typing import Literal, NamedTuple
 
 from msgspec import Struct
@@ -22,6 +23,8 @@ from estimator.integrity.parity import Bin, Parity, Slope, Vec3
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
+_AXIS, _ALL_ALIVE = 2.0, 0b111111
+"""One axis alone repeats itself more often than three: it has so many times as long."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
@@ -121,6 +124,12 @@ class Inertial(Struct, frozen=True):
     """The newest samples, those since the newest bin and the one before them."""
     gyro: Half = Half()
     accel: Half = Half()
+    repeats: tuple[Half, ...] = (Half(),) * 8
+    """Whether the gyro, the accelerometer, and each of their axes repeat themselves."""
+    repeating: bool = False
+    """Whether one of them does now."""
+    alive: int = 0
+    """A bit for each axis that has changed in flight: one that a sensor does not have never does."""
     turn: TurnByAttitude = TurnByAttitude()
     parity: Parity = Parity()
     gyro_fault: LyingHalf | None = None
@@ -135,6 +144,11 @@ class Inertial(Struct, frozen=True):
     """Number of bins in a row that accused the accelerometer."""
     named: int = 0
     """How often parity has named a sensor."""
+
+    @property
+    def accel_lost(self) -> bool:
+        """Whether the estimator does without the accelerometer."""
+        return self.accel.frozen or self.accel_fault is not None
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -158,19 +172,51 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     """
     t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
     before = t if last is None else last.stamp.measured_at
-    same_w = last is not None and last.w_body.tobytes() == imu.w_body.tobytes()
-    same_f = last is not None and last.f_body.tobytes() == imu.f_body.tobytes()
-    gyro = halves.read(state.gyro, before if same_w else None, t, o.imu_frozen_s, flying)
-    accel = halves.read(state.accel, before if same_f else None, t, o.imu_frozen_s, flying)
+    was, now = _six(last), _six(imu)
+    # Hundreds of samples a second, of which hardly one repeats anything.
+    if last is not None and (state.repeating or state.alive != _ALL_ALIVE or any(map(eq, was, now))):
+        state = _repeated(state, [a == b for a, b in zip(was, now, strict=True)], (before, t), o.imu_frozen_s, flying)
+    before_gyro, before_accel = state.gyro, state.accel
+    gyro, accel = (_frozen_of(state, half) for half in range(2)) if state.repeating else (state.repeats[0], state.repeats[1])
     lies, bad = state.gyro_fault, state.accel_fault
     frozen = gyro.frozen or accel.frozen
     checked, imus = (state.parity, (*state.imus[-_IMUS:], imu)) if flying and not frozen else (Parity(), (imu,))
     after = replace(state, imus=imus, gyro=gyro, accel=accel, parity=checked)
     if not frozen and lies is None and bad is None:
         return after, imu
-    gyro_s = _lost_s(state.gyro, gyro, lies is not None, (before, t))
-    accel_s = _lost_s(state.accel, accel, bad is not None, (before, t))
+    gyro_s = _lost_s(before_gyro, gyro, lies is not None, (before, t))
+    accel_s = _lost_s(before_accel, accel, bad is not None, (before, t))
     return after, halves.replaced(imu, gyro_s, accel_s, state.turn)
+
+
+def _six(imu: Imu | None) -> list[float]:
+    return [math.nan] * 6 if imu is None else imu.w_body.tolist() + imu.f_body.tolist()
+
+
+def _repeated(state: Inertial, same: list[bool], span: tuple[int, int], frozen_s: float, flying: bool) -> Inertial:
+    """Return the state with the repetitions after a sample.
+
+    Args:
+        same: whether each axis is the same as before, to the bit.
+        span: instants of the sample before and of the newest, ns.
+    """
+    before, t = span
+    alive = state.alive | sum(1 << i for i, repeated in enumerate(same) if flying and not repeated)
+    whole = ((all(same[:3]), frozen_s), (all(same[3:]), frozen_s))
+    each = (*whole, *((repeated, _AXIS * frozen_s) for repeated in same))
+    repeats = tuple(
+        [halves.read(h, before if s else None, t, after_s, flying) for h, (s, after_s) in zip(state.repeats, each, strict=True)]
+    )
+    return replace(state, repeats=repeats, alive=alive, repeating=any(h.since >= 0 for h in repeats))
+
+
+def _frozen_of(state: Inertial, half: int) -> Half:
+    """Return the repetition of a half, 0 of the gyro and 1 of the accelerometer, or that of its first frozen axis."""
+    if not state.repeats[half].frozen:
+        for i in range(3 * half, 3 * half + 3):
+            if state.repeats[2 + i].frozen and state.alive >> i & 1:
+                return state.repeats[2 + i]
+    return state.repeats[half]
 
 
 def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:

@@ -108,8 +108,15 @@ def test_a_push_is_what_exceeds_the_mean_by_three() -> None:
 
 def test_a_push_is_a_contact_once_it_has_taken_a_tenth_of_a_metre_a_second() -> None:
     first = felt(ContactWatch(), 0.0, 9.0)
-    assert felt(first, 10.0, 18.9).newest is None
-    assert felt(first, 10.0, 19.0).newest == Impact(MonoNs(10_000_000), "accelerometer", 10.0)
+    assert felt(first, 20.0, 13.9).newest is None
+    assert felt(first, 20.0, 14.0).newest == Impact(MonoNs(20_000_000), "accelerometer", 5.0)
+
+
+def test_of_quick_samples_one_alone_is_in_doubt_and_two_are_a_contact() -> None:
+    pushed = felt(felt(ContactWatch(), 100.0, 9.0), 105.0, 50.0)
+    assert pushed.newest is None
+    assert felt(pushed, 110.0, 40.0).newest == Impact(MonoNs(110_000_000), "accelerometer", 41.0)
+    assert felt(pushed, 110.0, 9.2).newest == Impact(MonoNs(105_000_000), "accelerometer", 41.0, doubtful=True)
 
 
 @pytest.mark.parametrize(("lasts_ms", "ends"), [(80, False), (80.1, True)])
@@ -122,12 +129,12 @@ def test_a_push_of_more_than_eight_hundredths_is_another_weight(lasts_ms: float,
 
 @pytest.mark.parametrize(("after_ms", "told"), [(300, False), (300.1, True)])
 def test_a_contact_s_rebounds_are_none_for_three_tenths(after_ms: float, told: bool) -> None:
-    watch = felt(felt(ContactWatch(), 0.0, 9.0), 10.0, 30.0)
+    watch = felt(felt(ContactWatch(), 0.0, 9.0), 20.0, 30.0)
     first = watch.newest
     assert first is not None
-    for ms in (50.0, 150.0, 250.0, 10.0 + after_ms - 10.0):
+    for ms in (50.0, 150.0, 250.0, 20.0 + after_ms - 20.0):
         watch = felt(watch, ms, 9.0)
-    watch = felt(watch, 10.0 + after_ms, 30.0)
+    watch = felt(watch, 20.0 + after_ms, 30.0)
     assert (watch.newest is not first) is told
 
 
@@ -145,15 +152,15 @@ def test_an_accelerometer_that_repeats_itself_feels_nothing_and_a_live_one_does(
 
 def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
     first = felt(ContactWatch(), 0.0, 9.0)
-    spike = felt(first, 5.0, 309.0).newest
+    spike = felt(first, 11.0, 209.0).newest
     assert spike is not None
-    assert spike.doubtful, "no landing takes 1.5 m/s away at once"
-    watch = felt(felt(first, 10.0, 30.0), 20.0, 9.0)
+    assert spike.doubtful, "no landing takes 2.2 m/s away at once"
+    watch = felt(felt(first, 11.0, 30.0), 20.0, 9.0)
     assert watch.newest is not None
     assert not watch.newest.doubtful
     for ms in range(120, 1000, 100):
         watch = felt(watch, float(ms), 9.0)
-    again = felt(watch, 930.0, 30.0).newest
+    again = felt(watch, 935.0, 30.0).newest
     assert again is not watch.newest
     assert again is not None
     assert again.doubtful

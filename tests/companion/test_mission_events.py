@@ -325,7 +325,7 @@ def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_d
     p = memory(state, seen_height_m=0.1, entered_height_m=0.1)
 
     def found(height_m: float, o: GuidanceOptions = OPTIONS, **more: Any) -> Reason | None:
-        return of(Event.LIMIT, p, cycle(seen((0.6, 0.2, height_m), **more)), o)
+        return of(Event.LIMIT, p, cycle(seen((0.1, 0.2, height_m), **more)), o)
 
     assert figures(found(0.416)) == (ReasonCause.OFF_DECK, 0.416, pytest.approx(0.395))
     assert found(0.414) is None
@@ -338,6 +338,31 @@ def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_d
     assert found(0.45, guided(cone={"gate_height_m": 0.5})) is None, "as high as the commit begins a vehicle may stand"
     assert of(Event.LIMIT, p, cycle()) is None
     assert TABLES["cone"][state][Event.LIMIT] is State.GO_AROUND
+
+
+@pytest.mark.parametrize(("alert", "at_once"), [("UNFELT", True), ("ATTITUDE", True), ("CAMERA_FROZEN", False)])
+def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str, at_once: bool) -> None:
+    p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.4, in_sight=False)
+    doubted = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
+    found = of(Event.LIMIT, p, cycle(doubted), OPTIONS)
+    assert (found is not None and found.cause is ReasonCause.LOST_LOW) is at_once
+
+
+@pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
+def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(state: State) -> None:
+    """0.12 m under the feet by two standard deviations, and 1.4 of the commit's limit aside at 0.4 m/s down."""
+    p = memory(state, seen_height_m=0.1, entered_height_m=0.1)
+
+    def found(height_m: float, ahead_m: float, v_m_s: float = 0.0, **more: Any) -> Reason | None:
+        return of(Event.LIMIT, p, cycle(seen((ahead_m, 0.0, height_m), v=(v_m_s, 0.0, 0.0), **more)), OPTIONS)
+
+    beside_m = 1.4 * OPTIONS.limits.commit_error_m
+    assert figures(found(0.19, beside_m + 0.01)) == (ReasonCause.OFF_DECK, 0.19, pytest.approx(0.165))
+    assert found(0.19, beside_m - 0.01) is None
+    assert found(0.18, beside_m + 0.01) is None, "feet that stand may be reckoned so high"
+    assert found(0.245, 0.0, 2.0 * beside_m + 0.05) is not None, "half a second to the deck"
+    assert found(0.245, 0.0, 2.0 * beside_m - 0.05) is None
+    assert found(0.245, 0.0, 9.0, age=0.21) is None
 
 
 # Contacts of which no accelerometer tells, and those of a go-around

@@ -235,14 +235,17 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, a
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
-def test_half_an_imu_that_is_dead_is_told_and_the_descent_goes_on_without_it() -> None:
+def test_half_an_imu_that_is_dead_is_told_and_after_a_second_nobody_descends_until_it_lives() -> None:
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     words = "the accelerometer repeats its readings; flying without it"
     told = loop.until(lambda decision: words in decision.reason, "accelerometer frozen", seconds=0.4)
     assert told.belief is not None
     assert told.belief.consistent
-    loop.until(below(1.2, loop), "accelerometer frozen")
+    loop.until(lambda decision: IntegrityAlert.UNFELT.value in decision.reason, "accelerometer frozen", seconds=1.2)
+    for _ in range(60):
+        assert not descends(loop.tick("accelerometer frozen"))
+    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
 @pytest.mark.parametrize("fault", ["imu spikes", "hour ahead", "velocity frozen"])

@@ -186,6 +186,17 @@ def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(
         assert found == Hover()
 
 
+@pytest.mark.parametrize("over_ground", [True, False])
+def test_a_blind_hold_low_over_a_deck_of_which_nothing_is_known_climbs_to_the_safe_height(over_ground: bool) -> None:
+    o, p = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=0.4)
+    for i in range(1000):
+        s = GuidanceCycle(ns(NOW + 0.02 * i), Knowledge(ns(NOW + 0.02 * i), None))
+        p, found = aim(account(p, s, o), s, o, over_ground=over_ground)
+        up = -float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
+        high = 0.4 + 0.5 * 0.02 * i >= o.tries.safe_height_m
+        assert up == (0.0 if high else 0.5), i
+
+
 @pytest.mark.parametrize("seen_m", [1.0, 2.4, 7.0])
 def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_with_each_wave(seen_m: float) -> None:
     o, p, climbed_m = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=seen_m), 0.0

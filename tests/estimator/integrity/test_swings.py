@@ -62,8 +62,8 @@ def flown(gyro: Change, attitude: Change, until: float = 5.0, seen: bool = True,
 def named(states: list[Inertial]) -> tuple[str, float]:
     """Return who was named first, and how long after the fault's beginning."""
     for n, state in enumerate(states):
-        if state.gyro_fault or state.attitude_fault:
-            return "gyro" if state.gyro_fault else "attitude", n * DT - BEGIN_S
+        if state.lost:
+            return "attitude" if state.attitude_fault else "gyro", n * DT - BEGIN_S
     return "", math.inf
 
 
@@ -89,6 +89,21 @@ def test_of_two_that_turn_apart_the_picture_names_the_one_that_lies(who: str, fa
     assert found == who
     assert 0.0 < after_s < 1.0
     assert len(states[-1].lost) == 1
+
+
+def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second_and_one_that_never_changed_is_none() -> None:
+    def flies(of_z: Callable[[float], float]) -> list[bool]:
+        rng, state, out = np.random.default_rng(1), Inertial(), list[bool]()
+        for n in range(200):
+            stamp = Stamp(MonoNs(n * 5_000_000), MonoNs(n * 5_000_000), 0.001, "sim")
+            f = np.array([*rng.standard_normal(2), of_z(n)])
+            state, _ = inertial.felt(state, Imu(stamp, rng.standard_normal(3), f), OPTIONS, True)
+            out.append(state.accel_lost)
+        return out
+
+    found = flies(lambda n: -9.8 + 0.1 * math.sin(n) if n < 100 else -9.8)
+    assert found.index(True) in range(159, 163), "0.3 s after it first read what it repeats"
+    assert not any(flies(lambda n: 0.0)), "a sensor that does not have this axis"
 
 
 def test_a_clean_flight_over_a_deck_that_rolls_names_nobody() -> None:
