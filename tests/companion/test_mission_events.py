@@ -18,7 +18,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.watch import account, events, fit_in
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import IntegrityAlert, Verdict
 from tests.companion.mission_flights import estimate, guided, ns
 
 NOW = 100.0

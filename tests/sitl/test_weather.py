@@ -29,8 +29,8 @@ from tests.sitl.near import NEAR
 from tests.sitl.test_world import CALM, run, with_
 
 UNKIND: dict[str, Any] = {
-    "rotor_saturation": True, "battery_sag": 0.15, "drag_per_m": 0.01, "rotor_drag": True, "downwash_m_s2": 1.0, "moving_deck": True,
-    "vibration_m_s2": 2.0, "loop_climb_sigma_m_s": 0.1, "loop_rate_sigma_deg_s": 2.0, "unknown_mass_kg": 0.2,
+    "rotor_saturation": True, "battery_sag": 0.15, "drag_per_m": 0.01, "rotor_drag": True, "downwash_m_s2": 1.0,
+    "moving_deck": True, "vibration_m_s2": 2.0, "loop_climb_sigma_m_s": 0.1, "loop_rate_sigma_deg_s": 2.0, "unknown_mass_kg": 0.2,
 }  # fmt: skip
 
 

@@ -95,7 +95,7 @@ def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
             if len(contour) >= 30:
-                yield from _alike(contour, step, grey.shape, _silhouettes(pad))
+                yield from _alike(np.asarray(contour, np.int32), step, grey.shape, _silhouettes(pad))
 
 
 def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...]) -> Iterator[_Component]:
