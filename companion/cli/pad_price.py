@@ -41,7 +41,8 @@ def priced(pad: Pad, file: Path, views: int) -> tuple[Pad, Price]:
 def _write(file: Path, found: Calibration) -> None:
     table = (
         "[calibration]\n# By decklander pad check, for this drawing alone.\n"
-        f'least_told = {found.least_told}\nchance = {found.chance}\nleast_px = {found.least_px}\ndrawing = "{found.drawing}"\n'
+        f"least_support = {found.least_support}\nchance = {found.chance}\n"
+        f'least_px = {found.least_px}\ndrawing = "{found.drawing}"\n'
     )
     try:
         text = file.read_text(encoding="utf-8")
@@ -69,7 +70,7 @@ def price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
         if known.least_px
         else "not found at all sizes: it hardly shows on some decks"
     )
-    yield "it is told by " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in deciding(pad).items())
+    yield "what decides: " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in deciding(pad).items())
 
 
 def price_warnings(pad: Pad) -> list[str]:
@@ -91,9 +92,9 @@ def price_record(found: Price | None, pad: Pad) -> dict[str, Any]:
     assert known is not None
     out: dict[str, Any] = {
         "chance": known.chance,
-        "least_told": known.least_told,
+        "least_support": known.least_support,
         "least_px": known.least_px,
-        "told_by": deciding(pad),
+        "decided_by": deciding(pad),
     }
     if found is not None:
         shares = {f"{radius:g}": share for radius, share in found.found.items()}

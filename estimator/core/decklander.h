@@ -492,18 +492,18 @@ typedef struct {
     double cut[3], gain, left;
 } cover_line;
 
-/* How far the light about a pad is told by its drawing: the log-likelihood ratio against light of the same variation without it
- * (told), what that would be if all followed the drawing (could), and the shares of this by cells that follow it and by cells
+/* Support of a pad's drawing: the log-likelihood ratio of the light about it against light of the same variation without it
+ * (support), what that would be if all followed the drawing (could), and the shares of this by cells that follow it and by cells
  * where it makes the light less likely. Pixels that share a blur count once; a cell that may be hidden counts little against. */
 typedef struct {
-    double told, could, share, against;
-} drawing_told;
+    double support, could, share, against;
+} drawing_support;
 
 typedef struct {
     double paints[12], local_paints[12], sample_m, in_view, tilt_sigmas, arrow[6], features[FEATURES], light_n[4],
         light_mean[12], light_var[12];
     cover_line cover;
-    drawing_told told;
+    drawing_support support;
 } aligned_pad;
 
 /* ---- vision/look/: a registration, verified ---- */

@@ -59,7 +59,7 @@ RARE = 1e-4
 class Calibration(Struct, frozen=True, forbid_unknown_fields=True):
     """What `decklander pad check` found when it searched clutter for a pad."""
 
-    least_told: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    least_support: Annotated[float, Meta(gt=0.0, le=1000.0)]
     """What its drawing has to tell of the light of a frame to be as likely as clutter, times the share that follows it."""
     chance: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Chance of a false pad in a frame of 640x360 that is searched, with that."""
@@ -293,10 +293,10 @@ class Pad:
         return hashlib.sha256(drawn).hexdigest()[:12]
 
     @property
-    def least_told(self) -> float:
+    def least_support(self) -> float:
         """What its drawing has to tell to be as likely as clutter: by its calibration, else as pads of its kind."""
         if self.calibration is not None:
-            return self.calibration.least_told
+            return self.calibration.least_support
         return TOLD_BY_PARTS if self.markings.is_searched_by_parts else TOLD
 
     @property

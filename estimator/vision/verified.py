@@ -26,7 +26,7 @@ from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.doubts import LETTER_MOST, cells_log_odds, letter_log_odds
-from estimator.vision.register.fit_verification import confidence, told_log_odds
+from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.srgb import LUMA, light_table, linear_light
@@ -245,8 +245,8 @@ def _of_visible(
     found = look(view, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
     if found is None:
         return None
-    told = found.record["aligned"]["told"]
-    most = told_log_odds(float(told["told"]) * float(told["share"]) / view.pad.least_told)
+    support = found.record["aligned"]["support"]
+    most = support_log_odds(float(support["support"]) * float(support["share"]) / view.pad.least_support)
     odds = min(found.log_odds, most) + prior_log_odds
     if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
         odds += _RINGLESS_LOG_ODDS

@@ -219,7 +219,7 @@ def test_a_pad_that_clutter_is_taken_for_is_not_detected(
     )
     drawing = Pad.from_mapping(read_toml(Path("bar.toml"))).fingerprint
     with Path("bar.toml").open("a") as file:
-        file.write(f'[calibration]\nleast_told = 5.0\nchance = 0.03\ndrawing = "{drawing}"\n')
+        file.write(f'[calibration]\nleast_support = 5.0\nchance = 0.03\ndrawing = "{drawing}"\n')
     cv2.imwrite("frame.png", np.zeros((36, 64, 3), np.uint8))
     assert main(command.split()) == 2
     said = capsys.readouterr().err

@@ -25,7 +25,7 @@ from estimator.vision.detect.acquire import search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import RARE, TOLD, Calibration, Pad
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import told_log_odds
+from estimator.vision.register.fit_verification import support_log_odds
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verified
 
@@ -77,15 +77,15 @@ def price(
         others: pads that it may be taken for, by name; itself among them does not count.
         progress: takes how many views are done, of how many.
     """
-    bare = replace(pad, calibration=Calibration(least_told=_ALL, chance=0.0))
+    bare = replace(pad, calibration=Calibration(least_support=_ALL, chance=0.0))
     clutter = []
     for k in range(views):
         clutter.append(_finds(bare, view(k), k % 2 == 0))
         progress(k + 1, views)
-    fewest = replace(pad, calibration=None).least_told
+    fewest = replace(pad, calibration=None).least_support
     tail = _Tail.of(clutter, pad.markings.is_searched_by_parts, 0.5 * fewest)
     shown = {r: [_planted_finds(bare, bare, r, 100 * i + k) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
-    clear = [max(find.told for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
+    clear = [max(find.support for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
     most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
     least = float(np.clip(tail.exceeded(RARE / FRAMES), fewest, max(fewest, most)))
     sure = {r: float(np.mean(_surest(finds, least) >= 0.0)) for r, finds in shown.items()}
@@ -95,7 +95,7 @@ def price(
         seen = [_planted_finds(bare, other, radius_px, 900 + k) for k, radius_px in enumerate(_TAKEN_PX)]
         if other.regions != pad.regions and np.any(_surest(seen, least) >= 0.0):
             taken.append(name)
-    chance, nine = (min(1.0, FRAMES * tail.chance(least * (1.0 + odds / told_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))
+    chance, nine = (min(1.0, FRAMES * tail.chance(least * (1.0 + odds / support_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))
     calibration = Calibration(round(least, 2), float(f"{chance:.2g}"), least_px, pad.fingerprint)
     return Price(views, (1000.0 * chance, 1000.0 * nine), sure, tuple(taken), calibration)
 
@@ -103,7 +103,7 @@ def price(
 class _Find(NamedTuple):
     log_odds: float
     """Those of its edges and its light alone."""
-    told: float
+    support: float
     """What the drawing tells there, times the share that follows it."""
 
 
@@ -116,8 +116,8 @@ def _finds(pad: Pad, px: U8, level: bool) -> list[_Find]:
         if candidate.score >= WORTH_A_TRY:
             found = verified(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
             if found is not None:
-                told, sure = found.found.record["aligned"]["told"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
-                out.append(_Find(math.log(sure / (1.0 - sure)), float(told["told"]) * float(told["share"])))
+                support, sure = found.found.record["aligned"]["support"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
+                out.append(_Find(math.log(sure / (1.0 - sure)), float(support["support"]) * float(support["share"])))
     return out
 
 
@@ -127,9 +127,11 @@ def _planted_finds(pad: Pad, shown: Pad, radius_px: float, number: int) -> list[
     return _finds(pad, planted(view(10_000 + number), CAMERA, shown, pose, rng), False)
 
 
-def _surest(views: Sequence[Sequence[_Find]], least_told: float) -> F64:
+def _surest(views: Sequence[Sequence[_Find]], least_support: float) -> F64:
     """Return the log-odds of the surest find of each view, -30 for none."""
-    return np.array([max([min(f.log_odds, told_log_odds(f.told / least_told)) for f in finds], default=-30.0) for finds in views])
+    return np.array(
+        [max([min(f.log_odds, support_log_odds(f.support / least_support)) for f in finds], default=-30.0) for finds in views]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,22 +149,23 @@ class _Tail:
             by_parts: whether the log-odds are of a pad whose parts verification was fitted to.
             presumed: what that one more find tells.
         """
-        told = [
-            max(f.told for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)
+        support = [
+            max(f.support for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)
         ]
-        counted = (len(told) + 1.0) / (len(views) + 1.0)
+        counted = (len(support) + 1.0) / (len(views) + 1.0)
         # Where none is likely, how fast the log-odds of the likeliest fall says more than that none was seen.
         likely = np.sort([max((f.log_odds for f in finds), default=-30.0) for finds in views])[::-1]
         n = max(4, round(_TOP * len(views)))
         start, scale = float(likely[n]), max(_LEAST_SCALE, float(likely[:n].mean()) - float(likely[n]))
         falls = n / len(views) * math.exp(min(0.0, start / scale)) if start < 0.0 else 1.0
         return _Tail(
-            min(counted, max(falls, _BY_COUNT * counted)) if by_parts else counted, (sum(told) + presumed) / (len(told) + 1.0)
+            min(counted, max(falls, _BY_COUNT * counted)) if by_parts else counted,
+            (sum(support) + presumed) / (len(support) + 1.0),
         )
 
-    def chance(self, told: float) -> float:
+    def chance(self, support: float) -> float:
         """Return the chance that a view tells so much."""
-        return min(1.0, self.share * math.exp(-told / self.mean))
+        return min(1.0, self.share * math.exp(-support / self.mean))
 
     def exceeded(self, chance: float) -> float:
         """Return what a view tells with a small chance, and more."""

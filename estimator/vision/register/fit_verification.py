@@ -78,18 +78,18 @@ TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else _HAND_SET[n
 """The same where a track has confirmed the pad before."""
 
 
-_BY_TOLD = 6.0
-"""Log-odds of what tells twice as much as clutter may: what clutter tells is exponentially rare."""
+_BY_SUPPORT = 6.0
+"""Log-odds of twice the support that clutter may give: more support by clutter is exponentially rarer."""
 
 
-def told_log_odds(times_least: float) -> float:
-    """Return the most log-odds that what a drawing tells of the light about it allows.
+def support_log_odds(times_least: float) -> float:
+    """Return the most log-odds that the support of a drawing allows.
 
     Args:
-        times_least: what it tells times the share that follows it, of the core's `drawing_told`, over the least of its pad. Few
-            pixels tell little, and what is hidden tells nothing.
+        times_least: support times the share that follows the drawing (the core's `drawing_support`), over the least of the pad.
+            Few pixels give little support, and hidden ones none.
     """
-    return _BY_TOLD * (times_least - 1.0)
+    return _BY_SUPPORT * (times_least - 1.0)
 
 
 def confidence(log_odds: float) -> float:

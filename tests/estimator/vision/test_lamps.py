@@ -72,7 +72,7 @@ def test_lamps_that_tell_no_heading_or_are_in_millimetres_are_refused_by_path_an
 def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not_looked_for():
     data = file_with(lamps_at(SHAPE))
     disc = Pad.from_mapping({**data, "regions": data["regions"][:1]})
-    often = {"least_told": 5.0, "chance": 0.02, "drawing": disc.fingerprint}
+    often = {"least_support": 5.0, "chance": 0.02, "drawing": disc.fingerprint}
     bare = Pad.from_mapping({**data, "regions": data["regions"][:1], "lamps": [], "calibration": often})
 
     assert not disc.is_identifiable_by_paint

@@ -179,7 +179,7 @@ void align_features(const pad_template *p, const samples *s, const painted *loca
                     aligned_pad *out);
 
 /* How much the drawing tells of samples whose local light was fitted. */
-void align_told(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_told *out);
+void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out);
 
 /* The rows of the scratch: of the pixels, then of the samples. */
 void align_rows(int n, float *scratch, pixels *from, samples *s);

@@ -107,7 +107,7 @@ int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose
     align_arrow(t, &seen[1], pose, fit.paints, of->noise, out->arrow);
     /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
     const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
-    align_told(p, &s, blur, from.side_m, &of_samples, &out->told);
+    align_support(p, &s, blur, from.side_m, &of_samples, &out->support);
     align_features(p, &s, &fit, brightest, &of_samples, out);
     return 1;
 }

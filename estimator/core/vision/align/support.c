@@ -1,4 +1,4 @@
-/* How much of the light about a pad is told by its drawing, against the best that is said without it. */
+/* Support of a pad's drawing: the log-likelihood ratio of the light about the pad with the drawing and without it. */
 
 #include <math.h>
 #include <string.h>
@@ -25,7 +25,7 @@ static int cell_of(float x, float y, int side, float reach)
     return (i < 0 ? 0 : i >= side ? side - 1 : i) * side + (j < 0 ? 0 : j >= side ? side - 1 : j);
 }
 
-void align_told(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_told *out)
+void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out)
 {
     cell cells[CELLS * CELLS];
     int side = (int)sqrt((double)s->n / SAMPLES);
@@ -52,11 +52,11 @@ void align_told(const pad_template *p, const samples *s, int blur, double side_m
             continue;
         }
         const double floor = 3.0 * at->n * var + 1e-9, witnesses = 0.5 * at->n / group;
-        const double could = witnesses * log1p(at->drawn / floor), told = witnesses * log((at->seen + floor) / (at->left + floor));
+        const double could = witnesses * log1p(at->drawn / floor), support = witnesses * log((at->seen + floor) / (at->left + floor));
         out->could += could;
-        out->told += fmax(told, -fmin(HIDDEN, could));
-        agrees += fmax(0.0, told > could ? could : told);
-        out->against += told < 0.0 ? could : 0.0;
+        out->support += fmax(support, -fmin(HIDDEN, could));
+        agrees += fmax(0.0, support > could ? could : support);
+        out->against += support < 0.0 ? could : 0.0;
     }
     out->share = out->could > 0.0 ? agrees / out->could : 0.0;
     out->against = out->could > 0.0 ? out->against / out->could : 0.0;
