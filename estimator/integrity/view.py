@@ -22,8 +22,8 @@ _LEAST = 8
 _LEAST_SPAN_S = 0.3
 _FORGET_S = 6.0
 """Time after which a rotation counts a third for which way the view moves."""
-_JUMP_RAD = 0.2
-"""A bearing that leaves its line by more is that of something else."""
+_JUMP_RAD = 0.1
+"""A bearing that leaves the one before by more, beyond the rotation of the body, is that of something else."""
 _LEAST_TURNED_RAD = 0.015
 """Root of the sum of squares of the rotations that say which way the view moves."""
 _AGAINST = -0.2
@@ -65,7 +65,7 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     weights = _off_line(np.array(at, float))
     apart = np.concatenate([weights.dot(expected)[:2], weights.dot(found)[:2]])
     moments = state.moments
-    if abs(apart).max() < _JUMP_RAD:
+    if abs(np.diff(found - expected, axis=0)).max() < _JUMP_RAD:
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
         moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
     return ViewWatch(bearings, still, moments, moments is not None and _is_reversed(moments))

@@ -140,7 +140,7 @@ def test_the_tracker_says_none_where_there_is_no_pad_or_too_little_confidence() 
     assert PadTracker(CAMERA, PAD, colours="simulator", min_confidence=1.0).track(shipped_image() // 2 + 60) is None
 
 
-@pytest.mark.parametrize("image", [np.zeros((480, 640, 3), np.uint8), np.zeros((360, 640), np.uint8), np.zeros((360, 640, 3))])
+@pytest.mark.parametrize("image", [np.zeros((480, 640, 3), np.uint8), np.zeros((360, 480), np.uint8), np.zeros((360, 640, 3))])
 def test_the_tracker_refuses_what_is_no_image_of_the_camera(image: NDArray[np.generic]) -> None:
     with pytest.raises(ValueError, match=r"640x360 px|uint8 BGR"):
         PadTracker(CAMERA, PAD).track(image)
