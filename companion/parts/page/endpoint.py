@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
-from companion.base.mission import FAULTS
+from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSender, OrderSource
 from companion.base.server_log import make_runner
@@ -71,6 +71,7 @@ _WRONG_TOKEN_S = 1.0
 _ALIVE_S = 4.0
 """How often a browser is asked whether it is still there; half of it without an answer ends the connection."""
 _ATTITUDE_S = 1.0
+_LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60
 """Events that are kept for a browser that comes later."""
 
@@ -342,6 +343,7 @@ class PageEndpoint(NullObserver):
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
+                    landing=decision is not None and decision.phase in _LANDING_PHASES,
                     place=where,
                     roll_rad=roll,
                     pitch_rad=pitch,

@@ -107,6 +107,8 @@ class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="s
 
     at_s: float
     """Time since the service began, s."""
+    landing: bool
+    """Guidance flies a landing."""
     place: PlaceReport | None
     roll_rad: float | None
     pitch_rad: float | None
