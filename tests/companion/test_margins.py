@@ -113,7 +113,7 @@ def flown(
 
 
 def settles(assumed: TiltResponse, true: TiltResponse, answer: float = 1.0) -> bool:
-    """Whether a push dies away."""
+    """Return whether a push dies away."""
     course = np.abs(flown(assumed, true, [Pushed(gust=1.0)], 1500, answer=answer)[:, 0])
     return bool(course[-400:].max() < 0.5 * course[-900:-500].max())
 

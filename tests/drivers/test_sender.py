@@ -68,7 +68,7 @@ def moving(fake: FakeArDrone) -> bool:
 
 
 def alive(pid: int) -> bool:
-    """Whether the process runs; one that has ended and is not waited for does not."""
+    """Return whether the process runs; one that has ended and is not waited for does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
     except FileNotFoundError:

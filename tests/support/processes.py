@@ -69,7 +69,7 @@ def burners(n: int) -> Iterator[None]:
 
 
 def alive(number: int) -> bool:
-    """Whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
+    """Return whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -77,7 +77,7 @@ def alive(number: int) -> bool:
 
 
 def gone(number: int) -> bool:
-    """Whether a process is gone before long."""
+    """Return whether a process is gone before long."""
     end = time.monotonic() + PATIENCE_S
     while alive(number) and time.monotonic() < end:
         time.sleep(0.02)

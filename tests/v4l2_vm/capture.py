@@ -16,7 +16,7 @@ def controls_text(values: dict[str, int | bool | str]) -> str:
 
 
 def accounted(counters: Seen) -> bool:
-    """Whether every buffer ended in exactly one verdict."""
+    """Return whether every buffer ended in exactly one verdict."""
     parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
     return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
 

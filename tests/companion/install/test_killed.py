@@ -18,7 +18,7 @@ OPTIONS = InstallOptions(sleep=lambda _: None)
 
 
 def killed(root: Path, step: int, do: Callable[[Computer], None]) -> bool:
-    """Whether a child process that is killed before its n-th change got so far. Nothing of it is cleared away."""
+    """Return whether a child process that is killed before its n-th change got so far. Nothing of it is cleared away."""
     child = os.fork()
     if child == 0:
         try:

@@ -33,7 +33,7 @@ def received_at(state: HeightWatch, range_m: float, t: int = T, sigma_m: float =
 
 
 def speaks(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> bool | None:
-    """Whether a range agrees; None where it counts for nothing."""
+    """Return whether a range agrees; None where it counts for nothing."""
     after = received_at(state, range_m, t, sigma_m)
     assert after.range_at == t
     return True if after.agreed_at == t else False if after.against_s > 0.0 else None

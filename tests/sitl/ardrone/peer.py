@@ -40,7 +40,7 @@ class Peer:
         return received_at
 
     def waiting(self) -> bool:
-        """Whether a datagram lies in the socket unread."""
+        """Return whether a datagram lies in the socket unread."""
         return bool(select.select([self.navdata], [], [], 0)[0])
 
     async def until(self, done: Callable[[Navdata], bool], timeout_s: float = 60.0) -> Navdata:
