@@ -1,4 +1,4 @@
-"""What every scene of the guest does with a camera: take frames, and say what they and the counters were."""
+"""Shared steps of the guest's scenes: take frames, and report them and the counters."""
 
 import asyncio
 from collections.abc import Callable
@@ -27,7 +27,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 
 async def settled(camera: VideoSource) -> Seen:
-    """The counters between two frames: a buffer still being decoded has no verdict yet."""
+    """Return the counters between two frames: a buffer still being decoded has no verdict yet."""
     for _ in range(200):
         counted = camera.counters.as_dict()
         if accounted(counted):

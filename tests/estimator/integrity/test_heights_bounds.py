@@ -71,7 +71,7 @@ def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(
 
 
 def leaning(cx: float, cy: float, foot_m: tuple[float, float] = (0.0, 0.0), height_m: float = 2.0) -> HeightWatch:
-    """The sensor's axis meets the deck so far from the pad."""
+    """Return a state in which the sensor's axis meets the deck this far from the pad."""
     cz = math.sqrt(1.0 - cx * cx - cy * cy)
     d = (cx * height_m / cz + foot_m[0], cy * height_m / cz + foot_m[1], height_m)
     return replace(OVER, d_level=d, down_level=(cx, cy, cz))

@@ -13,7 +13,7 @@ class DurabilityPolicy(Enum):
 
 @dataclass(frozen=True)
 class QoSProfile:
-    """How a topic is published."""
+    """Publishing rules of a topic."""
 
     depth: int
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
