@@ -47,7 +47,7 @@ LASTING_S = 16.0
 """Duration of the watch over a flight, s."""
 NAMED_S = 10.0
 GAP_S, LINES = 0.2, 300
-"""The limits asked for: of a gap that is not the link's own, s, and of the lines in the log."""
+"""The required limits: of a gap that is not the link's own, s, and of the lines in the log."""
 HOST = "127.0.0.1"
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 _WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))

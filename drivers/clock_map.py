@@ -28,14 +28,14 @@ _FADE = 0.95
 _PRIOR = 5
 """The number of messages whose weight `unknown_s` has."""
 _BACK_S = 0.02
-"""The step back from which on a clock may have been set; stamps of several sensors in one stream are out of order by less."""
+"""The step back from which a clock may have been set; stamps of several sensors in one stream are out of order by less."""
 _BACK_FOR, _BACK_FOR_S = 5, 2.0
 """The messages and the time for which stamps stay back before the clock counts as set: one late datagram is no step."""
 _BLOCK_S, _BLOCKS = 2.0, 8
-"""The least differences of so many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
+"""The least differences of this many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
 slow clock for a while, and its stamps are right; no queue fills evenly for so long."""
 _RATE_OFF, _RATE_AGREES = 0.01, 0.003
-"""The disagreement of the rates from which on a source is not believed, and below which it is again. Crystals differ by 1e-4."""
+"""The disagreement of the rates from which a source is not believed, and below which it is again. Crystals differ by 1e-4."""
 
 log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from mutants.tally import Tally
 _ELSEWHERE = 255
 """Exit code of a fork that failed elsewhere than in a test."""
 _PATIENCE, _PATIENCE_S = 3.0, 5.0
-"""CPU time after which a mutant counts as hanging: so many times the time of the tests on the original, and some seconds."""
+"""CPU time after which a mutant counts as hanging: this many times the time of the tests on the original, and some seconds."""
 
 
 class Forks(ABC):

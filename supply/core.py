@@ -92,7 +92,7 @@ GLIBC = (2, 17)
 
 
 class BuildError(Exception):
-    """The library could not be built; the text says why and what helps."""
+    """The library could not be built; the text gives the reason and the cure."""
 
 
 def compiler() -> list[str]:

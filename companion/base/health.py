@@ -181,7 +181,7 @@ class HealthSnapshot:
     """Results of the estimator's measurements, by path and source."""
     mission: MissionHealth = field(default_factory=MissionHealth)
     awaited: frozenset[str] = frozenset()
-    """Flows that the settings ask for beside those of every flight."""
+    """Flows that the settings request beside those of every flight."""
 
 
 class Health:

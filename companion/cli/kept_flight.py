@@ -144,7 +144,7 @@ def keeping(
     *,
     from_truth: bool = False,
 ) -> Iterator[KeptFlight]:
-    """Keep what `--report` and `--record` ask for.
+    """Keep what `--report` and `--record` request.
 
     Args:
         settings: those that the service flies with.

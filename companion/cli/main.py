@@ -3,7 +3,7 @@
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
-Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
+Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is requested.
 """
 
 import argparse
@@ -129,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (this process' own when `argv` is None) and return the exit code.
 
     Raises:
-        SystemExit: help or the version was asked for, or the arguments are wrong.
+        SystemExit: help or the version was requested, or the arguments are wrong.
     """
     if argv is not None:
         return _run(list(argv), importlib.import_module)

@@ -32,7 +32,7 @@ _CALL_OFF_S = 0.1
 """The time for which the end of a landing is repeated; sticks count after it."""
 _LIMIT_GAP_S = 1.0
 _SAMPLES_MOST = 64
-"""Number of samples from which on they are processed though no command needs the place."""
+"""Number of samples from which they are processed though no command needs the place."""
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 """The phases in which a person commands."""
 

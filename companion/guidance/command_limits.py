@@ -150,7 +150,7 @@ def limited(
 ) -> tuple[Command, tuple[Limit, ...]]:
     """Return the command within the limits, and the limits that changed it.
 
-    Only velocities and leans are changed. A lean that would cross the fence becomes a velocity.
+    Only velocities and tilts are changed. A tilt that would cross the fence becomes a velocity.
 
     Args:
         belief: the steering estimate of the pad, None while there is none.

@@ -49,11 +49,11 @@ SIGMA_MOST_M = 0.15
 _FRESH_S = 0.3
 """Age of a sighting up to which it contradicts a push, s."""
 _STILL_M_S = 0.15
-"""Vertical speed against the deck that is none, m/s; the commit asks for more than twice as much."""
+"""Vertical speed against the deck that is none, m/s; the commit requests more than twice as much."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
 """Time in the commit, and after a push, before standing still is told from not having begun to move, s."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
-"""Range beyond the feet's own up to which the deck is there, and from which on it is not, m."""
+"""Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
 
 
 class ContactWatch(Struct, frozen=True):

@@ -4,7 +4,7 @@
 p, w: the pad against the body (the filter's, with errors of their own); a_lean: the reported tilt as an acceleration; d: what
 else accelerates the body (wind, drag, the error of the reported tilt); b: the error of the levelled accelerometer. p, w and the
 acceleration a_lean + d + b are measured. The accelerometer feels a gust at once; place and speed show it a second later.
-That the disturbance is the measured acceleration less the one that was asked for is the idea of incremental control; here it
+That the disturbance is the measured acceleration less the one that was requested is the idea of incremental control; here it
 passes a Kalman filter with steady gains.
 Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental nonlinear dynamic inversion, IROS 2016, sec. III.
 """

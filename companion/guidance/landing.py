@@ -151,7 +151,7 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _NEAR = (State.GATE, State.COMMIT)
-"""States in which the contact to come is asked for."""
+"""States in which the contact to come is predicted."""
 _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
 _LATE_VIDEO_S = 0.15

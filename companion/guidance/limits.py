@@ -141,7 +141,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
             (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
-            # What was within the limit at the gate may lean a little further until the contact.
+            # What was within the limit at the gate may tilt a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )

@@ -1,10 +1,11 @@
 """Identification of a vehicle's response from commanded and reported values: delay, tilt frequency, damping, vertical lag.
 
-The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
-from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the
-error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with
-a large sigma. The covariance is the larger of two in every direction: of the residuals as they should be, and of the fits that
-leave out one stretch of one axis each (a jackknife by one step), which also holds where model or whitening do not fit.
+The model's output is computed from the commanded course alone (output error) and compared with the reported one. Gauss-Newton
+steps from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order
+autoregression: the error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the
+search began, with a large sigma. The covariance is the larger of two in every direction: of the residuals as they should be, and
+of the fits that leave out one stretch of one axis each (a jackknife by one step), which also holds where model or whitening do
+not fit.
 Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
 Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology 28(2), 2002
 (the second covariance).
@@ -86,7 +87,7 @@ class TiltFit(msgspec.Struct, frozen=True):
     response: TiltResponse
     """Fitted response, with `delay_sigma_s` and the other sigmas set."""
     gain: float
-    """Reported tilt over asked tilt."""
+    """Reported tilt over commanded tilt."""
     fitted: Fitted
 
     @property
@@ -143,8 +144,8 @@ def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = 
     """Return the response of the tilt; None if the course is too short.
 
     Args:
-        course: asked and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
-        start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be told apart.
+        course: commanded and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
+        start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be distinguished.
         begin: an earlier fit of the same flight to begin from instead; the prior stays that of `start`.
         steps: largest number of steps.
     """
@@ -173,7 +174,7 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
     """Return the response of the vertical speed; None if the course is too short.
 
     Args:
-        course: asked and reported vertical speed, (n, 1) m/s.
+        course: commanded and reported vertical speed, (n, 1) m/s.
         start: where the search begins; its limit is kept.
     """
     first = np.array([start.delay_s, math.log(start.lag_s), 0.0])
@@ -269,7 +270,7 @@ class _Loop:
         self._block = (np.flatnonzero(compared) * STEP_S / block_s).astype(int)
 
     def _filtered(self, H: _C128) -> F64:
-        """Return the asked course, filtered; `H` is (k, m), the result (k, axes, n)."""
+        """Return the commanded course, filtered; `H` is (k, m), the result (k, axes, n)."""
         out = np.fft.irfft(H[:, None, :] * self._U, self._size, axis=-1)
         return np.asarray(out[..., : self._reported.shape[0]])
 

@@ -1,11 +1,11 @@
 """Identify the vehicle's response in flight, and decide which one the control law flies by.
 
-Every second or two the newest `_WINDOW_S` of asked and reported tilt are fitted, beginning from the fit before. A fit whose delay
-is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and by
-more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
-nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in
-use stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the
-loop swings about the pad and never comes to the gate.
+Every second or two the newest `_WINDOW_S` of commanded and reported tilt are fitted, beginning from the fit before. A fit whose
+delay is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and
+by more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
+nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in use
+stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the loop
+swings about the pad and never comes to the gate.
 
 No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
 own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
@@ -50,7 +50,7 @@ _EXPLAINED = 0.7
 _GAIN_OFF = 0.35
 """A vehicle that flies so much less or more than what is asked is at a limit of its own, or speaks other units."""
 _COURSE_OFF_S = 0.15
-"""A tilt that follows by so much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
+"""A tilt that follows by this much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
 
 
 class ResponseWatch(Struct, frozen=True, eq=False):

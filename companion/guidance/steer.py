@@ -82,7 +82,7 @@ def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_groun
 
 
 def climbing(command: Command, climb_m_s: float) -> Command:
-    """Return the command with at least this climb: without sight an estimate that has risen by itself asks for none."""
+    """Return the command with at least this climb: without sight an estimate that has risen by itself requests none."""
     if not isinstance(command, Velocity | Lean) or command.v_level[2] <= -climb_m_s:
         return command
     v = np.array(command.v_level)
@@ -233,7 +233,7 @@ def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
 
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
+    """Return whether this cycle may request a way nearer to the deck: its state does, and its estimate is fit for it."""
     # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
     lower = p.state in (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
     if not (lower or (p.state is State.INTERCEPT and o.mission == "thesis")):

@@ -38,7 +38,7 @@ _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
 _BLIND_MARGIN_M = 0.1
 _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
-"""A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
+"""A height this far over the gate's, by this many standard deviations, is none at which a vehicle stands on the deck."""
 _FRESH_S = 0.2
 """Age of a sighting up to which it tells that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
@@ -52,13 +52,13 @@ _TOUCHES_MOST = 4
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 _TILTS_FAR = 3.0
-"""Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
+"""Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
 _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
 """Time for which a cause of the shut gate stands before the operator, s."""
 _LEAN_SETTLES_S = 10.0
-"""Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+"""Time after the way to the ship in which the mean tilt still holds that of the drone's own speed: twice the mean's time."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -70,7 +70,7 @@ def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 
 def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Charge the guidance cycle to the try, and note what was seen."""
+    """Charge the guidance cycle to the attempt, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if s.silent_s > SILENT_S:
@@ -469,7 +469,7 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)
         tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
-        # A deck that leans this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+        # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
         refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
         return replace(p, blocked=blocked, good_since=None, refusing=refusing)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)

@@ -1,7 +1,7 @@
-"""The wind over the drone, by the lean that holds it in place, and how much of it the vehicle's tilt can fly.
+"""The wind over the drone, by the tilt that holds it in place, and how much of it the vehicle's tilt can fly.
 
-What the drone leans beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
-is gusts. A vehicle can fly a steady lean up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
+What the drone tilts beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
+is gusts. A vehicle can fly a steady tilt up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
 the tilt is for them.
 """
 
@@ -21,10 +21,10 @@ MEAN_S = 5.0
 """Time constant of mean and gusts, and the time before either counts, s."""
 GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
-"""Time constant that takes the accelerometer's noise from the lean, s: gusts last longer."""
+"""Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _GAP_MAX_S = 0.5
 _SPENT = 0.95
-"""Share of the tilt limit beyond which a steady lean leaves nothing to hold the place with."""
+"""Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 
 
 class WindOverDrone(NamedTuple):
@@ -39,7 +39,7 @@ class WindOverDrone(NamedTuple):
     into_level: tuple[float, float]
     """Unit vector into the wind, forward and right; zero in a calm."""
     lean_rad: float
-    """The mean lean against it."""
+    """The mean tilt against it."""
     spent: bool
     """True if it takes all of the tilt."""
 

@@ -209,7 +209,7 @@ class Daemon:
                 self._link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
-        """Take the samples that nobody asked for: guidance and vision take what waits just before they need it.
+        """Take the samples that nobody requested: guidance and vision take what waits just before they need it.
 
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
@@ -244,7 +244,7 @@ class Daemon:
     def _report_fused(self) -> None:
         """Tell health and observers of the samples that the estimator has processed.
 
-        Where no observer takes them, health counts many at once: when so many have come, and before it is read.
+        Where no observer takes them, health counts many at once: when this many have come, and before it is read.
         """
         if self._audience.takes_fusion:
             self._count(self._pilot.fused())

@@ -53,7 +53,7 @@ _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoef
 
 
 def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
-    """Return the keys of our own camera file for a text of one of these kinds, told apart by its content; None for another text.
+    """Return the keys of our own camera file for a text of one of these kinds, by its content; None for another text.
 
     Raises:
         BadInput: a part is lacking, or it is of a lens that our model does not fit.
@@ -214,7 +214,7 @@ __all__ = [
 _DEEP_PARTS = 50
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
-"""A dotted key with so many parts is none of ours, and the time to read it grows with their square."""
+"""A dotted key with this many parts is none of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {

@@ -1,4 +1,4 @@
-"""The mission's options: the cone, the limits of gate and commit, the tries, and the way points of the thesis."""
+"""The mission's options: the cone, the limits of gate and commit, the attempts, and the way points of the thesis."""
 
 import math
 from typing import Annotated, Literal

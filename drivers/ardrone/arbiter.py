@@ -1,7 +1,7 @@
 """Choose what an AR.Drone is sent in each period: the service's newest command, or hover once that has expired. No I/O.
 
 The same class decides in the sender's own process and in virtual time. A command carries the instant at which it expires;
-nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
+nothing that the service requested is flown after it, however the service ended: killed, stopped, swapped out or stuck.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class TimedCommand:
     ref: int | None = None
     """Bits of the REF command; None to send none."""
     landing: bool = False
-    """`ref` asks for a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
+    """`ref` requests a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
     watchdog: bool = False
     """The drone's communication watchdog has to be reset."""
 

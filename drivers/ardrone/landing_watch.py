@@ -20,7 +20,7 @@ it receives no commands; any other landing was begun by somebody else, whose com
 FRESH_S = 0.2
 """A report older than this is no evidence that the drone is still in the air."""
 SILENT_ABOVE_M = 0.5
-"""An unordered landing, or one that guidance no longer asks for, is called off above this height and finished below it."""
+"""An unordered landing, or one that guidance no longer requests, is called off above this height and finished below it."""
 ORDERED_ABOVE_M = 0.15
 """A landing that guidance takes back by another command is called off above this height."""
 _UNHEARD = NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST
@@ -101,7 +101,7 @@ class LandingWatch:
                 self.cause = Cause.OTHERS
 
     def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
-        """Return whether the present landing, which guidance does not ask for, is to be called off at this height."""
+        """Return whether the present landing, which guidance does not request, is to be called off at this height."""
         if self._newest is None or self.cause not in (Cause.OURS, Cause.SILENCE):
             return False
         report, received_at = self._newest

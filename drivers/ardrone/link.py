@@ -43,7 +43,7 @@ P264 = (
 )
 _NUMBERS = 1 << 32
 _LATE = 64
-"""A picture that is up to so many counts older than the newest one arrived late; one that is older comes from a drone that has
+"""A picture that is up to this many counts older than the newest one arrived late; one that is older comes from a drone that has
 restarted."""
 
 

@@ -20,7 +20,7 @@ clipping."""
 _DAMPING = 0.6
 """Part of the measured error that one step corrects."""
 _ENTER_EV, _LEAVE_EV = 0.4, 0.15
-"""Errors, stops, from which on the law corrects, and below which it rests again."""
+"""Errors, stops, from which the law corrects, and below which it rests again."""
 _CUT_EV = 1.5
 """The same as `_ENTER_EV` while the pad is cut by the frame's edge: what is left of it in view changes with every frame, and each
 change of the exposure would cost frames in the very last part."""

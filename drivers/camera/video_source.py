@@ -50,7 +50,7 @@ _BY_LENGTH = frozenset({"mpjpeg"})
 """Those without times whose frames tell their length; the end of others is known only when the next one begins."""
 _BACKLOG_MOST, _WAITED_S = 300, 0.001
 """FFmpeg reads seconds of a stream to learn what it is. When those frames arrived, nobody noted: without times in the container
-they are not given out, until one has been waited for so long, or so many have passed."""
+they are not given out, until one has been waited for so long, or this many have passed."""
 _ARRIVAL_SIGMA_S = 0.008
 """The standard deviation of a frame's way through kernel and demuxer where nothing but its arrival is known."""
 _BUFFERED_MOST_S = 0.5

@@ -48,7 +48,7 @@ def open_video(
 
     Raises:
         FFmpegError, OSError: raised as by `av.open`.
-        ImageRefused: the frames are larger than the bound; the text says so.
+        ImageRefused: the frames are larger than the bound; the text gives the reason.
     """
     bound = {"max_pixels": str(most_pixels(size))}
     container = av.open(source, options={**(options or {}), **bound}, timeout=timeout)

@@ -1,4 +1,4 @@
-"""The gimbal that carries the camera, on an autopilot's links: take its reports, ask for them, and point it down.
+"""The gimbal that carries the camera, on an autopilot's links: take its reports, request them, and point it down.
 
 async with tending(Gimbal(options, clock), autopilot): ...    # its attitudes are among `autopilot.samples`
 
@@ -366,7 +366,7 @@ class Gimbal:
         return bool(component == self._o.device_id)
 
     def _hold(self, received: ReceivedMessage) -> bool:
-        """Return whether a report comes from where the gimbal is heard."""
+        """Return whether a report comes from where the gimbal's reports come from."""
         came_from, at = (received.source, received.component), received.received_at
         silent = self._heard_at is None or seconds_between(self._heard_at, at) > _SILENT_S
         if self._heard != came_from:

@@ -170,7 +170,7 @@ class Streams:
 
 
 class RateLimit:
-    """A bound on requests over time, whatever is asked for and however often a peer seems to be new.
+    """A bound on requests over time, whatever is requested and however often a peer seems to be new.
 
     Args:
         rate_hz: the requests a second.

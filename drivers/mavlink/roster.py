@@ -1,10 +1,10 @@
 """Know who is meant by "the autopilot", and who else is there: the one place that says it. No I/O.
 
-Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is heard alone is listened to at
+Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is alone is followed at
 once. While it is not clear who is meant, nothing is commanded, and each case names the setting that chooses.
 
-Autopilots that use one system id over one link, behind a router, are told apart: their times since boot differ, and each counts
-its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
+Autopilots that use one system id over one link, behind a router, are distinguished: their times since boot differ, and each
+counts its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
 """
 
 from __future__ import annotations
@@ -291,7 +291,7 @@ class Bound:
 
 @dataclass(slots=True)
 class Roster:
-    """The autopilots that were heard, and other users of ids that are not theirs."""
+    """The autopilots that were received, and other users of ids that are not theirs."""
 
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)

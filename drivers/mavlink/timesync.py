@@ -1,4 +1,4 @@
-"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever asks for ours. No I/O.
+"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever requests ours. No I/O.
 
 A request carries our time in ts1; the answer mirrors it and adds the remote time tc1. The remote clock was read between the two,
 so half the round trip bounds the error; the shortest recent round trip is the one believed. Source: mavlink.io, "Time

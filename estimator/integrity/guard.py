@@ -30,10 +30,10 @@ from estimator.integrity.sensors import FrameWatch
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
 _ABOVE_M = 0.3
-"""Height above the body from which on no pad can be: a camera that looks down stands on it at the most."""
+"""Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
-"""Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
+"""Samples of which the arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""
 

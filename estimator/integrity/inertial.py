@@ -24,7 +24,7 @@ _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
 _AXIS, _ALL_ALIVE = 2.0, 0b111111
-"""One axis alone repeats itself more often than three: it has so many times as long."""
+"""One axis alone repeats itself more often than three: it has this many times as long."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
@@ -358,7 +358,7 @@ def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
     steady = [sum(b.off[i] * off[i] > off[i] * off[i] / 3.0 for b in bins) >= _STEADY * n for i in range(3)]
     x, y = (off[i] if steady[i] else 0.0 for i in range(2))
     if math.hypot(x, y) > by * _GYRO_RAD_S:
-        # The one that says that the body leans more and more lies: it would fly away.
+        # The one that says that the body tilts more and more lies: it would fly away.
         along, aside, _ = bins[-1].up
         by_gyro, by_attitude = math.hypot(along - y * span_s, aside + x * span_s), math.hypot(along, aside)
         # A vessel turns as slowly: the pictures clear the gyro, and do not accuse it.

@@ -173,7 +173,7 @@ def attitude_share(p: Parity, axis: int, since: int, *, swings: bool) -> float |
     It is 1 where the pad turns with the attitude's error, and 0 where it stays level, up to the vessel's own turn.
 
     Args:
-        since: instant from which on they are compared, ns.
+        since: instant from which they are compared, ns.
         swings: compare what goes back and forth, without a steady turn, which may be the vessel's.
 
     Returns:

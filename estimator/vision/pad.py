@@ -67,7 +67,7 @@ class Calibration(Struct, frozen=True, forbid_unknown_fields=True):
     chance: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Chance of a false pad in a frame of 640x360 that is searched, with that."""
     least_px: Annotated[float, Meta(ge=0.0)] = 0.0
-    """Radius in a frame from which on the pad is found; 0 where it is not found at all sizes from one on."""
+    """Radius in a frame from which the pad is found; 0 where it is not found at all sizes from one on."""
     drawing: str = ""
     """The drawing's fingerprint: another drawing is not calibrated."""
 

@@ -71,7 +71,7 @@ class ArrivingFrames:
         options: the driver's.
         seed: of the arrivals of an AR.Drone 1.0's pictures: they scatter as its options say, about a delay of each flight,
             and keep their order.
-        rendered: whether the images are renderings: one that stands for a drawn detection is told apart by its pixels, and no
+        rendered: whether the images are renderings: one that stands for a drawn detection is distinguished by its pixels, and no
             codec may change it.
     """
 

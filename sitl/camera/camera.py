@@ -105,7 +105,7 @@ class Renderer:
         self._vignette = vignette(self._lens, self.light.vignetting)
         self._even = np.full_like(self._vignette, GAIN_ONE)
         self._darkened, self._dark_part = self._vignette.copy(), (slice(0), slice(0))
-        # The largest arrays of a frame: asking for their memory each time costs as much as filling it.
+        # The largest arrays of a frame: requesting their memory each time costs as much as filling it.
         self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
         self._room = np.empty((camera.height, camera.width, 3), np.int16)
         self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None

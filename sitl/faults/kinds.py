@@ -299,7 +299,7 @@ class WeakRotor(Fault, frozen=True, tag="weak_rotor"):
 
 
 class TiltLimited(Fault, frozen=True, tag="tilt_limited"):
-    """The vehicle leans no further than this, whatever it is told or configured."""
+    """The vehicle tilts no further than this, whatever it is told or configured."""
 
     to_deg: Annotated[float, number("largest roll or pitch", "deg", 0.5, 45.0)] = 3.0
 

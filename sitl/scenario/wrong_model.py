@@ -15,7 +15,7 @@ from estimator.contracts.keys import number
 
 _STREAM = 0x3B0D
 _FARTHEST = 2.5
-"""No difference is drawn beyond so many standard deviations."""
+"""No difference is drawn beyond this many standard deviations."""
 
 Factor = Annotated[float, number("true value over that of the model", "1", 0.3, 3.0)]
 Degrees = Annotated[float, number("true angle less that of the camera's file", "deg", -10.0, 10.0)]

@@ -4,7 +4,7 @@ Every sensor has its own random generator and advances with the physics, whether
 readings to the bit. Roll, pitch and velocity are the drone's own estimates, which its loops use too. The formulae are the core's,
 `sitl/core/physics/sensors.c`.
 
-Faults act on finished readings: the same readings, faults and seed give the same result, however often it is asked for.
+Faults act on finished readings: the same readings, faults and seed give the same result, however often it is requested.
 """
 
 import math

@@ -86,7 +86,7 @@ class Manoeuvre:
         return Mounted(p, now.v_ned, (after.v_ned - before.v_ned) / (2.0 * _APART_S), now.R_ned, now.w)
 
     def _moved(self, t_s: F64) -> Mounted:
-        """Return the pad as `pad` does, at any times, but for the way along the other course; the acceleration is left out."""
+        """Return the pad as `pad` does, at any times, except for the way along the other course; the acceleration is left out."""
         ship = self._vessel.mounted(t_s, np.zeros(3))
         course = self._course(t_s)
         heading = float(self._vessel.heading_rad[0])

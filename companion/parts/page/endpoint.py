@@ -369,7 +369,7 @@ class PageEndpoint(NullObserver):
             lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self.pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
-                # Nothing for one that has asked for another codec meanwhile: the next picture is for it.
+                # Nothing for one that has requested another codec meanwhile: the next picture is for it.
                 if viewer.encoder in messages:
                     viewer.show(number, exposed, messages[viewer.encoder])
 

@@ -193,7 +193,7 @@ class CalibrationTool:
         """Write the camera file beside the settings and return what follows.
 
         Raises:
-            BadInput: it must not be written now or at all; the text says why.
+            BadInput: it must not be written now or at all; the text gives the reason.
         """
         if self._flying() or self._armed():
             raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._flying() else ARMED)

@@ -1,6 +1,6 @@
 """The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
 
-A browser's download carries no token, so the page asks for an address over its own connection first.
+A browser's download carries no token, so the page requests an address over its own connection first.
 """
 
 import asyncio

@@ -34,9 +34,9 @@ class FlownCourses:
     by_accelerometer: bool
     """True if the vertical speed is the integral of the accelerometer, because the vehicle reports none."""
     leans: int
-    """Number of commands that ask for a tilt."""
+    """Number of commands that request a tilt."""
     velocities: int
-    """Number of commands that ask for a velocity over the ground."""
+    """Number of commands that request a velocity over the ground."""
 
 
 @dataclass(slots=True)

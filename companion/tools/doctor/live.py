@@ -1,6 +1,6 @@
 """Examine the setup from inside the running service: over the links that it has open, on the ground alone.
 
-The links of a service cannot be opened twice, and what the autopilot is asked for shares them with the flight. An examination
+The links of a service cannot be opened twice, and requests to the autopilot share them with the flight. An examination
 therefore needs a vehicle that stands, and a take-off ends it at once.
 """
 

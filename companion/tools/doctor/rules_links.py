@@ -162,7 +162,7 @@ def link_lossy(p: Snapshot) -> Finding | None:
 
 
 def wrong_system(p: Snapshot) -> Finding | None:
-    """Find a wished system id that no autopilot has, while others are heard."""
+    """Find a wished system id that no autopilot has, while others are present."""
     there = sorted({one.system for one in p.heard if one.hovers})
     if p.autopilot is not None or not p.wanted_system or not there:
         return None
@@ -222,7 +222,7 @@ def id_conflict(p: Snapshot) -> Finding | None:
 
 
 def unanswered(p: Snapshot) -> bool:
-    """Return whether an autopilot is heard and answered nothing at all: then silence is no refusal, and nothing is absent."""
+    """Return whether an autopilot sends messages but no answers: its silence is then no refusal, and nothing is absent."""
     a = p.autopilot
     if a is None or not p.links or not a.wanted_hz or a.parameters:
         return False
@@ -234,7 +234,7 @@ def unanswered(p: Snapshot) -> bool:
 
 
 def link_one_way(p: Snapshot) -> Finding | None:
-    """Find a link on which the autopilot is heard and does not hear us."""
+    """Find a link on which we receive the autopilot and it does not receive us."""
     if not unanswered(p) or p.autopilot is None:
         return None
     what = f"system {p.autopilot.system} is heard, and answers nothing: no parameter, no stream, no TIMESYNC"

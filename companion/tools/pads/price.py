@@ -30,7 +30,7 @@ from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verified
 
 FRAMES = 4.0
-"""Views in a frame of 640x360: it has so many times as many places."""
+"""Views in a frame of 640x360: it has this many times as many places."""
 _MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
 CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
@@ -46,7 +46,7 @@ _TOP, _LEAST_SCALE = 0.06, 0.7
 _BY_COUNT = 0.01
 """Least share of the views that may be the pad, over that which was counted: the fall is not followed farther."""
 _DOUBTED = -1.0
-"""Log-odds of a find's edges and light from which on it counts as one that might be the pad."""
+"""Log-odds of a find's edges and light from which it counts as one that might be the pad."""
 _CLEAR_PX, _MISSED, _BELOW = 28.0, 0.2, 0.6
 """Radius of a pad that is seen clearly, and the share of what the weakest of those tell that is asked at most."""
 _CANDIDATES, _DECK_RAD = 2, math.radians(2.0)

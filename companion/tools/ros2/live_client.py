@@ -49,7 +49,7 @@ class LiveClient:
     Args:
         url: the port's address, ws://HOST:PORT.
         token: its token; None for none.
-        wanted: says of a topic whether its messages are asked for.
+        wanted: says of a topic whether its messages are wanted.
         note: is told what a person should know: a connection, its loss and why.
     """
 

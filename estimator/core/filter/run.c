@@ -18,7 +18,7 @@ static const double DIVERGED_VAR = 0.35 * 0.35;
 
 /* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body of which no turn is known. */
 static const double TURN_BY_ATTITUDE = 0.02;
-/* The cosine of the largest lean at which a thrust is taken to carry the weight. */
+/* The cosine of the largest tilt at which a thrust is taken to carry the weight. */
 static const double LEAST_UPRIGHT = 0.7;
 
 static double largest_step(const double a[3], const double b[3])

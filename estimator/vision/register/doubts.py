@@ -1,8 +1,8 @@
 """Doubt the registration of a pad whose edges alone do not tell it from others: one of fiducials, or one letter on the bare deck.
 
 Edges do not tell a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. Its cells do, as
-far as the frame resolves them. Where it does not, so many more of the edges have to agree. A letter's edges have to be clear, as
-plates and lines have such edges, too.
+far as the frame resolves them. Where it does not, this many more of the edges have to agree. A letter's edges have to be clear,
+as plates and lines have such edges, too.
 """
 
 import math
@@ -24,7 +24,7 @@ from estimator.vision.register.registration import Registration
 LETTER_MOST = 2.2
 """Most log-odds of a letter alone: another marking may have the same one."""
 _INLIERS = (0.9, 0.7)
-"""Share of the edges that agree from which on they do not count against a pose, and at which they refute it: 0.98 or more at
+"""Share of the edges that agree from which they do not count against a pose, and at which they refute it: 0.98 or more at
 right poses.
 """
 _INLIERS_TRACKED = (0.5, 0.3)
@@ -86,13 +86,13 @@ _PIXEL_PX = 0.3
 _LEAST_SPAN = 12.0
 """Least difference of light and dark cells in the frame, 8-bit, that is read."""
 _READ, _MISREAD = 0.65, 0.35
-"""Agreement from which on the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
+"""Agreement from which the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
 of uncovered pads, half of that if half of them is covered, at most 0.4 a quarter turn off, and about 0 at a random place.
 """
 _ENOUGH, _ENOUGH_SHARE = 5.0, 0.25
-"""Number of clear cells, and their share of those in view, from which on they count in full."""
+"""Number of clear cells, and their share of those in view, from which they count in full."""
 _EDGES_AGREE, _EDGES_OFF = 0.8, 0.55
-"""Share of the edges that agree from which on they do not count against a pose whose cells are not resolved, and at which they
+"""Share of the edges that agree from which they do not count against a pose whose cells are not resolved, and at which they
 refute it: 0.89 or more at right poses of whole pads, 0.5 or less at wrong ones.
 """
 

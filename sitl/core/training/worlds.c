@@ -316,7 +316,7 @@ static void command(const sim_training *o, sim_training_world *w, const float ac
     stick[4] = 1.0;
 }
 
-/* Carry on the mean of what the lean gives beyond the acceleration that is measured: wind, drag and the attitude's error. */
+/* Carry on the mean of what the tilt gives beyond the acceleration that is measured: wind, drag and the attitude's error. */
 static void learn_trim(const sim_training *o, sim_training_world *w)
 {
     const sim_vehicle *v = &w->vehicle;

@@ -12,7 +12,7 @@
 enum {
     /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
     LOCAL_MAX = 128,
-    /* Samples are handled in groups of so many, and their rows are as long as whole groups. */
+    /* Samples are handled in groups of this many, and their rows are as long as whole groups. */
     SAMPLE_LANES = 8,
     /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
     SCRATCH_ROWS = 35,
@@ -61,13 +61,13 @@ typedef struct {
 enum { SUM_ONCE = 4, SUM_SQUARED = 5, SUM_ROWS = 6 };
 typedef float8 fit_sums[SUM_ROWS];
 
-/* The numbers of the scratch that aligning with a part of so many pixels takes. */
+/* The numbers of the scratch that aligning with a part of this many pixels takes. */
 static inline size_t align_room(int64_t width, int64_t height)
 {
     return SCRATCH_ROWS * (size_t)((width * height + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES) + (size_t)width + 2 * LOCAL_MAX;
 }
 
-/* The part of a level that shows the disc, with about as many samples as are asked for; returns whether it is large enough. */
+/* The part of a level that shows the disc, with about as many samples as are requested; returns whether it is large enough. */
 int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
 
 /* The part of a level that shows the arrowhead. */

@@ -10,7 +10,7 @@ enum { SECTORS = 8, FEWEST = 6, PARTS = 3 };
 static const double NOISE = 0.012;
 /* Least difference of H and disc that the orange is placed between. */
 static const double LEAST_SPAN = 0.04;
-/* Linear light of a sample from which on a frame clips it. */
+/* Linear light of a sample from which a frame clips it. */
 static const double CLIPPED = 0.98;
 /* Deviations of the noise's sum that may be left of it by chance. */
 static const double CHANCE = 1.0;

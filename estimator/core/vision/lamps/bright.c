@@ -10,7 +10,7 @@
 enum { CHANNELS = 3, BACKGROUND = 15, WINDOW = 2 * BACKGROUND + 1, RING = 32, BLUR = 3 };
 /* A Gaussian of 0.7 px. */
 static const float GAUSSIAN[BLUR + 1] = {37346.0f / 65536.0f, 13461.0f / 65536.0f, 630.0f / 65536.0f, 4.0f / 65536.0f};
-/* A pixel is bright above a part of the brightest within so many. Rows are compared in segments. */
+/* A pixel is bright above a part of the brightest within this many. Rows are compared in segments. */
 enum { PEAK = 3, SEGMENT = 32 };
 /* Every so many rows and columns tell the noise. */
 enum { NOISE_STEP = 4 };

@@ -10,7 +10,7 @@
 #include "vision/lamps/lamps.h"
 #include "base/rotation.h"
 
-/* The brightest so many spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
+/* At most this many of the brightest spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
  * a small pattern those within `CLOSE`; what lies `CELLS` from the first spot's side of the frame is left out. */
 enum { PAIRED = 18, REACH = 2, CLOSE = 1, CELLS = 8192, MARGIN = REACH + 1, LEAST_EXPLAINED = 3 };
 /* Largest distance of a small pattern's lamps from its centre, along the worse axis of the pad, px. */

@@ -13,7 +13,7 @@ static const double LEFT_LEAST = 0.3;
 /* The paints: surroundings, then the regions. */
 enum { PAINTS_MAX = 1 + PAD_CONTRASTS };
 /* Smoothings, (1, 2, 1) / 4, that the grain of what is seen has at most before the patch is smoothed; as many by single pixels as make
- * one by pairs. The reach of all of them, px, and the least correlation between channels from which on there is such grain. */
+ * one by pairs. The reach of all of them, px, and the least correlation between channels from which there is such grain. */
 enum { GRAIN_MOST = 8, BY_PAIRS = 4, GRAIN_REACH = 2 * (1 + GRAIN_MOST) };
 static const double GRAIN_LEAST = 0.05;
 

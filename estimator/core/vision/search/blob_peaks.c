@@ -96,7 +96,7 @@ static void integrals(const blob_image *image, const uint8_t *px, uint32_t *scra
     }
 }
 
-/* How many pixels of a box about a place lie within so many cells. */
+/* How many pixels of a box about a place lie within this many cells. */
 static float inside(int at, int half, int count)
 {
     const int low = at - half > 0 ? at - half : 0, high = at + half < count ? at + half : count;

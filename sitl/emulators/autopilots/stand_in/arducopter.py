@@ -64,7 +64,7 @@ DEFAULTS: dict[str, float] = {
     "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
     **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
 }  # fmt: skip
-"""ArduCopter's defaults of the parameters that the stand-in reads or that are asked for."""
+"""ArduCopter's defaults of the parameters that the stand-in reads or that are requested."""
 READY_S = 1.0
 """Time after the start for which there is no position; the program needs some 40 s."""
 _STILL_M_S2, _DETECT_S, _LOW_THRUST = 1.0, 1.0, 0.25

@@ -45,7 +45,7 @@ class LoopGains:
     angle_p: float
     """1/s: MC_ROLL_P, ATC_ANG_RLL_P."""
     angle_lag_s: float
-    """Lag of the wanted lean before the attitude loop, whose rate is fed forward: ATC_INPUT_TC."""
+    """Lag of the wanted tilt before the attitude loop, whose rate is fed forward: ATC_INPUT_TC."""
     lean_max_rad: float
     rate_i: float
     """Torque that an angle which does not follow winds up, N m per rad and s: MC_ROLLRATE_I, ATC_RAT_RLL_I."""
@@ -104,7 +104,7 @@ class Cascade:
         self, s: BodyState, a: F64, yaw_rate_rad_s: float, *, thrust_max: float = 1.0, thrust_min: float = 0.0,
         lean_max_rad: float | None = None,
     ) -> Motors:  # fmt: skip
-        """Return the motors that lean and lift for an acceleration, (3,) m/s^2 ned.
+        """Return the motors that tilt and lift for an acceleration, (3,) m/s^2 ned.
 
         Args:
             thrust_max, thrust_min: limits of the collective thrust, as fractions of the largest.

@@ -23,7 +23,7 @@ _RATIO_COUNTED = 49.0
 _MEMORY_NS = 350_000_000
 """Sightings older than this, against the newest, are not counted."""
 _NEEDED, _SPAN_NS = 3, 120_000_000
-"""The median is of at least so many sightings that span at least so long."""
+"""The median is of at least this many sightings that span at least so long."""
 _ACTED_S = 0.3
 """Time for which the unknown acceleration is assumed to have acted, s."""
 
