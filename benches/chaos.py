@@ -266,7 +266,7 @@ class Around:
             self._stare(self.ports[name], path)
 
     def _stare(self, port: int, path: str) -> None:
-        """Open a connection, ask, and read nothing of what comes."""
+        """Open a connection, ask, and read none of the answer."""
         watcher = socket.socket()
         watcher.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         watcher.settimeout(2.0)

@@ -95,7 +95,7 @@ class Case:
 
     name: str
     phases: tuple[str, ...]
-    """Phases of guidance, one of which must be reached."""
+    """Phases of guidance; the flight must reach one."""
     after_s: float = 0.0
     below_m: float = math.inf
     """True height of the body over the pad below which the daemon is killed, metres."""

@@ -2,7 +2,7 @@
 
 FOLDER holds what `python -m benches.verifier_examples` rendered; every eighth chunk of it is held out. The network is a small
 convolutional one that says by how much more likely a patch shows the pad than not (log-odds). Each step turns and mirrors frame
-and drawing together, exchanges their channels, adds noise and covers a part, none of which makes a pad another one. Needs the
+and drawing together, exchanges their channels, adds noise and covers a part, and the pad stays the same pad. Needs the
 distributions of `requirements/benches.txt`, on a CPU; the same examples, seed and machine give the same file.
 """
 

@@ -111,7 +111,7 @@ class Forks(ABC):
 
 
 def caches() -> list[Any]:
-    """Return what our modules remember of calls: a mutant must be asked again."""
+    """Return the caches of our modules: a mutant must be called again."""
     modules = [module for name, module in sys.modules.items() if name.partition(".")[0] in child.OURS]
     return [value for module in modules for value in vars(module).values() if hasattr(value, "cache_clear")]
 

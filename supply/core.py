@@ -86,7 +86,7 @@ NO_COMPILER = (
 
 
 ARCHITECTURE = "DECKLANDER_WHEEL_FOR"
-"""Name of the environment variable that tells a wheel's build hook for which architecture to build."""
+"""Name of the environment variable with the architecture for a wheel's build hook."""
 GLIBC = (2, 17)
 """The oldest glibc on which a cross-built library runs."""
 

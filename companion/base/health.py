@@ -156,7 +156,7 @@ class MissionHealth:
     flights: Mapping[str, int] = field(default_factory=dict)
     """Number of ended flights by outcome."""
     response: ResponseInUse | None = None
-    """The vehicle's response, once a flight has said something of it."""
+    """The vehicle's response, once a flight has identified it."""
 
 
 @dataclass(frozen=True, slots=True)

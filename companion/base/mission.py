@@ -116,7 +116,7 @@ ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.TAKEN, State.EMER
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
 DESCENDS = frozenset({State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
-"""States in which the drone may be asked to come nearer to the deck."""
+"""States in which the drone may be commanded to come nearer to the deck."""
 CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN})
 """States in which the drone may touch the deck with its motors turning."""
 
@@ -133,7 +133,7 @@ FAULTS = frozenset(
         Event.SIGHT_LOST,
     }
 )
-"""Events that are told to people as warnings."""
+"""Events that are shown to people as warnings."""
 
 
 class FlightOutcome(Enum):

@@ -37,7 +37,7 @@ ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 
 
 class Stopped(BaseException):
-    """A signal asked the process to end. It is not an `Exception`, so that code which continues after errors does not catch it.
+    """A signal ended the process. It is not an `Exception`, so that code which continues after errors does not catch it.
 
     Args:
         number: the number of the signal.

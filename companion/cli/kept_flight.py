@@ -90,7 +90,7 @@ class KeptFlight:
     recorder: Recorder | None
     log: FlightLog | None
     observers: tuple[Observer, ...]
-    """Observers of the service, to be told of the flight."""
+    """Observers of the service that receive the flight."""
     held_back: tuple[HeldBack, ...] = ()
     """Those of them that hear nothing before the first truth."""
     shadows: tuple[PathName, ...] = field(init=False)

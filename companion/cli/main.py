@@ -140,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _run(sys.argv[1:], _load_for_good)
         except (SystemExit, signals.Stopped):
             raise
-        except BaseException as why:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+        except BaseException as why:  # a bug of ours: print Python's traceback, but no thread that hangs may keep the process
             # A signal that comes while a class is made reaches us as the cause of Python's own error.
             if isinstance(why.__cause__, signals.Stopped):
                 raise why.__cause__ from None

@@ -79,7 +79,7 @@ class Control(Struct, frozen=True):
     take_off: Given | None = None
     """A take-off that is not sent yet."""
     called_off: Given | None = None
-    """The order that called off a person's landing, while the vehicle is told so."""
+    """The order that called off a person's landing, while it is passed to the vehicle."""
     cut: Given | None = None
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None

@@ -123,7 +123,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
-        # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+        # By the type itself: hundreds of samples a second, and a match checks one class after the other.
         if type(sample) is Attitude:
             attitude = sample
         elif type(sample) is BodyVelocity:

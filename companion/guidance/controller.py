@@ -1,6 +1,6 @@
 """The port between the mission and the control law: what is known, where to be, and which command gets there.
 
-The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never asks
+The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never decides
 whether the pad may be landed on, and holds what it is given. Controllers are pure: a step takes a frozen memory and returns the
 next one.
 """
@@ -36,7 +36,7 @@ class Impact(Struct, frozen=True):
     it is on the ground).
     """
     size_m_s2: float = math.nan
-    """The step of the acceleration; nan if something else said so."""
+    """The step of the acceleration; nan if the contact came from another source."""
     held_m_s: float = math.nan
     """Excess of the upward speed over the command; nan if the contact came from another source."""
     doubtful: bool = False

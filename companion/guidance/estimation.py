@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # what looks at frames loads OpenCV, and the first guidance c
 
 
 class Estimation:
-    """Keeps the estimator's memory, and lets it process samples when somebody asks it for an answer.
+    """Keeps the estimator's memory, and lets it process samples when an answer is needed.
 
     Args:
         shadows: estimator paths that run for comparison only and never steer.

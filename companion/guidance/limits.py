@@ -95,7 +95,7 @@ def gate(
 
 
 def impossible_deck(deck: DeckMotion | None) -> bool:
-    """Return whether the deck is believed to move as none does, beyond the uncertainty of its motion: something lies."""
+    """Return whether the deck's estimated motion is impossible, beyond the uncertainty of its motion: a sensor is wrong."""
     if deck is None:
         return False
     excess = (
@@ -116,7 +116,7 @@ def stop_m(estimate: RelativeState) -> float:
 
 
 def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
-    """Return whether the sightings are as recent and as consistent as the gate asks."""
+    """Return whether the sightings are as recent and as consistent as the gate requires."""
     return _first(_of_the_sightings(now, estimate, quality, limits)) is None
 
 
@@ -164,7 +164,7 @@ def to_contact_s(estimate: RelativeState, cone: ConeOptions) -> float:
 
 
 def gusts_m(gust_m_s2: float, seconds: float) -> float:
-    """Return how far gusts push the vehicle until then that nothing has told of yet: standard deviation on one axis, m.
+    """Return how far gusts not yet measured push the vehicle until then: standard deviation on one axis, m.
 
     A Gauss-Markov push that lasts for `_GUST_S` changes as its square root at first, and acts as its double integral.
     """

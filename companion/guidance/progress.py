@@ -96,7 +96,7 @@ class Progress(Struct, frozen=True, eq=False):
     search_leg: int = 0
     """Number of the corner of the search pattern that the drone flies to."""
     newest_track: int | None = None
-    """Track of the other pad while the operator is asked."""
+    """Track of the other pad while the operator decides."""
 
     @staticmethod
     def start(*, automatic: bool) -> Progress:

@@ -196,7 +196,7 @@ def on_sample(track: VesselTrack, sample: GeoFix | VesselReport | Attitude) -> V
 
 
 def restarted(track: VesselTrack) -> VesselTrack:
-    """Return the track without the ship's places, so that the next one is believed alone: a person decided to go on."""
+    """Return the track without the ship's places, so that the next one is accepted alone: a person decided to go on."""
     return replace(track, vessel=None, newest_refusal=None)
 
 

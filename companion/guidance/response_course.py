@@ -91,7 +91,7 @@ def joined(courses: Sequence[FlightCourse]) -> FlightCourse | None:
 
 
 def _held(asked: Track, grid: F64) -> F64:
-    """Return the mean of what is asked over each step of a grid that ends before the last command.
+    """Return the mean command over each step of a grid that ends before the last command.
 
     A command in the middle of a step keeps its instant.
     """

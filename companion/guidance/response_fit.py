@@ -2,10 +2,10 @@
 
 The model's output is computed from the commanded course alone (output error) and compared with the reported one. Gauss-Newton
 steps from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order
-autoregression: the error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the
-search began, with a large sigma. The covariance is the larger of two in every direction: of the residuals as they should be, and
-of the fits that leave out one stretch of one axis each (a jackknife by one step), which also holds where model or whitening do
-not fit.
+autoregression: the error of a reported attitude lasts for a second. A weak prior keeps parameters that a flight does not
+determine near the start of the search, with a large sigma. The covariance is the larger of two in every direction: of the
+residuals as they should be, and of the fits that leave out one stretch of one axis each (a jackknife by one step), which also
+holds where model or whitening do not fit.
 Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
 Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology 28(2), 2002
 (the second covariance).
@@ -40,7 +40,7 @@ _LEAST_S = 4.0
 _NEAR_S = 0.15
 """A fit whose delay is known better than this is near enough to go on from, s."""
 _SETTLED_S = 8.0
-"""The response to what was asked is over after this time, s."""
+"""The response to a command is over after this time, s."""
 _SETTLED_WITHIN_S = 0.02
 """A last step of the delay up to this belongs to a search that is at its end, s. On the way there a covariance says nothing."""
 _FLOOR_S = 0.004
@@ -55,7 +55,7 @@ class FlightCourse(NamedTuple):
     reported: F64
     """(n, axes), at the beginning of the step."""
     counts: NDArray[np.bool_]
-    """(n,), whether the reported value may be compared: both are known, and the asked one has been for a while."""
+    """(n,), whether the reported value may be compared: both are known, and the command has been known for a while."""
     stamp_sigma_s: float = 0.0
     """Standard deviation of the reports' time: such an error is an error of the delay."""
     drifts: int = 0
@@ -264,7 +264,7 @@ class _Loop:
         held = np.ones_like(s)
         held[1:] = (1.0 - np.exp(-s[1:] * STEP_S)) / (s[1:] * STEP_S)
         self._first = course.asked[0]
-        # The vehicle rests at the first value, and what is asked is filtered from there.
+        # The vehicle rests at the first value, and the command is filtered from there.
         self._U = np.fft.rfft(course.asked - self._first, self._size, axis=0).T * held
         self._powers = (np.arange(n) / n)[:, None] ** np.arange(course.drifts + 1)
         self._block = (np.flatnonzero(compared) * STEP_S / block_s).astype(int)
@@ -338,7 +338,7 @@ def text(response: Response, source: str, tilt: TiltFit, climb: ClimbFit | None)
         tilt, climb: the fits behind it; None where the given numbers were kept.
 
     Raises:
-        ValueError: a covariance is none, because the flight tells next to nothing.
+        ValueError: a covariance is none, because the flight determines next to nothing.
     """
     climbed = "as given: not identified" if climb is None else f"{climb.fitted.residual:.3f} m/s beside the model"
     tilt_table = _identified(response.tilt, "cov_delay_frequency_damping", tilt.cov)

@@ -48,7 +48,7 @@ _LATE_S = 1.0
 _EXPLAINED = 0.7
 """Least share of the reported motion that a fit has to explain."""
 _GAIN_OFF = 0.35
-"""A vehicle that flies so much less or more than what is asked is at a limit of its own, or speaks other units."""
+"""A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
 _COURSE_OFF_S = 0.15
 """A tilt that follows by this much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
 
@@ -209,7 +209,7 @@ class ResponseIdentifier:
 
     def retune(self, guidance: GuidanceOptions) -> None:
         """Use other settings from now on; what is known stays."""
-        # The thesis' controller commands velocities, which tell nothing of the tilt.
+        # The thesis' controller commands velocities, which do not determine the tilt.
         self._on = guidance.follow_deck.identify and guidance.controller != "pid"
         self._known_s = guidance.follow_deck.delay_known_s
 
@@ -233,7 +233,7 @@ class ResponseIdentifier:
         self._watch = response_watch.landed(self._watch)
 
     def on_command(self, now: MonoNs, command: Command | None, state: State) -> ResponseInUse | None:
-        """Take the command of a guidance cycle; return the response in use when it is another one than last told, else None."""
+        """Take the command of a cycle; return the response in use when it differs from the last reported one, else None."""
         if not self._on:
             return None
         on_deck = state in _ON_DECK

@@ -40,7 +40,7 @@ _BLIND_MARGIN_M = 0.1
 _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
 """A height this far over the gate's, by this many standard deviations, is none at which a vehicle stands on the deck."""
 _FRESH_S = 0.2
-"""Age of a sighting up to which it tells that the drone has left the deck, s."""
+"""Age of a sighting up to which it shows that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
 """Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
@@ -327,7 +327,7 @@ def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
 
 
 def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
+    """Return whether it is in the air again after the contact; only a fresh sight of the pad shows it."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
@@ -511,6 +511,6 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 
 
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
-    """Return whether the drone is still on its way up to the safe height while the operator is asked."""
+    """Return whether the drone is still on its way up to the safe height while the operator decides."""
     climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
     return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

@@ -45,7 +45,7 @@ from estimator.vision.detection import Detection
 # each sighting older; half of the frames, seen in time, land a drone better than all of them, seen late.
 
 _WEIGHT = 0.2
-"""Weight of the newest look in the mean: five frames tell a slow machine from one slow look."""
+"""Weight of the newest look in the mean: five frames distinguish a slow machine from one slow look."""
 _PAUSE_MAX_S = 0.2
 """Longest time without a look: a sighting at least each 0.2 s keeps an estimate fresh, whatever a look costs."""
 

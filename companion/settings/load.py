@@ -235,8 +235,8 @@ def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
     shipped file or are paths relative to the working directory; so are those of keys and certificates.
 
     Args:
-        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: keys of which it is silent are then
-            those of an autopilot.
+        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: missing keys then have
+            an autopilot's defaults.
 
     Raises:
         BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
@@ -380,7 +380,7 @@ def pad_model(settings: Settings) -> Pad:
     """Return the pad that `settings.pad.file` names.
 
     Raises:
-        BadInput: the file is missing or has a fault, or vision cannot tell this pad from what else lies on decks.
+        BadInput: the file is missing or has a fault, or vision cannot distinguish this pad from other things on decks.
     """
     path = find_file(settings.pad.file, "pads", Path(), "pad.file")
     return _pad_to_detect(read_text(path), path)

@@ -15,8 +15,8 @@ HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 STAY_UP = REF_BASE | REF_TAKE_OFF
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED)
 _REPORT_S = 1.0
-"""A report that the drone is on the ground is believed for this long, a report that it flies for `FRESH_S`: a REF that asks to
-fly would start the motors of a drone that has landed in the meantime."""
+"""A report that the drone is on the ground is valid for this long, a report that it flies for `FRESH_S`: a REF with the
+take-off bit would start the motors of a drone that has landed in the meantime."""
 
 
 @dataclass(frozen=True, slots=True)

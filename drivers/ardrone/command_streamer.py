@@ -1,7 +1,7 @@
 """Compute what to send to the drone in each period: REF, PCMD and the watchdog reset, from command and navdata. No I/O.
 
-The bit `REF_TAKE_OFF` asks the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
-and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
+The bit `REF_TAKE_OFF` orders the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in
+flight and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the commanded speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.

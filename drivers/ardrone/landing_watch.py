@@ -15,8 +15,10 @@ from drivers.ardrone.navdata import ControlState, Navdata, NavdataState, control
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
-"""A landing can have begun for our silence only in a navdata gap of this length, or after the drone has said for this long that
-it receives no commands; any other landing was begun by somebody else, whose commands it received."""
+"""Navdata gap, or time without received commands by the drone's report, after which a landing can have begun for our silence.
+
+Somebody else began any other landing, and the drone received the commands for it.
+"""
 FRESH_S = 0.2
 """A report older than this is no evidence that the drone is still in the air."""
 SILENT_ABOVE_M = 0.5

@@ -13,7 +13,7 @@ CODECS = {"1.0": "32", "2.0": "129"}
 
 
 class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
-    """The vehicle: a Parrot AR.Drone, or the simulated one, which speaks the same protocol.
+    """The vehicle: a Parrot AR.Drone, or the simulated one, with the same protocol.
 
     Raises:
         ValueError: a number outside its range, or text that cannot be read.

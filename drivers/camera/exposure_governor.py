@@ -19,7 +19,7 @@ from estimator.contracts.samples import Frame
 _PIXELS = 10_000
 """About how many pixels are looked at."""
 _FEWEST = 30
-"""An outline with fewer pixels tells nothing."""
+"""An outline with fewer pixels is not used."""
 _CLIPPED = 250
 """Grey value from which a channel counts as clipped."""
 _BRIGHT = 0.97

@@ -1,6 +1,6 @@
 """Decode images to pixels; the size is read from the header before any memory is allocated for them.
 
-A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder believes it: 2.7 GB. Here the claim is compared with
+A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder allocates it: 2.7 GB. Here the claim is compared with
 the camera's size, or with an upper bound, before the decoder sees the first byte.
 """
 

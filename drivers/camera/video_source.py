@@ -47,7 +47,7 @@ Packet: TypeAlias = "AnyPacket[VideoStream]"
 
 _LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp", "analyzeduration": "1000000"}
 _BY_LENGTH = frozenset({"mpjpeg"})
-"""Those without times whose frames tell their length; the end of others is known only when the next one begins."""
+"""Those without times whose frames carry their length; the end of others is known only when the next one begins."""
 _BACKLOG_MOST, _WAITED_S = 300, 0.001
 """FFmpeg reads seconds of a stream to learn what it is. When those frames arrived, nobody noted: without times in the container
 they are not given out, until one has been waited for so long, or this many have passed."""
@@ -266,7 +266,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
 
     Raises:
         ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
-        BadInput: the device cannot do what the options ask (size, format, control).
+        BadInput: the device cannot do what the options request (size, format, control).
         SetupImpossible: permission is missing, or the device is not a camera.
     """
     camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)

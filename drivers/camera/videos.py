@@ -21,7 +21,7 @@ def most_pixels(size: tuple[int, int] | None) -> int:
 
 
 def has_times(container: InputContainer) -> bool:
-    """Return whether the container tells times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
+    """Return whether the container holds times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
     return not container.format.flags & _NO_TIMES
 
 

@@ -61,7 +61,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
 
 
 def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
-    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and told.
+    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and reported.
 
     Raises:
         BadInput: the file cannot be read or is no ULog.

@@ -34,7 +34,7 @@ def quiet(text: str) -> None:
 def timeline(stamps_us: Sequence[int], tell: Tell = quiet) -> list[int | None]:
     """Return when each datum of a log was logged, ns since the first, by its stamps in the order of the file.
 
-    One absurd stamp is None, and its datum lost. Where the clock steps and stays there, time goes on, and the step is told.
+    One absurd stamp is None, and its datum lost. Where the clock steps and stays there, time goes on, and the step is reported.
     """
     steps = np.diff(np.asarray([min(max(t, 0), 2**62) for t in stamps_us], dtype=np.int64))
     usual = steps[(steps > 0) & (steps < _PAUSE_US)]

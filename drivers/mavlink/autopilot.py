@@ -76,7 +76,7 @@ class _Known:
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
     version: Version | None = None
-    """Its firmware and hardware, once it told them."""
+    """Its firmware and hardware, once it reported them."""
     released_at: MonoNs | None = None
     """Time when the vehicle was taken from this program; None while nobody has it."""
 

@@ -340,7 +340,7 @@ class Gimbal:
             if self.pointer is not None:
                 self.pointer.restart()
         out: list[Message] = []
-        # An answer does not name the stream that it is for, so the autopilot is asked when it has answered everything else.
+        # An answer does not name the stream that it is for, so the request goes out when the autopilot has answered all others.
         if streams.settled or not self._o.of_autopilot:
             out += self._streams.due(now, self._device(identity.address))
         if self.pointer is not None:

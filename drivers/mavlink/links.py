@@ -34,7 +34,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
-"""Messages of which only the newest is worth sending over a line that is slow."""
+"""Messages whose newest alone is worth sending over a line that is slow."""
 _ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0

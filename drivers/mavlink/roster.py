@@ -31,7 +31,7 @@ _NEXT_WITHIN = 8
 _REACHED_WITHIN = 64
 """Sequence numbers that another autopilot may have used since its last message with a time."""
 _HELD_S = 0.5
-"""Time for which a message waits to be told whose it is."""
+"""Time for which a message waits until its sender is known."""
 _REBOOT_S, _REPLACED_S = 1.0, 10.0
 """Silence after which another clock is taken for the autopilot's: after a reboot, and where two ran beside one another."""
 _BELIEVED = 3
@@ -84,7 +84,7 @@ class _Origin:
         return (sequence - self.sequence) % 256
 
     def apart_from(self, sequence: int) -> bool:
-        """Return whether a sequence number is none that it may have reached with messages that told no time."""
+        """Return whether a sequence number is none that it may have reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:
@@ -338,7 +338,7 @@ class Roster:
         self._elsewhere = received.source_text, received.received_at, differed + 1 if differs else 0
 
     def note_uid(self, uid: int, now: MonoNs) -> None:
-        """Note the hardware that answered under the autopilot's id; 0 tells nothing."""
+        """Note the hardware that answered under the autopilot's id; 0 is ignored."""
         self.uids = {one: known for one, known in self.uids.items() if seconds_between(known[0], now) < _UID_S}
         if uid and (uid in self.uids or len(self.uids) < _UIDS_MAX):
             self.uids[uid] = now, self.uids.get(uid, (now, 0))[1] + 1

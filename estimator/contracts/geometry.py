@@ -245,7 +245,7 @@ def known_rotation(matrix: F64) -> Rotation:
 
 
 def _rotation_by(matrix: F64) -> Rotation:
-    """Return the rotation of a read-only matrix of which it is known that it is one."""
+    """Return the rotation of a read-only matrix that is known to be a rotation."""
     made = _new(Rotation)
     _set(made, "matrix", matrix)
     _set(made, "_rpy_rad", None)

@@ -361,7 +361,7 @@ enum {
     FIGURE_SIDES = 64,
     /* The largest number of sides of a wedge. */
     WEDGE_SIDES = 4,
-    /* Number of points of the pointer, one of which is in the frame if it can be seen. */
+    /* Number of points of the pointer; at least one is in the frame if it can be seen. */
     POINTER_MARKS = 4,
 };
 
@@ -372,7 +372,7 @@ enum {
  * surroundings) and the inside of each kind of edge (kinds); an edge_zone is where an edge of another kind is too near:
  * within and outside of two radii, in a box, anywhere if the blur is too wide for something thin, where the figure
  * on_figure does not cover a pixel wholly, and where beside_figure covers any of it (-1 for neither). The pointer is the
- * part of the drawing that tells its two headings apart. The other structures have what Camera, Orientation and Registration
+ * part of the drawing that distinguishes its two headings. The other structures have what Camera, Orientation and Registration
  * have. A camera_sighting is a pose in cam with the attitude and the mount; a level_sighting is the same pose in level: its
  * place, rotation and their covariance, the body's heading against the arrow, and the covariance of place and heading. */
 typedef struct {
@@ -464,7 +464,7 @@ enum align_feature {
 /* A pad_pose takes the pad's axes to the camera's. In pad_template, a map has n rows along x and n columns along y, and the
  * centre in its middle; log_blur are the logarithms of the maps' standard deviations, m; h_side is -1 in a channel in which
  * the H is darker than the disc, else 1. A dl_alignment moves a pose by this many steps of Gauss and Newton, with the light minus
- * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is asked; the first half of the
+ * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is requested; the first half of the
  * steps use a drawing blurred twice as much. Then the drawing is verified at the pose, or with cover only the line is looked
  * for beyond which something covers the pad. In aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place
  * and at the opposite one; light_* are number, mean and variance of the light's logarithm where one paint shows alone. A cut is

@@ -124,7 +124,7 @@ class Door:
         Args:
             kind: a number or a structure of the header.
             values: the array, its elements one after the other.
-            count: how many elements C takes for granted. By default C is told by another parameter.
+            count: how many elements C takes for granted. By default C learns it by another parameter.
 
         Raises:
             TypeError: the elements are of another kind.

@@ -172,7 +172,7 @@ def _figures(answer: NDArray[Any], evidence_of_rest: float) -> Callable[[], tupl
 
 _LIMITS = IntegrityOptions()
 _ANSWERS_KEPT = 8
-"""A filter of which many instants are asked forgets the first."""
+"""The oldest answers are forgotten beyond this number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

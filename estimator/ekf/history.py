@@ -349,7 +349,7 @@ def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Entry]]:
 
 
 def _compact(chunks: Chunks) -> Chunks:
-    """Return the chunks without the memory of a long row of which few beliefs are left.
+    """Return the chunks without the memory of a long row with few beliefs left.
 
     The beliefs of a row share their memory. Of samples that are all late, each leaves one belief of a row as long as the history.
     """

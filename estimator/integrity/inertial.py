@@ -1,7 +1,7 @@
 """Judge gyro and accelerometer apart, name the one that lies, and let the estimator fly on without it.
 
 A half that repeats itself is lost at once and back at once. One that moves and lies is found by parity (`parity.py`) and has to
-agree for two seconds before it counts again. What the estimator believed with it is worth nothing: it starts again.
+agree for two seconds before it counts again. Estimates made with it are worthless: the estimator starts again.
 """
 
 import math
@@ -42,7 +42,7 @@ _DECIDED = 0.2
 _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
-"""Least turn, a root mean square, by which a wrong sense is told."""
+"""Least turn, a root mean square, at which a wrong sense is detected."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
 """Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it."""
 _PERSISTS_GROSS = 2
@@ -87,7 +87,7 @@ class Differences(NamedTuple):
     """Ahead and aside as far as velocity and sightings agree."""
 
     def agrees_with(self, usual: "Usual") -> bool:
-        """Return whether nothing speaks against the accelerometer, and something for it."""
+        """Return whether some evidence confirms the accelerometer and none contradicts it."""
         down = self.ground or self.deck
         if down is None or abs(down.value - usual.down) > (0.6 if self.ground else 0.8) * _ACCEL_M_S2:
             return False
@@ -173,7 +173,7 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
     before = t if last is None else last.stamp.measured_at
     was, now = _six(last), _six(imu)
-    # Hundreds of samples a second, of which hardly one repeats anything.
+    # Hundreds of samples a second, and hardly one repeats a value.
     if last is not None and (state.repeating or state.alive != _ALL_ALIVE or any(map(eq, was, now))):
         state = _repeated(state, [a == b for a, b in zip(was, now, strict=True)], (before, t), o.imu_frozen_s, flying)
     before_gyro, before_accel = state.gyro, state.accel
@@ -278,7 +278,7 @@ def _judged_gyro(state: Inertial) -> Inertial:
             well = fault.well if agrees is None else fault.well + 1 if agrees else 0
             if well < _WELL:
                 return replace(state, **{name: replace(fault, well=well)})
-            # The attitude went into all that was believed, the gyro's fault did not.
+            # The attitude entered all estimates, the gyro's fault did not.
             return replace(state, **{name: None}, named=state.named + (name == "attitude_fault"))
     found = _swings_apart(state.parity)
     if found is not None and found.sensor != state.suspected:

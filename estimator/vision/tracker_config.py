@@ -34,6 +34,6 @@ class TrackerConfig:
     motion: CameraMotion | None = None
     """Motion of the camera in this frame; None if unknown, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None
-    """The trained network that is asked about what a search finds; None to ask none."""
+    """The trained network for a second opinion on what a search finds; None for no second opinion."""
     integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
     """The guard's limits, by which a belief excludes a place."""

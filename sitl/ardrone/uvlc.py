@@ -55,7 +55,7 @@ _STAMP_SIGMA_S = 0.002
 """Standard deviation of the stamps of a drone that sends its clock's time."""
 
 _BACK_TO_BACK_S = 0.001
-"""Time between the arrivals of two pictures of which the first was held up, s: that of sending one."""
+"""Time between the arrivals of two pictures when the first was held up, s: that of sending one."""
 
 
 def synced(measured_at: MonoNs, received: MonoNs) -> Stamp:

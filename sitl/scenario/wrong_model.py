@@ -1,7 +1,7 @@
-"""A vehicle that differs from its model: what is true of one airframe, by what its file and the settings believe.
+"""A vehicle that differs from its model: what is true of one airframe, against its file and the settings.
 
 A scenario's table `[wrong_model]` says the differences, and `sigma` draws them for each seed within what an owner's
-identification leaves (docs/sitl.md has the sources). The service goes on to believe the file.
+identification leaves (docs/sitl.md has the sources). The service still uses the file.
 """
 
 import math

@@ -49,7 +49,7 @@ BOARD_TEMPERATURE_C = 43.5
 _PRESSURE_TIME_S = 60.0
 """Correlation time of the pressure's drift."""
 _MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
-"""The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are not told."""
+"""The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are left out."""
 
 
 class Readings(Struct, frozen=True, eq=False):

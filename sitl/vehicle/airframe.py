@@ -21,7 +21,7 @@ from sitl.vehicle.effects import EffectSettings
 
 @dataclass(frozen=True, slots=True)
 class Loops:
-    """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as said."""
+    """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as documented."""
 
     tilt_p: float = 10.0
     """1/s^2: angular acceleration per rad of roll or pitch error."""
@@ -51,7 +51,7 @@ class Loops:
     """1/s^2. Without it the ground effect over the deck can hold the vehicle up for ever at a gentle landing speed."""
     climb_i_max_m_s2: float = 4.0
     height_p: float = 1.0
-    """1/s: climb rate asked per metre away from the height held."""
+    """1/s: climb rate commanded per metre away from the height held."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class Airframe:
     command_delay_s: float = 0.04
     """Delay from the arrival of a stick command to its effect on the loops."""
     layout: Literal["quad_x", "hexa_x"] = "quad_x"
-    """Four rotors in an X, or six of which two stand at the sides (`sitl.vehicle.airframe`)."""
+    """Four rotors in an X, or six with two at the sides (`sitl.vehicle.airframe`)."""
     arm_m: float = 0.127
     """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart. Of six rotors: distance
     from the middle."""

@@ -62,7 +62,7 @@ class Vehicle:
         q: unit quaternion (w, x, y, z) of R_ned_body.
         w: rad/s in body.
         a: mean acceleration over the last step, m/s^2 in ned.
-        flow: velocity forward and right that the drone itself believes in, m/s.
+        flow: velocity forward and right that the drone itself estimates, m/s.
         gust: m/s in ned, on top of the steady wind.
         air_ned: velocity of the air at the vehicle, without `gust` and `extra_wind`, m/s.
         unasked_rad_s2: angular acceleration about the body's axes that the loops did not request, as they observe it.

@@ -47,7 +47,7 @@ class Manoeuvre:
     def begin(self, fault: Fault, at_s: float) -> bool:
         """Take note of a fault that begins at an instant; return whether it is one of the vessel.
 
-        What `pad` has said of later times no longer holds.
+        Earlier results of `pad` for later times become invalid.
         """
         if not isinstance(fault, ShipFault):
             return False

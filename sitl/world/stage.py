@@ -156,7 +156,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
 
 
 def film(scenario: Scenario, made: Renderer | Film, seed: int) -> Film:
-    """Return what renders the frames one after the other, each taken as it is told (`Taken`)."""
+    """Return what renders the frames one after the other, each taken under given conditions (`Taken`)."""
     if isinstance(made, Film):
         return made
     v = scenario.video

@@ -114,7 +114,7 @@ class LiveFeed(NullObserver):
         """Take what these topics need from now on.
 
         Args:
-            new: somebody requested another topic, and is told again what does not change.
+            new: somebody requested another topic, and gets the latched topics again.
         """
         self._wanted = wanted
         self._again = self._again or new

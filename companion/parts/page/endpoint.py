@@ -216,7 +216,7 @@ class PageEndpoint(NullObserver):
         viewer.tell(self._recordings.ticket(name, flying=self._flying))
 
     def make_report(self, viewer: PageViewer, name: str) -> None:
-        """Make the report of a recording for this viewer, or tell why not."""
+        """Make the report of a recording for this viewer, or report the reason for none."""
         self._reports.ask(viewer, name)
 
     def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:

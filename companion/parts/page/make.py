@@ -208,7 +208,7 @@ class CalibrationTool:
 
 IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
 _AGAIN_S = 5.0
-"""An examination that is younger is told again."""
+"""A younger diagnosis is used again."""
 
 
 class DoctorTool:

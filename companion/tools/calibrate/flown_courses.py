@@ -100,7 +100,7 @@ def _course(
         return None
     reported = sorted(reported)
     if drifts:
-        # Without a command an integrated accelerometer drifts away from anything that could be asked.
+        # Without a command an integrated accelerometer drifts away from any possible command.
         commanded = [row[0] for row in asked if all(map(math.isfinite, row))] or [math.inf]
         asked, reported = ([row for row in rows if commanded[0] <= row[0] <= commanded[-1]] for rows in (asked, reported))
     return course_of(track(asked), track(reported), sigma_s, drifts) if asked and reported else None

@@ -136,7 +136,7 @@ def solve(
     Args:
         size: (width, height) px of the images.
         mount: `T_body_cam` of the camera; None means straight down with the nose at the top of the image.
-        lens: model of the lens; "auto" takes a fisheye where the views speak for it strongly.
+        lens: model of the lens; "auto" takes a fisheye where the views favour it strongly.
 
     Raises:
         BadInput: there are too few views, or no camera fits them (because of the wrong board, for example).

@@ -81,7 +81,7 @@ def of_readout(seconds: float) -> TouchdownCost:
 
 # The loop of the climb over a heaving deck as one matrix: the law made for one response around a vehicle with another.
 #
-# The law's own cycle (`law_step` of the native core) is asked what it does to each unit vector, as in
+# The law's own cycle (`law_step` of the native core) is applied to each unit vector, as in
 # `companion.guidance.margins`. It goes down at a wanted rate, as in a commit. A drone that tilts against the wind is pushed
 # aside as its thrust changes; the horizontal axis of `margins` takes that push as a gust.
 

@@ -177,7 +177,7 @@ async def examine(
 
 
 async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
-    """Examine the autopilot over the links that a service has open; cancelled, it asks nothing more.
+    """Examine the autopilot over the links that a service has open; cancelled, it sends nothing more.
 
     The links' counters are those since they were opened; texts and events are those of this examination.
 

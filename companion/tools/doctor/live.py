@@ -20,7 +20,7 @@ from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
 
-if TYPE_CHECKING:  # the dialect is large, and a service without an autopilot does not need it before somebody asks
+if TYPE_CHECKING:  # the dialect is large, and a service without an autopilot does not need it before the first request
     from companion.tools.doctor.finding import Finding
     from drivers.mavlink.autopilot import Autopilot
 

@@ -416,7 +416,7 @@ def camera_slow(p: Snapshot) -> Finding | None:
 
 
 def exposure_limited(p: Snapshot) -> Finding | None:
-    """Find a camera that refuses the exposure that is asked of it, or whose limits leave the pad too dark or too bright."""
+    """Find a camera that refuses the requested exposure, or whose limits leave the pad too dark or too bright."""
     counts = p.service.exposure
     if refused := int(counts.get("refused", 0)):
         return warning(

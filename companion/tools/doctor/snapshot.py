@@ -174,7 +174,7 @@ class Snapshot(Struct, frozen=True):
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""
     ship_speed_m_s: float | None = None
-    """Greatest speed of the ship over the ground, m/s; None if it was not told."""
+    """Greatest speed of the ship over the ground, m/s; None if it was not reported."""
     moving_pad: bool = True
     """True if the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None

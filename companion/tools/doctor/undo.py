@@ -93,7 +93,7 @@ class WriteResult:
 
 
 async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:
-    """Return the values that the autopilot tells of these parameters at this moment; those without an answer are left out."""
+    """Return the autopilot's present values of these parameters; those without an answer are left out."""
     wanted, parameters = tuple(dict.fromkeys(names)), autopilot.parameters
     assert parameters is not None, "an autopilot is connected"
     parameters.request(wanted)

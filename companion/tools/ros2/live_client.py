@@ -50,7 +50,7 @@ class LiveClient:
         url: the port's address, ws://HOST:PORT.
         token: its token; None for none.
         wanted: says of a topic whether its messages are wanted.
-        note: is told what a person should know: a connection, its loss and why.
+        note: receives what a person should know: a connection, its loss and why.
     """
 
     def __init__(self, url: str, token: str | None, wanted: Callable[[str], bool], note: Callable[[str], None]) -> None:

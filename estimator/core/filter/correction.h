@@ -1,4 +1,4 @@
-/* What every measurement needs: the deck's own motion by the state, the correction of a belief, and what is told of it. */
+/* What every measurement needs: the deck's own motion by the state, the correction of a belief, and its statistics. */
 #ifndef DECKLANDER_CORRECTION_H
 #define DECKLANDER_CORRECTION_H
 

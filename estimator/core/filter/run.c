@@ -16,7 +16,7 @@ static const double SMOOTH_S = 0.03;
 /* Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds. */
 static const double DIVERGED_VAR = 0.35 * 0.35;
 
-/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body of which no turn is known. */
+/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body with an unknown turn. */
 static const double TURN_BY_ATTITUDE = 0.02;
 /* The cosine of the largest tilt at which a thrust is taken to carry the weight. */
 static const double LEAST_UPRIGHT = 0.7;

@@ -11,7 +11,7 @@ extern const double SKILL_HORIZONS_S[SKILL_HORIZONS];
 typedef struct {
     /* Root mean square of what came less what was forecast. */
     double rms[SKILL_HORIZONS][DIRECTIONS][2];
-    /* How far it is believed, 0..1. */
+    /* How far it is trusted, 0..1. */
     double trust[SKILL_HORIZONS];
 } forecast_misses;
 

@@ -183,7 +183,7 @@ static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
     b->heading_seen = b->t;
 }
 
-/* Set the pad's yaw from a sighting, whatever was believed. */
+/* Set the pad's yaw from a sighting, whatever the state was. */
 static void take_new_heading(dl_belief *b, covariance *c, const dl_sighting *s)
 {
     if (!s->has_pose6 && !s->has_yaw) {

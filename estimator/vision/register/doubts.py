@@ -1,8 +1,8 @@
-"""Doubt the registration of a pad whose edges alone do not tell it from others: one of fiducials, or one letter on the bare deck.
+"""Check the registration of a pad whose edges alone are ambiguous: one of fiducials, or one letter on the bare deck.
 
-Edges do not tell a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. Its cells do, as
-far as the frame resolves them. Where it does not, this many more of the edges have to agree. A letter's edges have to be clear,
-as plates and lines have such edges, too.
+Edges alone do not distinguish a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. Its
+cells do, as far as the frame resolves them. Where it does not, this many more of the edges have to agree. A letter's edges have
+to be clear, as plates and lines have such edges, too.
 """
 
 import math

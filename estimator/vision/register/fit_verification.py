@@ -93,5 +93,5 @@ def support_log_odds(times_least: float) -> float:
 
 
 def confidence(log_odds: float) -> float:
-    """Return the confidence, 0..1, of a registration from all that speaks for and against it."""
+    """Return the confidence, 0..1, of a registration from all evidence for and against it."""
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))

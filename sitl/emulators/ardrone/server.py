@@ -70,7 +70,7 @@ class Habits:
 
 
 class ArDroneServer:
-    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and speaks for it.
+    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and answers for it.
 
     `server.ports` holds the ports in use, `server.drone` what is behind them, `server.counters` what passed. A bug inside takes
     the body of the `async with` down with an ExceptionGroup.

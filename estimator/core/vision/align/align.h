@@ -79,7 +79,7 @@ void align_light(const dl_tracker *t, const seen_part *part, double depth_m, int
 /* Move a pose by steps of Gauss and Newton in a frame with so much noise; returns whether it is good. */
 int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas);
 
-/* Fit the paints at a pose to the part that shows the disc, and measure what speaks for the pad there and in the part that shows the
+/* Fit the paints at a pose to the part that shows the disc, and measure the evidence for the pad there and in the part that shows the
  * arrowhead; `tilt_sigmas` in `out` stays. Returns whether enough of the pad is in view. */
 int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
               aligned_pad *out);
@@ -178,7 +178,7 @@ void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pos
 void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
                     aligned_pad *out);
 
-/* How much the drawing tells of samples whose local light was fitted. */
+/* How much the drawing explains of samples whose local light was fitted. */
 void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out);
 
 /* The rows of the scratch: of the pixels, then of the samples. */

@@ -16,7 +16,7 @@ static const double CLIPPED = 0.98;
 static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
 static const double ENOUGH = 4.0;
-/* Factor on the visible fraction of a part: a part of which a fifth is in view and that does not show counts as missing. */
+/* Factor on the visible fraction of a part: a part counts as missing if a fifth of it is in view and it does not show. */
 static const double TELLING = 5.0;
 /* Weight of one place without an arrowhead while the other is out of view, relative to two. */
 static const double ONE_EMPTY = 0.4;

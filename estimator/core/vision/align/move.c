@@ -134,7 +134,7 @@ static int stepped(const double step[POSE], double depth_m, pad_pose *pose)
     return pose->t[2] > LEAST_DEPTH_M && fabs(log(pose->t[2] / depth_m)) < DEPTH_CHANGE && R[8] > LEAST_FACING;
 }
 
-/* The least that the drawing must explain before step i, or 0 if nothing is asked. */
+/* The least that the drawing must explain before step i, or 0 without a requirement. */
 static double least_explained(int far, int i, int steps)
 {
     if (i == 0) {

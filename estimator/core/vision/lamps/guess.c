@@ -1,7 +1,7 @@
 /* Guesses of the pad's pose from pairs of spots, with no idea where it is.
  *
- * Seen level, the pad's plane is a similarity of the drawing: two spots that are two lamps tell place, height and heading. Every pair of
- * spots is tried as each of some pairs of lamps, and each of these poses is asked how many spots it explains. */
+ * Seen level, the pad's plane is a similarity of the drawing: two spots that are two lamps give place, height and heading. Every pair of
+ * spots is tried as each of some pairs of lamps, and each of these poses is scored by the number of spots it explains. */
 
 #include <math.h>
 #include <string.h>

@@ -22,7 +22,7 @@ static const double MARGIN = 0.25, MARGIN_PX = 24.0;
 static const double MOST_OF_FRAME = 0.5;
 /* A deck's and an attitude's errors of tilt, rad: what they add to the first reach, as a part of the pattern's radius in the frame. */
 static const double TILTED = 0.04;
-/* Distances of spots from their lamps within which it is asked how many lie there by chance, px. */
+/* Distances of spots from their lamps within which chance neighbours are counted, px. */
 enum { DISTANCES = 6 };
 static const double WITHIN_PX[DISTANCES] = {0.1, 0.25, 0.4, 0.6, 0.9, 1.3};
 /* Least number of spots that are lamps, and least part of those that the lamps in view would make. */
@@ -89,7 +89,7 @@ static double chance(const lamp_assignment *of, double within_px)
     return fmin(MOST_CHANCE, spots * PI * within_px * within_px / of->area_px2);
 }
 
-/* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots tell a similarity; a third one lies
+/* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots give a similarity; a third one lies
  * within reach of a tilt that is not known. */
 static double log10_odds(const dark_frame *f, const lamp_assignment *of, const lamp_fit *fit, double tests)
 {
@@ -184,7 +184,7 @@ static int all_finite(const double *values, int n)
     return finite;
 }
 
-/* Write the surest of the answers; 0 if none is worth telling. */
+/* Write the surest of the answers; 0 if none is good enough. */
 static int tell(const dark_frame *f, int n, const explained_lamps *found, lamps_seen *out)
 {
     int best = 0;

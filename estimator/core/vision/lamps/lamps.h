@@ -1,4 +1,4 @@
-/* A pad's lamps: the bright spots of a dark frame, which of them are which lamps, and the pose that they tell. */
+/* A pad's lamps: the bright spots of a dark frame, which of them are which lamps, and the pose that they give. */
 #ifndef DECKLANDER_LAMPS_H
 #define DECKLANDER_LAMPS_H
 
@@ -79,7 +79,7 @@ int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_pri
 enum { LAMP_GUESSES = 6 };
 /* The room that guesses take, numbers of four bytes. */
 int64_t guess_room(void);
-/* Poses that two spots tell, those that explain the most spots first; returns their number. */
+/* Poses that two spots give, those that explain the most spots first; returns their number. */
 int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
                 pad_pose out[LAMP_GUESSES]);
 

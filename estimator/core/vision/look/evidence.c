@@ -1,4 +1,4 @@
-/* What speaks for and against a registration being the pad, and the log-odds that a linear model gives it. */
+/* Evidence for and against a registration being the pad, and the log-odds that a linear model gives it. */
 
 #include <math.h>
 
@@ -10,7 +10,7 @@ enum { DISC = 0, RING = 1, ARROW = 2, H = 3, CHANNELS = 3 };
 /* Contrast over its deviation, share of the edges that agree, and cosine to the pad's paints, from which a kind of edge is seen.
  * With the white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
 static const double SNR_SEEN = 5.0, INLIERS_SEEN = 0.5, LIKENESS_SEEN = 0.4;
-/* Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view. */
+/* Factor on the visible fraction: a kind of edge counts as fully in view from a fifth on. */
 static const double TELLING = 5.0;
 /* Gains of the better half of a ring between which it counts as increasingly visible, and what remains of the missing ring if a
  * quarter of it agrees. */
@@ -37,7 +37,7 @@ static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
 static const double HALF_AGREES = 0.5, MORE_AGREES = 0.52;
 /* Score of the template up to which the light hardly follows the drawing, and from which it does. */
 static const double HARDLY_FOLLOWS = 0.0, FOLLOWS = 1.0;
-/* Contrast of such a disc over its deviation up to which it does not speak against that doubt, and from which it does. */
+/* Contrast of such a disc over its deviation up to which it does not outweigh that rejection, and from which it does. */
 static const double SNR_DULL = 20.5, SNR_CLEAR = 30.0;
 /* The logarithm of the H's least contrast in any channel, up to which it surely is not brighter than the disc, and from which it
  * is. In haze the least of right registrations that are sure is -1.9. */
@@ -130,7 +130,7 @@ static double not_brighter(const pad_judge *judge, const aligned_pad *aligned)
     return between(NOT_BRIGHTER, BRIGHTER, aligned->features[FEATURE_WHITE]);
 }
 
-/* What tells a pad whose disc is an image of few pixels, where contrasts say more than shapes. */
+/* Evidence for a pad whose disc has few pixels, where contrasts say more than shapes. */
 static void from_afar(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double template_score,
                       double out[EVIDENCE])
 {
@@ -162,7 +162,7 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
     }
 }
 
-/* What tells a pad whose edges are apart. */
+/* Evidence for a pad whose edges are apart. */
 static void from_near(const pad_judge *judge, const registration *found, double disc_shown, double out[EVIDENCE])
 {
     const edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];

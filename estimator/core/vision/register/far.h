@@ -1,4 +1,4 @@
-/* Registration of a distant pad as a whole, and the pointer of the drawing that tells its two headings apart. */
+/* Registration of a distant pad as a whole, and the pointer of the drawing that distinguishes its two headings. */
 #ifndef DECKLANDER_REGISTER_FAR_H
 #define DECKLANDER_REGISTER_FAR_H
 

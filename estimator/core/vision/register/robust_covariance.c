@@ -246,8 +246,8 @@ static int vary_paints(int c, const dense_sums *s, dense_fit *fit)
     return 1;
 }
 
-/* Put back what the fit has taken out of its own residuals. Paints and pose follow what is coarse in the noise, of which smoothing
- * has left more than of what is fine: each takes as much more than a share of the mean as the gradient has more variance than
+/* Put back what the fit has taken out of its own residuals. Paints and pose follow what is coarse in the noise, which smoothing
+ * leaves more of: each takes as much more than a share of the mean as the gradient has more variance than
  * independent pixels would give it. */
 static void restore_spent(const patch *cut, const dense_sums *s, dense_fit *fit)
 {

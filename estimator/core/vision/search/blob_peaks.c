@@ -9,7 +9,7 @@
 /* Cells of two by two pixels, and those that the largest surroundings reach beyond the image. */
 enum { CHANNELS = 3, SUMS = CHANNELS + 1, CELL = 2, REACH = 11, ROWS = 6 };
 const int BLOB_HALF[BLOB_SIZES] = {4, 6, 10};
-/* A contrast that tells nothing, values of a pixel, and the least score of a peak. */
+/* A contrast too low to use, values of a pixel, and the least score of a peak. */
 static const float LEAST_CONTRAST = 4.0f, LEAST_SCORE = 1.0f;
 /* A peak is the best place within this many half sides of its box. */
 static const float SAME_PLACE = 0.8f;

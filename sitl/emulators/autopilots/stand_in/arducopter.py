@@ -97,7 +97,7 @@ class CopterStandIn(StandIn):
         self._f_filtered, self._w_filtered = LowPass(self._f_slow, step_s), LowPass(np.zeros(3), step_s)
         self._target: tuple[float, F64, F64] | None = None
 
-    # What is asked of it
+    # Commands to it
 
     def why_not_armed(self) -> str | None:
         """Return the refusal before there is a position, and in modes without one."""

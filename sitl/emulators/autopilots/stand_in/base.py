@@ -155,7 +155,7 @@ class MiniatureAutopilot:
             self._tell_parameter(m.param_id)
 
     def _on_param_set(self, m: Message, received: ReceivedMessage) -> None:
-        """Take a parameter's value and tell the one in force, as both programs do; an unknown name is not answered."""
+        """Take a parameter's value and report the one in force, as both programs do; an unknown name is not answered."""
         if m.target_system != self.system or m.param_id not in self.parameters:
             return
         if m.param_id not in self.fixed_parameters:

@@ -60,7 +60,7 @@ class Px4StandIn(StandIn):
         self._contact_s = self._still_s = self._landed_s = 0.0
         self._lifted = False
 
-    # What is asked of it
+    # Commands to it
 
     def why_not_armed(self) -> str | None:
         """Return the refusal while there is no position: GNSS is not used before its checks have passed for a while."""
