@@ -59,7 +59,7 @@ def load(folder: Path) -> tuple[NDArray[np.int8], NDArray[np.float32], NDArray[n
 
 
 def whole(stored: Any, pixel: Any) -> Any:
-    """Return the network's input (n, CHANNELS, SIDE, SIDE) from what is stored of it."""
+    """Return the network's input (n, CHANNELS, SIDE, SIDE) from its stored part."""
     x = stored.astype(jnp.float32) * _STEP
     size = jnp.broadcast_to(pixel[:, None, None, None], (len(pixel), 1, SIDE, SIDE))
     return jnp.concatenate([x[:, :6], x[:, 0:3] * x[:, 3:6], x[:, 6:], size], axis=1)

@@ -92,7 +92,7 @@ class KeptFlight:
     observers: tuple[Observer, ...]
     """Observers of the service that receive the flight."""
     held_back: tuple[HeldBack, ...] = ()
-    """Those of them that hear nothing before the first truth."""
+    """The observers among them that start with the first truth."""
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:

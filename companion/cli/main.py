@@ -259,7 +259,7 @@ def _refuse(why: DecklanderError) -> int:
 
 
 def _cure(why: DecklanderError) -> str:
-    """Return what helps where a file is missing: the folder that there is none of, or a name that is alike."""
+    """Return the cure for a missing file: the missing folder, or a similar name."""
     missing = why.__cause__
     if not isinstance(missing, FileNotFoundError) or not isinstance(missing.filename, str | os.PathLike):
         return ""

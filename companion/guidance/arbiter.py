@@ -25,7 +25,7 @@ from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 _STATUS_FRESH_S = 3.0
-"""A status older than this is none; an autopilot sends one with each heartbeat, every second."""
+"""A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
 _REPEAT_S = 0.5
 """The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1

@@ -73,7 +73,7 @@ class Attempt(Struct, frozen=True):
         return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
 
     def again(self) -> Attempt:
-        """Return the budget of the next try: what is left of the patience without sight goes on."""
+        """Return the budget of the next attempt: the remaining time without sight carries over."""
         return Attempt(without_sight_s=self.without_sight_s)
 
     def used_up(self, options: TryOptions, now: MonoNs) -> Reason | None:

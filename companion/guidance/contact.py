@@ -49,7 +49,7 @@ SIGMA_MOST_M = 0.15
 _FRESH_S = 0.3
 """Age of a sighting up to which it contradicts a push, s."""
 _STILL_M_S = 0.15
-"""Vertical speed against the deck that is none, m/s; the commit requests more than twice as much."""
+"""Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
 """Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
@@ -110,7 +110,7 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
 
 
 def feet_m(s: GuidanceCycle, cone: ConeOptions) -> float | None:
-    """Return the height of the feet over the deck by sight and what was reckoned since, m; None if it has no vote."""
+    """Return the height of the feet over the deck by sight and dead reckoning since, m; None if it has no vote."""
     estimate = s.estimate
     if estimate is None or not estimate.consistent or _sigma_m(s) > SIGMA_MOST_M:
         return None

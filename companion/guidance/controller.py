@@ -1,4 +1,4 @@
-"""The port between the mission and the control law: what is known, where to be, and which command gets there.
+"""The port between the mission and the control law: knowledge, target, and the command that gets there.
 
 The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never decides
 whether the pad may be landed on, and holds what it is given. Controllers are pure: a step takes a frozen memory and returns the

@@ -36,9 +36,12 @@ class ObserverNoise(NamedTuple):
     """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
     with so much more the accelerometer is trusted within some cycles, as far as the stability margins allow (`benches.law`)."""
     psd_b: float = 0.1
-    """The same of the accelerometer's error: what place and speed contradict is its error within half a second."""
+    """Growth of the variance of the accelerometer's error.
+
+    A contradiction to place and speed becomes its error within half a second.
+    """
     psd_w: float = 0.01
-    """The same of the speed: the deck's own acceleration is known that badly."""
+    """Growth of the variance of the speed: the deck's own acceleration is known that badly."""
     accelerometer: bool = True
     """True if the accelerometer is used."""
 

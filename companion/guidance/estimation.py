@@ -116,7 +116,7 @@ class Estimation:
         return pipeline.beliefs(self._memory, now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         self._settle()
         return pipeline.motion(self._memory, now)
 

@@ -142,7 +142,7 @@ class TiltTuning:
 
 
 _GAP_MAX_S = 0.5
-"""A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
+"""A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
 _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
 _SOFT_BEYOND_M, _SOFT_UNTIL_M = 0.1, 0.05
@@ -162,7 +162,7 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     tuning: TuningChoice = AS_GIVEN
     """The gains that are flown by."""
     tuning_before: TuningChoice = AS_GIVEN
-    """Those before them, from which the command goes over."""
+    """The previous gains, from which the command fades over."""
     share: float = 1.0
     """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid.start)

@@ -191,7 +191,7 @@ class Pilot:
         return self.estimation.all_believed(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         return self.estimation.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:

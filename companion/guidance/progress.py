@@ -51,7 +51,7 @@ class Progress(Struct, frozen=True, eq=False):
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
     course: HeldCourse = HeldCourse()
-    """The height against what was ordered."""
+    """Height against the ordered descent."""
     questions: int = 0
     seen: MonoNs | None = None
     """Time of the newest estimate that was fit to steer by."""
@@ -84,7 +84,7 @@ class Progress(Struct, frozen=True, eq=False):
     waits_for: Reason | None = None
     """Blocking reason that is shown to the operator. It is held for some time; `blocked` may change with every cycle."""
     waits_since: MonoNs | None = None
-    """Time since which it stands."""
+    """Time since which the reason has been the same."""
     no_return_until: MonoNs | None = None
     """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
     windy_since: MonoNs | None = None

@@ -271,7 +271,7 @@ def _bow(track: VesselTrack, now: MonoNs, v_vessel: F64) -> float | None:
 
 
 def _refusal(track: VesselTrack, now: MonoNs) -> Reason | None:
-    """Return that reports arrive and are refused, if that is so."""
+    """Return the reason if reports arrive and are refused."""
     if track.newest_refusal is None or seconds_between(track.newest_refusal[0], now) > track.limits.age_max_s:
         return None
     causes = {

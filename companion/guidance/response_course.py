@@ -83,7 +83,7 @@ def course_of(asked: Track, reported: Track, stamp_sigma_s: float = 0.0, drifts:
 
 
 def joined(courses: Sequence[FlightCourse]) -> FlightCourse | None:
-    """Return one course of several flights; None if there is none. Each begins with what is not compared."""
+    """Return one course of several flights; None if there is none. Each begins with a part that is not compared."""
     if not courses:
         return None
     parts = [np.concatenate([of[k] for of in courses]) for k in range(3)]

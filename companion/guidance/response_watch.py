@@ -29,7 +29,7 @@ from estimator.contracts.commands import Command
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 CONTRADICTION_S = 0.04
-"""A difference of the delay up to this is none, s: the margins stand it."""
+"""A difference of the delay up to this is ignored, s: the margins tolerate it."""
 DELAY_MAX_S = 0.4
 """Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
 _SURELY = 2.0
@@ -71,7 +71,7 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
     asked_before: Track | None = None
     reported_before: Track | None = None
-    """The same from before it."""
+    """Commanded and reported tilt from before the newest fit."""
     stamp_sigma_s: float = 0.0
     due: MonoNs = MonoNs(0)
 

@@ -38,7 +38,7 @@ _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
 _BLIND_MARGIN_M = 0.1
 _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
-"""A height this far over the gate's, by this many standard deviations, is none at which a vehicle stands on the deck."""
+"""A height this far over the gate's, by this many standard deviations, is too high for a vehicle that stands on the deck."""
 _FRESH_S = 0.2
 """Age of a sighting up to which it shows that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
@@ -48,7 +48,7 @@ _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 BOUNCES_MOST = 2
 """Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 _TOUCHES_MOST = 4
-"""Number of bounces after which a contact in a go-around is none to press on."""
+"""Number of bounces after which a contact in a go-around no longer makes it press on."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 _TILTS_FAR = 3.0
@@ -122,7 +122,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
-    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is none."""
+    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is no wind."""
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
     if s.wind is None or not slow or not s.wind.too_strong:
         return p if p.windy_since is None else replace(p, windy_since=None)
@@ -311,7 +311,7 @@ def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
 
 
 def _against(p: Progress, s: GuidanceCycle) -> Reason | None:
-    """Return that the height goes against what is ordered, or None."""
+    """Return the reason if the height moves against the order, or None."""
     if not p.in_sight or s.estimate is None or (against_m := p.course.against_m(s.at, s.estimate.height_m)) is None:
         return None
     return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
@@ -327,7 +327,7 @@ def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
 
 
 def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return whether it is in the air again after the contact; only a fresh sight of the pad shows it."""
+    """Return the reason if it is in the air again after the contact; only a fresh sight of the pad shows it."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None

@@ -78,7 +78,7 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
     off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
     mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
-    # Of what is off, the part that has gone into the mean is none of the gusts (Welford's update of a variance).
+    # The part of the difference that has gone into the mean does not belong to the gusts (Welford's update of a variance).
     var = watch.var + slow * (0.5 * (1.0 - slow) * (off[0] ** 2 + off[1] ** 2) - watch.var)
     return WindWatch(now, known_s, smooth, mean, max(0.0, var))
 

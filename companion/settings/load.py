@@ -214,7 +214,7 @@ __all__ = [
 _DEEP_PARTS = 50
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
-"""A dotted key with this many parts is none of ours, and the time to read it grows with their square."""
+"""A dotted key with this many parts is not one of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
@@ -333,7 +333,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
 
 
 def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:
-    """Return the mapping with what differs for an autopilot where it says nothing of it; what it says wins."""
+    """Return the mapping with an autopilot's defaults for its missing keys; its own values win."""
     vehicle = data.get("vehicle")
     if not by_autopilot and (not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink"):
         return data

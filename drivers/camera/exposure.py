@@ -22,8 +22,10 @@ _DAMPING = 0.6
 _ENTER_EV, _LEAVE_EV = 0.4, 0.15
 """Errors, stops, from which the law corrects, and below which it rests again."""
 _CUT_EV = 1.5
-"""The same as `_ENTER_EV` while the pad is cut by the frame's edge: what is left of it in view changes with every frame, and each
-change of the exposure would cost frames in the very last part."""
+"""Error, stops, from which the law corrects while the frame's edge cuts the pad.
+
+The visible part changes with every frame, and each change of the exposure would cost frames in the very last part.
+"""
 _STEP_EV = 3.0
 """Largest step, stops."""
 _DARKEST = 2.0**-13

@@ -25,7 +25,7 @@ _CLIPPED = 250
 _BRIGHT = 0.97
 """Share of a pad's pixels that are no brighter than its level: every pad has more than 3 % of bright paint."""
 _BRIGHTEST = 0.995
-"""The same of a whole picture, in which a pad may be small."""
+"""Share of a whole picture's pixels that are no brighter than its level: a pad in it may be small."""
 _DARKEST, _SHADOWS = 0.02, 0.03
 """Share of a whole picture's pixels that are its darkest parts, and the light from which these show what is in them: a grey
 value of 48. By day the sea is about as bright when white paint is rightly exposed."""

@@ -84,7 +84,7 @@ class _Origin:
         return (sequence - self.sequence) % 256
 
     def apart_from(self, sequence: int) -> bool:
-        """Return whether a sequence number is none that it may have reached with messages without a time."""
+        """Return whether a sequence number cannot have been reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:

@@ -43,9 +43,9 @@ _OF_QUALITY: Mapping[int, float | str] = {
     1: _FIX_SIGMA_M, 2: _FIX_SIGMA_M, 3: _FIX_SIGMA_M, 4: 0.5, 5: 1.0, 6: _RECKONED_SIGMA_M,
     0: "no_fix", 7: "typed_in", 8: "simulated",
 }  # fmt: skip
-"""The same by the quality of GGA, at a dilution of 1."""
+"""Standard deviation of a position by the quality of GGA, at a dilution of 1, m, or the reason why it is refused."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
-"""The same by the flag of AIS, which shows only whether it is better than 10 m."""
+"""Standard deviation of a position by the flag of AIS, m: the flag shows only whether it is better than 10 m."""
 HEADING_SIGMA_RAD = math.radians(2.0)
 """Standard deviation of a ship's compass."""
 COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])

@@ -253,7 +253,7 @@ void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s
  * one needs a belief that is set outright, or has no sighting left. A covariance or a bank that an event changed is written once. */
 int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
     const dl_whole_belief *before, const dl_filter_row *out);
-/* Write the belief at instant t and its covariance; what is one of enum propagation. */
+/* Write the belief at instant t and its covariance; `what` is one of enum propagation. */
 void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after,
     double *P_after);
 /* Write the deck's forecast from instant t at n horizons; return 0 if no pad is tracked. */

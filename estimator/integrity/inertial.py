@@ -35,8 +35,11 @@ _STEADY = 0.8
 _REVERSED_BINS = 4
 _SWING_BINS = 6
 _SWINGS_RAD_S, _SHOWS_RAD_S = math.radians(8.0), math.radians(3.0)
-"""Difference of gyro and attitude about one axis, a root mean square, that is none of noise: 3.4 deg/s in roll and pitch, 6.6 in
-yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree again."""
+"""Difference of gyro and attitude about one axis, a root mean square, that is larger than noise.
+
+It is 3.4 deg/s in roll and pitch, 6.6 in yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree
+again.
+"""
 _SWINGS_SHARE, _AGREES_SHARE = 0.15, 0.3
 _DECIDED = 0.2
 _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
@@ -50,7 +53,7 @@ _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
 _BIN_SHARE = 0.01
-"""Weight of one bin in what is usual, in the long run: it takes ten seconds to change."""
+"""Weight of one bin in the long-run mean: it takes ten seconds to change."""
 _SIGMAS = 5.0
 _GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
 """Errors that the residuals of a window do not show: a barometer in gusts, a velocity that lags."""

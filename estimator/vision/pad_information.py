@@ -21,7 +21,7 @@ _FINE, _FINE_TO_PX = 3, 100.0
 _ALIKE = 0.02
 """Share of the painted ground that may differ between two headings that a camera cannot distinguish."""
 _NEARLY_ALIKE = 0.2
-"""The same for two headings that a search may confuse, where a look at both decides."""
+"""Share of the painted ground that may differ between two headings that a search may confuse; a look at both decides."""
 _TURNS = tuple(math.radians(degrees) for degrees in (60.0, 72.0, 90.0, 120.0, 144.0, 180.0))
 """Turns one way after which regular shapes look the same, rad."""
 

@@ -18,7 +18,10 @@ FRAME_WORK = 8.0
 """Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
 640x360."""
 IMAGE_WORK = 5.0 * FRAME_WORK
-"""The same for an image on its own: on 36 frames without a pad a search to the end took 112 at worst, and found no more."""
+"""Work that a search may do in an image on its own.
+
+On 36 frames without a pad a search to the end took 112 at worst, and found no more.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

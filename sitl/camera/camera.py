@@ -168,7 +168,7 @@ class Renderer:
         # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
         even = self._even if self.lamps.floods else gain
         light = development.expose(view.scene, even, view.pad, self._pad_scene, self._room)
-        # Drops refract what is blurred, and blur more than the lens does.
+        # Drops refract the blurred image, and blur more than the lens does.
         blur = development.pad_blur(view.scene, even, view.pad, self._pad_scene) if self.drops is None else None
         if self.lamps.floods:
             gains = self._gains(gain, development, *view.pose)

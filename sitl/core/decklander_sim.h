@@ -45,7 +45,7 @@ enum {
     ECHOES_MAX = 64,
     /* Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many. */
     FLIGHT_NOISE = 7,
-    /* Those that its unkind effects take: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
+    /* Standard normal numbers of its disturbing effects: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
     EFFECT_NOISE = 7,
 };
 
@@ -326,7 +326,7 @@ enum {
     PAD_EDGE = 255,
     /* Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last. */
     STROKE_NUMBERS = 36,
-    /* So many columns of a row are blurred exactly together, or left as they are. */
+    /* Number of columns of a row that are blurred exactly together, or left as they are. */
     LENS_BLOCK = 16,
     /* The largest number of regions: disc, rim, ring, arrowhead, and the rectangles and convex pieces of lettering of two paints. */
     PAD_REGIONS_MOST = 784,

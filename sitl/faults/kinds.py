@@ -72,7 +72,7 @@ class LightFalls(PictureFault, frozen=True, tag="light_falls"):
 
 
 class WetLens(PictureFault, frozen=True, tag="wet_lens"):
-    """Drops stand on the lens; what is behind them is blurred."""
+    """Drops stand on the lens and blur the scene behind them."""
 
     drops: Annotated[int, number("number of drops, at places drawn by the seed", "1", 1, 200)] = 12
     radius: Annotated[float, number("mean radius over the height of the image", "1", 0.01, 1.0)] = 0.08

@@ -47,7 +47,7 @@ class Noise(NamedTuple):
     deck_rad: float = math.radians(0.02)
     """Turning of the deck itself."""
     view: float = 1.0
-    """Standard deviation of a view over what it claims."""
+    """Ratio of a view's standard deviation to its claim."""
     tilt_s: float = 1.0
     """Time constants of the wandering."""
     heading_s: float = 5.0

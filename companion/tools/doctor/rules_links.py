@@ -11,7 +11,7 @@ ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 _LIMITED_SHARE = 0.1
 """Share of the frames with a pad that may be too dark or too bright at the camera's limits."""
 _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
-"""Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
+"""Rates of a gimbal's reports below which most frames have no report near them, and below which there are no reports."""
 _NO_ANSWER = -1
 _LISTED_MAX = 6
 _REFUSED_MIN, _LATE_MIN = 2, 20
@@ -510,4 +510,4 @@ WATCHED: tuple[Rule, ...] = (
     id_conflict, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
     wrong_system, no_autopilot,
 )  # fmt: skip
-"""Those that a running service looks at all the time."""
+"""Rules that a running service applies all the time."""

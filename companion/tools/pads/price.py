@@ -102,7 +102,7 @@ def price(
 
 class _Find(NamedTuple):
     log_odds: float
-    """Those of its edges and its light alone."""
+    """Log-odds of the find's edges and its light alone."""
     support: float
     """Support that the drawing gives there, times the share that follows it."""
 
@@ -153,7 +153,7 @@ class _Tail:
             max(f.support for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)
         ]
         counted = (len(support) + 1.0) / (len(views) + 1.0)
-        # Where none is likely, how fast the log-odds of the likeliest fall says more than that none was seen.
+        # If none is likely, the fall of the largest log-odds is a better bound than a count of zero.
         likely = np.sort([max((f.log_odds for f in finds), default=-30.0) for finds in views])[::-1]
         n = max(4, round(_TOP * len(views)))
         start, scale = float(likely[n]), max(_LEAST_SCALE, float(likely[:n].mean()) - float(likely[n]))

@@ -95,7 +95,7 @@ static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, con
     forget_the_pad(o, b);
 }
 
-/* An attitude that sets the belief's own outright is none of ours. */
+/* An attitude that sets the belief's own outright is handled elsewhere. */
 static int sets_the_attitude(const dl_belief *b, const double *P)
 {
     double var = 0.0;
@@ -113,7 +113,7 @@ static void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c
     fuse_gathered(o, b, c);
 }
 
-/* One of the vehicle's samples; returns 0 if it is none of ours. */
+/* One of the vehicle's samples; returns 0 for other samples. */
 static int take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
     if (e->kind == DL_IMU) {

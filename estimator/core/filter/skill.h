@@ -9,7 +9,7 @@ extern const double SKILL_HORIZONS_S[SKILL_HORIZONS];
 
 /* Forecasts that have been compared, by horizon, direction, and displacement or rate. */
 typedef struct {
-    /* Root mean square of what came less what was forecast. */
+    /* Root mean square of the outcome minus the forecast. */
     double rms[SKILL_HORIZONS][DIRECTIONS][2];
     /* How far it is trusted, 0..1. */
     double trust[SKILL_HORIZONS];

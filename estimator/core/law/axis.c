@@ -1,4 +1,4 @@
-/* One horizontal axis of the law: what is observed, what is under way, and the tilt to command.
+/* One horizontal axis of the law: observer, commands under way, and the tilt to command.
  *
  * The observer and its sources: companion/guidance/disturbance.py; the regulator's: tilt_law.py. */
 

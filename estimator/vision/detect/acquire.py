@@ -174,7 +174,7 @@ def search(
 
 @dataclass(slots=True, eq=False)
 class _Task:
-    """A search in one frame: what it is given, and what it has done so far."""
+    """A search in one frame: its inputs and its progress."""
 
     view: FrameView
     sure: float

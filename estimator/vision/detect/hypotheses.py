@@ -248,7 +248,7 @@ class Kind(NamedTuple):
     least_round: float = LEAST_DRAWING
     """Smallest fraction of the variance that a guess from a circle with an ellipse for its outline must explain to be tried."""
     least_drawing: float = LEAST_DRAWING
-    """The same of any other guess."""
+    """Smallest such fraction for any other guess."""
     by_colour: bool = False
     """True if guesses come from the disc's colour."""
 

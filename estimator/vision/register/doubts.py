@@ -28,17 +28,26 @@ _INLIERS = (0.9, 0.7)
 right poses.
 """
 _INLIERS_TRACKED = (0.5, 0.3)
-"""The same where a belief led to the place: the drone's own shadow crosses most edges of a near letter."""
+"""Share of agreeing edges where an estimate led to the place: the drone's own shadow crosses most edges of a near letter."""
 _INLIERS_FAR, _SNR_FAR = (0.95, 0.85), (100.0, 50.0)
-"""The same of the pixels of a distant letter, and of its contrast: 0.97 and 420 or more at right poses from 3 to 14 m in plain
+"""Share of agreeing pixels of a distant letter, and its contrast: 0.97 and 420 or more at right poses from 3 to 14 m in plain
 light. A fit that has taken the bare deck for a letter of another size has fewer that agree, or no contrast (68 and less).
 """
 _OFF_PX = (0.15, 0.3)
-"""The same for the displacement of edges that nothing explains: 0.01 at right poses, 0.27 and more at other markings."""
+"""Unexplained displacement of edges at which they do not count, and at which they refute a pose.
+
+Right poses have 0.01, other markings 0.27 and more.
+"""
 _SNR = (20.0, 8.0)
-"""The same for the contrast over its deviation: 65 or more at right poses in plain light."""
+"""Contrast over its deviation at which it does not count, and at which it refutes a pose.
+
+Right poses in plain light have 65 or more.
+"""
 _VISIBLE = (0.8, 0.7)
-"""The same for the share of the edges in view, where no belief led to the place: an end of a stroke may be of anything."""
+"""Share of the edges in view at which it does not count, and at which it refutes a pose.
+
+It holds where no estimate led to the place: an end of a stroke may be of anything.
+"""
 _REFUTED = -25.0
 """Log-odds of a refuted pose: more than all other evidence together."""
 
@@ -114,7 +123,7 @@ class ReadCells(NamedTuple):
     """The bits of a pad's fiducials as read in a frame."""
 
     agreement: float
-    """1 if they are as drawn, 0 by chance; 1 if none is read."""
+    """Agreement: 1 if they are as drawn, 0 by chance; 1 if none is read."""
     clear: float
     """Number of resolved features: each counts by the square of its contrast in the blurred drawing."""
     in_view: int

@@ -248,7 +248,7 @@ static void observe(const sim_training *o, sim_training_world *w, float *view)
     w->view_at = (w->view_at + 1) % VIEWS_MAX;
 }
 
-/* How far there is to go: beside the pad, and half of what is above it, m. */
+/* Remaining way: the distance beside the pad, and half of the height above it, m. */
 static double distance_to_go(const sim_training_world *w, double *lateral, double *height)
 {
     relative r;

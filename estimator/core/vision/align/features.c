@@ -85,8 +85,8 @@ static void ordered(int n, double *values)
     }
 }
 
-/* Squared residuals of n samples without what noise of a variance adds to them, and what is left of it for chance, with that of a
- * right drawing. */
+/* Squared residuals of n samples without the share of noise of a variance, and the chance level, with that of
+ * a right drawing. */
 static double above_noise(double n, double squared, const allowed *of)
 {
     const double count = 3.0 * n;

@@ -63,7 +63,7 @@ typedef struct {
 int64_t bright_room(int64_t width, int64_t height);
 /* What is bright in a part; 0 if it has more pieces than `BRIGHT_RUNS`. */
 int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out);
-/* The spots that the pieces make: those that are cut by the part's edge, too large or too long are none. */
+/* The spots that the pieces make: pieces that are cut by the part's edge, too large or too long are left out. */
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out);
 
 /* A point of the pad's plane in `cam`, m. */

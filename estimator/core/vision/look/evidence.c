@@ -31,7 +31,7 @@ static const double RING_IN_VIEW = 0.02;
 static const double CORNER = 0.2, NO_CORNER = 0.3;
 /* Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which it does not. */
 static const double DISAGREES = 0.45, AGREES = 0.485;
-/* The same where the light hardly follows the drawing. A fit that does not settle leaves half of them. */
+/* Share of agreeing pixels in these two cases, for light that hardly follows the drawing. A fit that does not settle leaves half of them. */
 static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
 /* Share of a distant pad's pixels that agree with the drawing, up to which half of them disagree, and from which fewer do. */
 static const double HALF_AGREES = 0.5, MORE_AGREES = 0.52;

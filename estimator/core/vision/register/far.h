@@ -10,7 +10,7 @@ typedef struct {
     double here, there, sigma;
 } pointer;
 
-/* Whether an amplitude is so much larger than the one at the opposite place that the heading is certain. */
+/* Whether an amplitude exceeds the one at the opposite place clearly enough for a certain heading. */
 int stands_out(double amplitude, double opposite, double sigma);
 /* The number of kinds of edges that the pad has. */
 int kinds_drawn(const pad_shape *pad);

@@ -19,7 +19,7 @@ static const double SPREAD_LEAST = 0.02;
 static const double OUTLIER = 16.0, UNUSUAL = 9.0;
 /* The least variance, part of the usual one and in squares of a contrast. */
 static const double VARIANCE_LEAST = 0.05, NOISE_LEAST = 1e-9;
-/* The part of its greatest value below which a determinant is none. */
+/* The fraction of its greatest value below which a determinant counts as zero. */
 static const double DEGENERATE = 1e-4;
 /* The fewest pixels of a kind for its noise, and for its colours. */
 enum { NOISE_PIXELS = 12, COLOUR_PIXELS = 8 };

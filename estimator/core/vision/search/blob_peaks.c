@@ -1,4 +1,4 @@
-/* Find places that differ from what is around them, at several sizes. */
+/* Find places that differ from their surroundings, at several sizes. */
 
 #include <math.h>
 #include <string.h>
@@ -126,7 +126,7 @@ static void begin_row(int n, const float *restrict in, const float *restrict who
     }
 }
 
-/* Take the mean of what is around off a channel. */
+/* Subtract the mean of the surroundings from a channel. */
 WIDE
 static void add_channel(int n, const float *restrict in, const float *restrict whole, const row_scores *to)
 {

@@ -218,7 +218,7 @@ class CopterStandIn(StandIn):
         a = np.clip(a_wanted + (jerk / most) * (v_wanted - self._v_shaped), -most, most)
         self._a_shaped = self._a_shaped + np.clip(a - self._a_shaped, -jerk * self.step_s, jerk * self.step_s)
         self._v_shaped = self._v_shaped + self._a_shaped * self.step_s
-        # What is shaped stays near what is flown: on deck, or at a limit, it does not run away.
+        # The shaped target stays near the flown state: on deck, or at a limit, it does not run away.
         self._v_shaped = s.v_ned + np.clip(self._v_shaped - s.v_ned, -1.0, 1.0)
         return self._v_shaped, self._a_shaped
 

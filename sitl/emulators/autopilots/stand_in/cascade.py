@@ -53,7 +53,7 @@ class LoopGains:
     """Lift over weight that one m/s^2 of missing vertical acceleration gives, times g: PSC_ACCZ_P over MOT_THST_HOVER. At 1 half
     of a wanted acceleration is flown at once. 0 for a stack that takes thrust for acceleration."""
     lift_i: float = 0.0
-    """1/s: what it winds up of the rest, PSC_ACCZ_I over MOT_THST_HOVER."""
+    """1/s: integral gain, PSC_ACCZ_I over MOT_THST_HOVER."""
 
 
 PX4_GAINS = LoopGains(1.8, 0.4, 4.0, 2.0, 6.5, 0.0, math.radians(45.0), 1.0)
