@@ -516,13 +516,13 @@ class Row:
 
     @property
     def bad(self) -> tuple[float, ...]:
-        """How bad it was, worst first: unsafe, how it ended, events without a word, gap, lines."""
+        """Badness for sorting, worst first: unsafe events, ending, events without a report, gap, lines."""
         seen = self.seen
         return bool(seen.unsafe), seen.code != 0, max(0.0, self.gap_s - GAP_S), len(self.unnamed), self.gap_s, len(seen.lines)
 
     @property
     def good(self) -> bool:
-        """Whether everything asked for holds."""
+        """True if every requirement holds."""
         seen = self.seen
         return not seen.unsafe and seen.code == 0 and self.gap_s <= GAP_S and not self.unnamed and len(seen.lines) < LINES
 

@@ -1,4 +1,4 @@
-"""What recorded real flights say of a vehicle's flown properties, with 95 % intervals by bootstrap over pieces of the flight.
+"""Identification of a vehicle from recorded real flights, with 95 % intervals by bootstrap over pieces of the flight.
 
     python -m benches.vehicle_identification [--data FOLDER]
 

@@ -54,7 +54,7 @@ class Example:
     kind: int
     """Index into `KINDS`."""
     confidence: float
-    """That of the verification without learning; nan for a pose that no search proposed."""
+    """Confidence of the verification without learning; nan for a pose that no search proposed."""
     target: int
     """Index into `PADS` of the pad that was looked for."""
     height_m: float

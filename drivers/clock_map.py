@@ -103,7 +103,7 @@ class ClockMap:
 
     @property
     def rate_error(self) -> float | None:
-        """How much faster than ours the remote clock runs, as a fraction; None while it is not known or the rates agree."""
+        """Rate of the remote clock against ours, as a fraction; None while it is not known or the rates agree."""
         return self._rate.error
 
     def reset(self) -> None:

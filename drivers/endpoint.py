@@ -33,7 +33,7 @@ class Endpoint:
 
     @property
     def is_private(self) -> bool:
-        """Whether nobody but this computer, or the far end of a cable, can reach it."""
+        """True if nobody but this computer, or the far end of a cable, can reach it."""
         return self.scheme == "serial" or self.host in _LOOPBACK
 
     def __str__(self) -> str:

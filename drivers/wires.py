@@ -54,7 +54,7 @@ _WATCH_S = 0.5
 
 @dataclass(slots=True)
 class WireCounts:
-    """What happened to the messages of one endpoint over all its openings, and which of its addresses were tried in vain."""
+    """Message counts of one endpoint over all its openings, and the addresses that were tried in vain."""
 
     refused: int = 0
     """Datagrams that the other computer refused, because nobody listens there."""

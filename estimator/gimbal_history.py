@@ -22,7 +22,7 @@ _CURVE = 0.1
 
 
 class HeldCamera(Struct, frozen=True, eq=False):
-    """How a gimbal holds the camera at one instant."""
+    """Orientation of a gimballed camera at one instant."""
 
     R_body_gimbal: Rotation
     cov_body: F64

@@ -1,4 +1,4 @@
-"""What targets of a port share: a client that says pieces of bytes, and a watch on what fails beside the connection."""
+"""Shared parts of the targets that open a port: a client that sends pieces of bytes, and a watch on failures beside it."""
 
 import asyncio
 import base64

@@ -44,7 +44,7 @@ class Grammar:
     """One format."""
 
     kind: FileKind | None
-    """What it is as a file; None for what comes over a wire or is no file of its own."""
+    """Kind of file; None for data of a wire, or for no file of its own."""
     records: tuple[bytes, ...]
     read: Callable[[Path, Tell], set[float]]
     """Returns the figures that a file gives."""

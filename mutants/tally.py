@@ -23,7 +23,7 @@ class Tally:
     named: int = 0
     """Survivors that `mutants/equivalent.py` says cannot be told from the original, each with its reason."""
     out: TextIO | None = None
-    """Where survivors are printed as they are found; None is the standard output."""
+    """Stream for survivors as they are found; None is the standard output."""
 
     @property
     def tried(self) -> int:

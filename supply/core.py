@@ -74,8 +74,10 @@ FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
-"""Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the
-flags of floating-point exceptions, so roots and choices are instructions and not calls and branches.
+"""Compiler options.
+
+Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the flags
+of floating-point exceptions, so roots and choices are instructions and not calls and branches.
 """
 NO_COMPILER = (
     "the native core needs a C compiler, and there is neither `cc` (on Debian: apt install gcc libc6-dev) "

@@ -1,4 +1,4 @@
-"""What holds for every test, in whichever process and beside whatever else it runs."""
+"""Fixtures and rules for every test, in any process and beside any load."""
 
 import gc
 import os

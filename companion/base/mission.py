@@ -14,7 +14,7 @@ class State(Enum):
     __hash__ = object.__hash__
 
     STANDBY = "waiting for the vehicle and the start"
-    """On the ground, or unknown; nobody has asked for a landing."""
+    """The vehicle is on the ground, or its state is unknown; no landing is ordered."""
     WAIT = "waiting for the vehicle"
     """A landing was asked for; the vehicle does not fly yet."""
     READY = "waiting for the start"
@@ -44,9 +44,9 @@ class State(Enum):
     ANOTHER_PAD = "another pad"
     """Climbing, then waiting for the operator's decision about a pad in another place."""
     LANDED = "landed"
-    """On the ground after our order."""
+    """The vehicle is on the ground after our order."""
     LANDED_BY_OTHERS = "landed by others"
-    """On the ground without our order."""
+    """The vehicle is on the ground without our order."""
     REFUSED = "refused"
     """Held still: the conditions are beyond the limits."""
     GAVE_UP = "gave up"

@@ -34,10 +34,10 @@ _CLOSE_S = 0.3
 _LINE_MAX = 2000
 """The most characters of one message; peers choose the length of some."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
-"""What would begin a new line or speak to a terminal, in texts that a peer chose."""
+"""Control characters and line separators in texts from a peer: they could begin a new line or control a terminal."""
 _OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"pymavlink": logging.CRITICAL, "paho": logging.CRITICAL, "mqtt": logging.CRITICAL, "libav": logging.ERROR}
-"""From which level other people's loggers are shown; WARNING if not named. What these say, our drivers count and say."""
+"""Log levels of other people's loggers; WARNING if not named. Our drivers count and log what these report."""
 
 
 def _admits(record: logging.LogRecord) -> bool:

@@ -78,7 +78,7 @@ class Process:
 
     @property
     def heeding(self) -> bool:
-        """Whether this process handles signals: true in our programs, not in a test or a user of the library."""
+        """True if this process handles signals: in our programs, not in a test or for a user of the library."""
         return self.pid == os.getpid()
 
     def heed(self, number: int, _: FrameType | None) -> None:

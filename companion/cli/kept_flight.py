@@ -1,4 +1,4 @@
-"""What `--report` and `--record` keep of a simulated flight."""
+"""Files of a simulated flight that `--report` and `--record` keep."""
 
 import argparse
 import math
@@ -84,7 +84,7 @@ def compared_paths() -> tuple[PathName, ...]:
 
 @dataclass(slots=True)
 class KeptFlight:
-    """What is kept of one flight while it is flown."""
+    """Kept records of one flight, while it is flown."""
 
     args: argparse.Namespace
     recorder: Recorder | None

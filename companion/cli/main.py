@@ -58,7 +58,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "completion": ("companion.cli.completion", "print the completion of commands for bash, zsh or fish"),
     },
 }
-"""By what a person wants: module and one line of help for each command."""
+"""Commands by a person's need: module and one line of help for each."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 _EXAMPLES = (
     ("decklander demo --page", "a landing over a simulated ship, in your browser"),
@@ -71,7 +71,7 @@ _NOW = {
     "soak": "campaign --soak",
     **{name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")},
 }
-"""What replaces a word that was a command."""
+"""Replacements for commands that no longer exist."""
 
 Load = Callable[[str], ModuleType]
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})

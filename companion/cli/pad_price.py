@@ -1,4 +1,4 @@
-"""What `decklander pad check` says of clutter: how often something else is taken for a pad, and what it writes into the file."""
+"""Output of `decklander pad check`: how often clutter is taken for a pad, and the calibration that is written into the file."""
 
 from __future__ import annotations
 

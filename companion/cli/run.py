@@ -28,7 +28,7 @@ FROM_TERMINAL = (
     "started from a terminal: when it hangs up the service flies on, and nobody reads its log; for a flight: "
     "sudo systemd-run --unit decklander-flight --same-dir $(command -v decklander) run --config FILE"
 )
-"""What is said at the start to whoever runs the service by hand."""
+"""Hint at the start for a person who runs the service by hand."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -40,7 +40,7 @@ _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What the settings file is made from."""
+    """Answers from which the settings file is made."""
 
     vehicle: str
     link: str

@@ -38,7 +38,7 @@ BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 
 
 class Guided(Protocol):
-    """What the arbiter asks of guidance."""
+    """Interface of guidance that the arbiter needs."""
 
     @property
     def vehicle(self) -> VehicleStatus | None: ...
@@ -67,14 +67,14 @@ class Given(Struct, frozen=True):
 
 
 class Control(Struct, frozen=True):
-    """Who commands the vehicle."""
+    """Holder of the command over the vehicle."""
 
     hand: OrderSender | None = None
     """The sender that flies by hand."""
     sticks: StickPositions = CENTRED
     sticks_at: MonoNs | None = None
     moved_at: MonoNs | None = None
-    """When a stick was last out of its centre, or the hand was taken."""
+    """Time when a stick was last out of its centre, or the hand was taken."""
     landing: Given | None = None
     take_off: Given | None = None
     """A take-off that is not sent yet."""
@@ -90,11 +90,11 @@ class Limited(Struct, frozen=True):
     """The limits that changed commands lately."""
 
     at: tuple[tuple[Limit, MonoNs], ...] = ()
-    """When each limit changed a command last."""
+    """Time when each limit last changed a command."""
     fenced_since: MonoNs | None = None
-    """Since when the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
+    """Time since which the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
     ended: str = ""
-    """Why the limits ended the landing, while guidance is held for it."""
+    """Reason why the limits ended the landing, while guidance is held for it."""
 
     def step(self, hit: tuple[Limit, ...], now: MonoNs) -> Limited:
         """Return the memory after a cycle in which these limits changed the command."""

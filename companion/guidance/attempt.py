@@ -18,7 +18,7 @@ _GAP_MAX_S = 1.0
 
 
 class Attempt(Struct, frozen=True):
-    """What a try has used so far."""
+    """Time and retries that a landing attempt has used so far."""
 
     began: MonoNs | None = None
     """Time of the first sight of the pad."""

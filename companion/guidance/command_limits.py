@@ -103,7 +103,7 @@ class Limit(Enum):
 
 
 class PlaceMemory(Struct, frozen=True, eq=False):
-    """Where the vehicle is from its start, by its own velocity, and how high."""
+    """Position of the vehicle from its start, by its own velocity, and its height."""
 
     p_start_ned: tuple[float, float] = (0.0, 0.0)
     """m north and east of the place where it was first seen to fly."""
@@ -190,7 +190,7 @@ def _braking(v: F64, change: F64) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """Where the vehicle is from a fence's centre."""
+    """Position of the vehicle from a fence's centre."""
 
     p: F64
     """(2,) m in the fence's axes."""

@@ -71,11 +71,11 @@ class ContactWatch(Struct, frozen=True):
     up_m_s2: float = math.nan
     """The newest upward specific force."""
     same_since: MonoNs | None = None
-    """Since when it has been the same to the last bit."""
+    """Time since which the value has been the same to the last bit."""
 
     @property
     def feels(self) -> bool:
-        """Whether the accelerometer is alive: no live one repeats a value for long in flight."""
+        """True if the accelerometer is alive: a live one does not repeat a value for long in flight."""
         if self.at is None or self.same_since is None:
             return True
         return seconds_between(self.same_since, self.at) < FROZEN_S

@@ -30,18 +30,21 @@ class Impact(Struct, frozen=True):
 
     at: MonoNs
     by: str
-    """What said so: `accelerometer` (a step that no flight makes), `velocity` (held up against all commands) or `vehicle` (it
-    reports that it is on the ground)."""
+    """Source of the contact.
+
+    It is `accelerometer` (a step that no flight makes), `velocity` (held up against all commands) or `vehicle` (it reports that
+    it is on the ground).
+    """
     size_m_s2: float = math.nan
     """The step of the acceleration; nan if something else said so."""
     held_m_s: float = math.nan
-    """How much faster upward than commanded it goes; nan if something else said so."""
+    """Excess of the upward speed over the command; nan if the contact came from another source."""
     doubtful: bool = False
-    """Whether it may be a spike of the sensor: harder than any landing, or one of several in a row."""
+    """True if it may be a spike of the sensor: harder than any landing, or one of several in a row."""
 
 
 class AtContact(Struct, frozen=True):
-    """Where the control law will have the vehicle when its feet meet the deck, if nothing new pushes it."""
+    """Predicted place of the vehicle when its feet meet the deck, without new disturbances."""
 
     error_m: float
     """Distance from the pad's centre."""
@@ -52,11 +55,14 @@ class AtContact(Struct, frozen=True):
 
 
 class Knowledge(Struct, frozen=True):
-    """What guidance knows in one cycle. `level` is the body's own at `at` throughout."""
+    """Inputs of guidance in one cycle. `level` is the body's own at `at` throughout."""
 
     at: MonoNs
     relative: RelativeState | None
-    """Where the pad is; None while no pad is tracked. It carries on without sight: ask its age, `consistent` and `cov`."""
+    """Relative state of the pad; None while no pad is tracked.
+
+    It continues without sight: check its age, `consistent` and `cov`.
+    """
     body: BodyMotion | None = None
     """None from an estimator path that does not estimate it."""
     deck: DeckMotion | None = None
@@ -74,7 +80,7 @@ class Knowledge(Struct, frozen=True):
 
 
 class Target(Struct, frozen=True, eq=False):
-    """Where to be relative to the deck."""
+    """Target of the vehicle relative to the deck."""
 
     d_body_pad_level: F64
     """Wanted vector from the body to the pad, (3,) m: (0, 0, 2) is two metres above its centre."""

@@ -1,4 +1,4 @@
-"""What pushes the vehicle sideways, one axis at a time: an observer of place, speed, disturbance and accelerometer error.
+"""Lateral disturbance observer, one axis at a time: position, speed, disturbance and accelerometer error.
 
     p' = w,   w' = a_deck - a_lean - d,   d' = noise,   b' = noise
 p, w: the pad against the body (the filter's, with errors of their own); a_lean: the reported tilt as an acceleration; d: what
@@ -40,7 +40,7 @@ class ObserverNoise(NamedTuple):
     psd_w: float = 0.01
     """The same of the speed: the deck's own acceleration is known that badly."""
     accelerometer: bool = True
-    """Whether the accelerometer is used."""
+    """True if the accelerometer is used."""
 
 
 class ObserverGains(NamedTuple):

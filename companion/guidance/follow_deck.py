@@ -42,11 +42,11 @@ from estimator.core.library import CORE
 _STIFF_M = 0.01
 """Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""
 _SOFTER = 0.02 / 0.006
-"""By how much less the place weighs while the response is only assumed."""
+"""Factor on the weight of the position while the response is only assumed."""
 SOFTER_LONGER_S = 0.05
-"""By how much later it is taken to answer."""
+"""Further delay that is then assumed, s."""
 _SOFTER_PER_S = 5.0
-"""By how much less the place weighs for each second of further delay."""
+"""Loss of the position's weight for each second of further delay."""
 _LONGEST_S = 0.6
 """Longest delay that a response may have, s."""
 _STEP_S = 0.01
@@ -54,7 +54,7 @@ _STEP_S = 0.01
 
 
 class TuningChoice(NamedTuple):
-    """Which gains to fly by."""
+    """Choice of gains."""
 
     longer_s: float = 0.0
     """Delay beyond the one of the response file."""
@@ -158,7 +158,7 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     core: Any
     """The core's `dl_law_memory`, whose axes are north and east by the filter's heading."""
     at: MonoNs | None = None
-    """When it was last stepped; None before the first cycle."""
+    """Time of the last step; None before the first cycle."""
     tuning: TuningChoice = AS_GIVEN
     """The gains that are flown by."""
     tuning_before: TuningChoice = AS_GIVEN

@@ -14,7 +14,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 LASTS_S = 2.0
 """Time for which it goes the other way, s: longer than any vehicle answers."""
 LEAST_M = 0.3
-"""How far it has then gone, m: ground effect and gusts make less."""
+"""Least distance flown by then, m: ground effect and gusts make less."""
 _ORDERED_M_S = 0.1
 """Rate against the deck that is an order to change the height, m/s."""
 

@@ -19,18 +19,18 @@ ANSWERED_S = 0.7
 ANSWERS_S = 0.3
 """Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
 LEAST_M_S = 0.3
-"""How much faster upward than commanded, m/s. Ground effect close to a deck makes 0.15."""
+"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
 HELD_S = 0.25
-"""For how long, s."""
+"""Duration of the excess, s."""
 
 
 class HeldUp(Struct, frozen=True):
     """The detector's memory."""
 
     commands: tuple[tuple[MonoNs, float], ...] = ()
-    """When each vertical speed was commanded, m/s down, oldest first."""
+    """Commanded vertical speeds with their times, m/s down, oldest first."""
     since: MonoNs | None = None
-    """Since when it is held up."""
+    """Time since which the vehicle is held up."""
     newest: Impact | None = None
 
 

@@ -221,7 +221,7 @@ class LandingGuidance:
 
     @property
     def reason(self) -> str:
-        """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        """Reason why the vehicle does not simply descend, as text for the operator; empty while it does."""
         if self.mission.state is State.GATE:
             return "" if self.mission.waits_for is None else self.mission.waits_for.text
         if isinstance(self._vessel, Reason) and self.mission.state in _BY_REPORTS:

@@ -42,7 +42,7 @@ Comparison = tuple[ReasonCause, float | None, float]
 
 
 class InputQuality(Struct, frozen=True):
-    """What the service knows about its inputs beside the estimate."""
+    """Quality of the service's inputs, beside the estimate."""
 
     normalized_nis: float | None = None
     """Recent mean of the sightings' NIS over the number of components; None before the first comparison."""

@@ -21,13 +21,13 @@ class Progress(Struct, frozen=True, eq=False):
 
     state: State
     automatic: bool
-    """Whether a landing is asked for by the settings at each take-off."""
+    """True if the settings order a landing at each take-off."""
     since: MonoNs | None = None
     """Time at which the state was entered; None until the first guidance cycle in it."""
     reason: Reason | None = None
-    """Why it was entered."""
+    """Reason why the state was entered."""
     fault: Reason | None = None
-    """Why the newest try ended or was interrupted."""
+    """Reason why the newest attempt ended or was interrupted."""
     refusing: bool = False
     """The conditions are such that there is no other try."""
     last: MonoNs | None = None
@@ -80,9 +80,9 @@ class Progress(Struct, frozen=True, eq=False):
     good_since: MonoNs | None = None
     """Time since which the state's condition for going on has held without a break."""
     blocked: Reason | None = None
-    """What keeps the gate shut."""
+    """Reason that keeps the gate shut."""
     waits_for: Reason | None = None
-    """What the operator is told of that: it stands for some time, where `blocked` may change with every cycle."""
+    """Blocking reason that is shown to the operator. It is held for some time; `blocked` may change with every cycle."""
     waits_since: MonoNs | None = None
     """Time since which it stands."""
     no_return_until: MonoNs | None = None

@@ -151,7 +151,7 @@ _VELOCITY_SIGMA_M_S = 2.0
 
 
 class ReportRefusal(Enum):
-    """Why a report was not taken; the value is the name of its counter."""
+    """Reason for the refusal of a report; the value is the name of its counter."""
 
     STALE = "stale"
     OUT_OF_ORDER = "out_of_order"

@@ -1,4 +1,4 @@
-"""From commands and samples to the courses that a response is identified from: asked and reported, in even steps.
+"""Courses for the identification of a response, from commands and samples: commanded and reported, in even steps.
 
 Commands count from guidance's decision and are held until the next one; reports count from the instant of their measurement.
 Where nobody asked for a lean the vehicle's own one stands in for it, and nothing is compared until the response to it is over.

@@ -1,4 +1,4 @@
-"""How a vehicle answers, from what was asked of it and what it reported: delay, tilt frequency, damping, vertical lag.
+"""Identification of a vehicle's response from commanded and reported values: delay, tilt frequency, damping, vertical lag.
 
 The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
 from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the
@@ -43,11 +43,11 @@ _SETTLED_S = 8.0
 _SETTLED_WITHIN_S = 0.02
 """A last step of the delay up to this belongs to a search that is at its end, s. On the way there a covariance says nothing."""
 _FLOOR_S = 0.004
-"""What no fit sees, s: the command waits for the next datagram for a time that is random."""
+"""Floor of the delay's standard deviation, s: each command waits a random time for the next datagram."""
 
 
 class FlightCourse(NamedTuple):
-    """What was asked and what was reported, in steps of `STEP_S`; each column is one axis with the same response."""
+    """Commanded and reported values in steps of `STEP_S`; each column is one axis with the same response."""
 
     asked: F64
     """(n, axes), held over the step that begins there."""
@@ -56,7 +56,7 @@ class FlightCourse(NamedTuple):
     counts: NDArray[np.bool_]
     """(n,), whether the reported value may be compared: both are known, and the asked one has been for a while."""
     stamp_sigma_s: float = 0.0
-    """How well the instants of the reports are known: an error of theirs is an error of the delay."""
+    """Standard deviation of the reports' time: such an error is an error of the delay."""
     drifts: int = 0
     """Degree of the polynomial that the report may be off by: 0 for an offset, 1 for a drift."""
 
@@ -77,14 +77,14 @@ class Fitted(NamedTuple):
     seconds: float
     """Length of what was compared."""
     settled: bool = True
-    """Whether the search had come to its end: its last step was free in length, and small in the delay."""
+    """True if the search had converged: its last step was free in length, and small in the delay."""
 
 
 class TiltFit(msgspec.Struct, frozen=True):
     """The identified response of the tilt, with standard deviations."""
 
     response: TiltResponse
-    """With `delay_sigma_s` and the other sigmas set."""
+    """Fitted response, with `delay_sigma_s` and the other sigmas set."""
     gain: float
     """Reported tilt over asked tilt."""
     fitted: Fitted

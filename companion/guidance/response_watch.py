@@ -61,11 +61,11 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     fit: TiltFit | None = None
     """The newest fit."""
     doubt: ResponseInUse | None = None
-    """What the newest fit says against the response in use."""
+    """Contradiction of the newest fit to the response in use."""
     late_s: float | None = None
     """The delay, where it is too long to fly with, s; None otherwise."""
     late_doubt: bool = False
-    """Whether the newest fit says so."""
+    """True if the newest fit reports it."""
     asked: tuple[tuple[float, float, float], ...] = ()
     reported: tuple[tuple[float, float, float], ...] = ()
     """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
@@ -162,12 +162,12 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
 
 
 def _trusted(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
-    """Whether the fit is one to fly by."""
+    """Return whether the fit is good enough to fly by."""
     return 0.0 < fit.response.delay_s <= DELAY_MAX_S and _explains(given, course, fit)
 
 
 def _explains(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
-    """Whether the fit's model is the vehicle's: it flies what is asked as its file says, only later, and little beside it."""
+    """Return whether the fit's model is the vehicle's: it answers as its file says, only later and with little beside it."""
     of = fit.response
     if not fit.fitted.settled or abs(fit.gain - 1.0) > _GAIN_OFF:
         return False
@@ -220,7 +220,7 @@ class ResponseIdentifier:
 
     @property
     def late_s(self) -> float | None:
-        """How late the vehicle answers, s, where it is too late to fly by; None otherwise."""
+        """Delay of the vehicle's answer, s, if it is too late to fly; None otherwise."""
         return self._watch.late_s if self._on else None
 
     def on_attitude(self, stamp: Stamp, lean_m_s2: tuple[float, float]) -> None:

@@ -91,7 +91,7 @@ def climbing(command: Command, climb_m_s: float) -> Command:
 
 
 Aim = Target | Command | None
-"""Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
+"""Target, finished command, or None: guidance leaves the vehicle alone."""
 
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""

@@ -404,7 +404,7 @@ _CHARGED: Mapping[State, Callable[[Attempt, float], Attempt]] = {
     State.DESCEND: Attempt.in_descent,
     State.GATE: Attempt.at_gate,
 }
-"""What adds a guidance cycle to the try, where all visits to a state share its time."""
+"""Functions that charge a guidance cycle to the attempt, for states whose visits share one time budget."""
 _SPENT: Mapping[State, Callable[[Attempt], float]] = {
     State.INTERCEPT: lambda attempt: attempt.over_pad_s,
     State.DESCEND: lambda attempt: attempt.in_descent_s,

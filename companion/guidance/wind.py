@@ -41,7 +41,7 @@ class WindOverDrone(NamedTuple):
     lean_rad: float
     """The mean lean against it."""
     spent: bool
-    """Whether it takes all of the tilt."""
+    """True if it takes all of the tilt."""
 
     @property
     def too_strong(self) -> bool:

@@ -65,7 +65,7 @@ class Proven(NullObserver):
 
     @property
     def known(self) -> bool:
-        """Whether a frame came with these settings in this run or an earlier one."""
+        """True if a frame came with these settings in this run or an earlier one."""
         if self._noted or self._path is None:
             return self._noted
         try:

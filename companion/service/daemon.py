@@ -101,7 +101,7 @@ OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 @dataclass(frozen=True, slots=True)
 class DaemonSetup:
-    """How the daemon runs."""
+    """Mode of the daemon: its options beside the settings."""
 
     restart: RestartOptions
     guidance_rate_hz: float
@@ -113,7 +113,7 @@ class DaemonSetup:
     core_fraction: float = 1.0
     """The largest share of the time that looking at frames may take; 1 skips none."""
     once: bool = False
-    """Whether `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
+    """True if `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
     prepare: Callable[[], None] | None = None
     """Called by the thread of vision before its first frame."""
 
@@ -189,7 +189,7 @@ class Daemon:
 
     @property
     def looking(self) -> bool:
-        """Whether vision is at work on its thread."""
+        """True if vision is at work on its thread."""
         return self._tracker is not None and self._tracker.busy
 
     def stop(self) -> None:

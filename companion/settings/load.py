@@ -221,7 +221,7 @@ _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
     ("guidance", "tries"): {"heading": "align"},
     ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
 }
-"""What differs for an autopilot where a settings file is silent, by the tables that the keys are in.
+"""Defaults that depend on the autopilot, by settings table. They hold where a settings file names no value.
 
 A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
 (docs/decisions/063-an-autopilots-bias-moves.md).

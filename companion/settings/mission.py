@@ -63,7 +63,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
-    """What must hold for a landing. The gate waits for it; in the commit a breach ends the try.
+    """Limits for a landing. The gate waits for them; a breach during the commit ends the attempt.
 
     Raises:
         ValueError: a number outside its range.

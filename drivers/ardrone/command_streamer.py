@@ -197,12 +197,12 @@ class CommandStreamer:
 
     @property
     def flying(self) -> bool | None:
-        """Whether the newest navdata says that the drone flies; None before the first navdata."""
+        """True if the newest navdata reports that the drone flies; None before the first navdata."""
         return None if self._state is None else bool(self._state & NavdataState.FLYING)
 
     @property
     def landing(self) -> bool:
-        """Whether a commanded landing is not finished yet."""
+        """True if a commanded landing is not finished yet."""
         return self._landing is not None
 
     def take(self, command: Command, now: MonoNs) -> None:

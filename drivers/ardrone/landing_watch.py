@@ -64,7 +64,7 @@ class DroneReport(Struct, frozen=True):
 
     @property
     def flying(self) -> bool:
-        """Whether the drone is in the air, a landing under way included."""
+        """True if the drone is in the air, a landing under way included."""
         return bool(self.state & NavdataState.FLYING)
 
 

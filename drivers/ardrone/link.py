@@ -291,7 +291,7 @@ class ArDrone:
 
     @property
     def ready(self) -> bool:
-        """Whether the drone has acknowledged its whole configuration, the bottom camera among it."""
+        """True if the drone has acknowledged its whole configuration, the bottom camera among it."""
         return self._setup.done.is_set()
 
     @property

@@ -257,7 +257,7 @@ class Sender:
 
 
 def _connected(host: str, port: int) -> socket.socket:
-    """A UDP socket that talks to one peer only and never blocks."""
+    """Open a UDP socket that talks to one peer only and never blocks."""
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     end = socket.socket(family, kind, protocol)
     try:

@@ -35,7 +35,7 @@ _RUNGS = 2.0
 
 
 class ExposureSetting(Struct, frozen=True):
-    """What a camera holds, or is to hold."""
+    """Exposure values of a camera, present or wanted."""
 
     exposure_s: float
     gain: float
@@ -48,7 +48,7 @@ class ExposureSetting(Struct, frozen=True):
 
 
 class ExposureRange(Struct, frozen=True):
-    """What a camera can hold."""
+    """Exposure limits of a camera."""
 
     shortest_s: float
     longest_s: float
@@ -69,11 +69,11 @@ class Metered(Struct, frozen=True):
     saturated: float = 0.0
     """Share of its pixels of which a channel is clipped."""
     clipped: bool = False
-    """Whether the level itself is clipped: it is only known to be too bright."""
+    """True if the level itself is clipped: it is only known to be too bright."""
     target: float = TARGET
     """The level at which that part is rightly exposed."""
     cut: bool = False
-    """Whether the frame shows only a smaller part of what is metered."""
+    """True if the frame shows only a smaller part of what is metered."""
 
     @property
     def error_ev(self) -> float:
@@ -84,7 +84,7 @@ class Metered(Struct, frozen=True):
 
 
 class LawMemory(Struct, frozen=True):
-    """What the law remembers from picture to picture."""
+    """Memory of the exposure law from frame to frame."""
 
     correcting: bool = False
     short_of_ev: float = 0.0

@@ -90,7 +90,7 @@ _FARTHEST_EV = 3.0
 
 
 class BracketMemory(Struct, frozen=True):
-    """What the search remembers from picture to picture."""
+    """Memory of the exposure search from frame to frame."""
 
     law: LawMemory = LawMemory()
     pictures: int = 0

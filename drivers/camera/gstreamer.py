@@ -39,7 +39,7 @@ _BEHIND_MOST = 8
 """Number of frames that may be skipped at a time to reach the newest."""
 _PIPE_BYTES = 1 << 20
 _PREDICTING = re.compile(r"h26[345]|x26[45]|hevc|vp[89]|av1|mpeg[24]|decodebin")
-"""What names the elements of codecs that predict frames from one another, or of any codec."""
+"""Names of codec elements that predict frames from one another, or of any codec."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -99,7 +99,7 @@ class H264Decoder:
 
     @property
     def waiting(self) -> bool:
-        """Whether the decoder waits for an IDR."""
+        """True if the decoder waits for an IDR."""
         return self._codec is None
 
     def decode(self, unit: bytes, layout: FrameLayout) -> U8 | None:

@@ -280,7 +280,7 @@ _REASONS = {
 }  # fmt: skip
 """Flags of failsafe_flags; those that rose with the failsafe are its reason."""
 _WITH_S = 3.0
-"""How long before a failsafe its reason may have begun, seconds; PX4 waits with most for a moment."""
+"""Longest time before a failsafe at which its reason may have begun, s; PX4 waits with most for a moment."""
 Topic = dict[str, Any]
 
 
@@ -356,7 +356,7 @@ def _history(log: Any, topics: dict[str, Topic]) -> LogHistory:
 
 
 class _Armed:
-    """Whether the vehicle was armed at an instant; taken for true where the log does not say."""
+    """Armed state of the vehicle at an instant; armed if the log has no such state."""
 
     def __init__(self, status: Topic | None) -> None:
         self._at = None if status is None else np.asarray(status["timestamp"], dtype=np.int64)

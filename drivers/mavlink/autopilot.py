@@ -78,7 +78,7 @@ class _Known:
     version: Version | None = None
     """Its firmware and hardware, once it told them."""
     released_at: MonoNs | None = None
-    """When the vehicle was taken from this program; None while nobody has it."""
+    """Time when the vehicle was taken from this program; None while nobody has it."""
 
 
 class Autopilot:
@@ -134,17 +134,17 @@ class Autopilot:
 
     @property
     def connected(self) -> bool:
-        """Whether the autopilot sent a message lately."""
+        """True if the autopilot sent a message lately."""
         return self._known is not None and not self._known.lost
 
     @property
     def id_conflicts(self) -> tuple[IdConflict, ...]:
-        """What is doubtful about who is the autopilot, and who we are."""
+        """Ambiguities about which component is the autopilot, or about our own id."""
         return self._roster.found
 
     @property
     def unclear(self) -> str | None:
-        """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
+        """Reason why nothing may be commanded: the autopilot is ambiguous. None while it is clear."""
         return self._roster.unclear
 
     @property

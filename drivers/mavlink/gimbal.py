@@ -185,7 +185,7 @@ _FLAGS = int(
 
 
 class Step(Enum):
-    """What is asked of the manager next."""
+    """Next request to the gimbal manager."""
 
     CONTROL = "taking control"
     POINT = "pointing"

@@ -12,7 +12,7 @@ CHUNK = 50
 """Characters in a full chunk."""
 _CHUNKS_MAX = 20
 LOST = "..."
-"""What stands for a chunk that did not arrive."""
+"""Placeholder for a chunk that did not arrive."""
 
 
 class _Begun(NamedTuple):

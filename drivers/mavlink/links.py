@@ -189,7 +189,7 @@ class Link:
 
     @property
     def signed(self) -> bool:
-        """Whether nothing crosses it without a signature."""
+        """True if nothing crosses it without a signature."""
         return self._o.signing is not None
 
     @property
@@ -377,13 +377,13 @@ class Links:
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
     def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
-        """A message crossed a link."""
+        """Count a message that crossed a link."""
         tap, name = self.tap, message.get_type()
         if tap is not None and name not in _SECRET:
             self.contained.run(f"the tap of {name}", str(endpoint), lambda: tap(at, str(endpoint), way, data, name))
 
     def refuse(self, why: Unfit) -> None:
-        """A message of ours does not fit the wire: count it, and log each field once."""
+        """Count a message of ours that does not fit the wire, and log each field once."""
         if why.field not in self.unfit:
             _log.error("MAVLink: not sent: %s", why)
         self.unfit[why.field] += 1

@@ -116,7 +116,7 @@ class Streams:
 
     @property
     def settled(self) -> bool:
-        """Whether every request was answered or given up."""
+        """True if every request was answered or given up."""
         return all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
 
     def restart(self) -> None:

@@ -24,7 +24,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _ROOM_NS = NS_PER_S
-"""How far a time since boot may lie from the one expected: messages are late and overtake one another."""
+"""Largest difference of a time since boot from the expected one: messages are late and overtake one another."""
 _DRIFT_PPM = 200
 _NEXT_WITHIN = 8
 """Sequence numbers that may be lost between two messages of one autopilot."""
@@ -61,7 +61,7 @@ class _Origin:
 
     @property
     def runs(self) -> bool:
-        """Whether it goes on as a clock does, and not as values that are made up."""
+        """True if it runs as a clock does; made-up values do not."""
         boot_s, lasted_s = (self.newest - self.first[0]) / NS_PER_S, seconds_between(self.first[1], self.at)
         return lasted_s >= _BESIDE_S and _SLOWEST * lasted_s <= boot_s <= lasted_s / _SLOWEST
 
@@ -261,7 +261,7 @@ class IdConflict:
     what: str
     fix: str
     blocks: bool = True
-    """Whether nothing may be commanded meanwhile."""
+    """True if nothing may be commanded meanwhile."""
 
     def __str__(self) -> str:
         return f"{self.what}; {self.fix}"
@@ -284,9 +284,9 @@ class Bound:
     """Time since its last message, s."""
     lost: bool
     commanded: bool
-    """Whether it was commanded and has not been left to itself since."""
+    """True if it was commanded and not released since."""
     several: bool
-    """Whether another one uses its id over the same link."""
+    """True if another one uses its id over the same link."""
 
 
 @dataclass(slots=True)
@@ -295,7 +295,7 @@ class Roster:
 
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
-    """When each hardware answered last under the autopilot's system id, and how often lately."""
+    """Time of each hardware's last answer under the autopilot's system id, and the number of recent ones."""
     _peers: dict[int, _Peer] = field(default_factory=dict)
     _flies_alone_since: tuple[int, MonoNs] | None = None
     _first: int = 0
@@ -305,7 +305,7 @@ class Roster:
     _state: tuple[int, int, int] | None = None
     _namesakes: list[MonoNs] = field(default_factory=list)
     found: tuple[IdConflict, ...] = ()
-    """What is doubtful about who is the autopilot, and who we are, as it was judged last."""
+    """Ambiguities about which component is the autopilot, or about our own id, as last determined."""
     _judged: MonoNs | None = None
     _logged: dict[str, MonoNs] = field(default_factory=dict)
 
@@ -371,7 +371,7 @@ class Roster:
 
     @property
     def unclear(self) -> str | None:
-        """Why nothing may be commanded; None while it is clear who is the autopilot."""
+        """Reason why nothing may be commanded; None while the autopilot is clear."""
         return next((str(conflict) for conflict in self.found if conflict.blocks), None)
 
     def judge(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> None:

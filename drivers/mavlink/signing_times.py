@@ -77,7 +77,7 @@ class SigningTimes:
         return self._used
 
     def note_received(self, time: int) -> None:
-        """A message of that time was believed: ours go on after it, unless it would run the clock out."""
+        """Accept the time of a valid message: our timestamps continue after it, unless that would exhaust the clock."""
         if time < _LATEST:
             self._used = max(self._used, time)
 
@@ -153,7 +153,7 @@ class SigningTimes:
         return path.with_name(path.name + ".new")
 
     def _fails(self, why: OSError, *, starting: bool) -> None:
-        """A disk that fails must not silence the link to the autopilot; a wrong name is told where it can be mended."""
+        """Log a failing disk once: it must not silence the autopilot's link. At the start a wrong path is raised instead."""
         fault = unusable(f"signing times {self._path}", why)
         if starting and isinstance(fault, BadInput):
             raise fault from why

@@ -136,10 +136,10 @@ class Condition:
     armed: bool | None = None
     flying: bool | None = None
     terminated: bool = False
-    """Whether the autopilot cut its motors in flight."""
+    """True if the autopilot cut its motors in flight."""
     battery_fraction: float | None = None
     taking_off: bool = False
-    """Whether it says that it climbs out after a take-off."""
+    """True if it reports the climb after a take-off."""
 
 
 _FLYING = {1: False, 2: True, 3: True, 4: True}

@@ -38,7 +38,7 @@ _OF_MODE: Mapping[str, float | str] = {
     "": 5.0, "A": 5.0, "D": 2.5, "P": 2.5, "F": 1.0, "R": 0.5, "E": _RECKONED_SIGMA_M,
     "M": "typed_in", "S": "simulated", "N": "no_fix",
 }  # fmt: skip
-"""What a place is worth by the mode of RMC: the standard deviation, or the reason why it is refused. Old receivers tell none."""
+"""Standard deviation of a position by the mode of RMC, m, or the reason why it is refused. Old receivers send no mode."""
 _OF_QUALITY: Mapping[int, float | str] = {
     1: _FIX_SIGMA_M, 2: _FIX_SIGMA_M, 3: _FIX_SIGMA_M, 4: 0.5, 5: 1.0, 6: _RECKONED_SIGMA_M,
     0: "no_fix", 7: "typed_in", 8: "simulated",
@@ -66,7 +66,7 @@ REFUSED_FOR = {
     "reckoned": "its velocity is reckoned from an old place",
     "impossible": "it holds a number that no ship has",
 }
-"""What reasons mean, where their names alone do not say it."""
+"""Meanings of reasons whose names alone are not clear."""
 
 Samples = list[GeoFix | VesselReport]
 

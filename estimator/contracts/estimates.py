@@ -185,7 +185,7 @@ class RelativeState(Struct, frozen=True, eq=False):
     sighted: MonoNs
     """Measurement instant of the newest fused sighting."""
     consistent: bool
-    """Whether recent innovations agree with the claimed covariance."""
+    """True if recent innovations agree with the claimed covariance."""
     details: Sequence[tuple[str, float]] = field(default=())
     """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0

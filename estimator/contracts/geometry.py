@@ -24,7 +24,7 @@ _new, _set = object.__new__, object.__setattr__
 
 
 def wrap_pi(angle_rad: float) -> float:
-    """The same angle in (-pi, pi]; nan and infinities come back as nan."""
+    """Return the same angle in (-pi, pi]; nan and infinities give nan."""
     if not math.isfinite(angle_rad):
         return math.nan
     wrapped = math.remainder(angle_rad, math.tau)

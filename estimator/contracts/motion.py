@@ -1,4 +1,4 @@
-"""How the body and the deck move at one instant: the answers of a filter that knows more than the pad's place."""
+"""Motion of the body and the deck at one instant: answers of a filter that knows more than the pad's place."""
 
 import math
 
@@ -55,9 +55,9 @@ class DeckMotion(Struct, frozen=True, eq=False):
     cov_level: F64
     """Covariance of velocity and acceleration, (6, 6)."""
     roll_rad: float
-    """Of the deck about the arrow, starboard down positive."""
+    """Roll of the deck about the arrow, starboard down positive."""
     pitch_rad: float
-    """Of the deck, arrow up positive."""
+    """Pitch of the deck, arrow up positive."""
     roll_rate_rad_s: float
     pitch_rate_rad_s: float
     cov_tilt: F64

@@ -16,7 +16,10 @@ from estimator.contracts.errors import SetupImpossible
 from estimator.core import CURE, abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander.so.1"
-"""Where `python -m supply.core` puts the library. Python would take a name that ends with ".so" for an extension module."""
+"""Path of the library that `python -m supply.core` builds.
+
+Python would take a name that ends with ".so" for an extension module.
+"""
 
 
 class Door:

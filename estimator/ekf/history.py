@@ -162,11 +162,11 @@ class Node(NamedTuple):
     row: Sequence[PackedBelief | None]
     """The beliefs after the events that were processed together, as the core holds them; None before the first attitude."""
     at: int
-    """Which of them is the one after this event."""
+    """Index of the event after this one."""
 
     @property
     def key(self) -> Key:
-        """Where the event lies in the history."""
+        """Place of the event in the history."""
         return self.entry.key
 
     @property

@@ -52,13 +52,13 @@ class IntegrityGuard(Struct, frozen=True):
     inertial: inertial.Inertial = field(default_factory=inertial.Inertial)
     arbiter: arbiter.Arbiter = field(default_factory=arbiter.Arbiter)
     overruled: int = 0
-    """How often the arbiter has had the filter started again."""
+    """Number of restarts of the filter by the arbiter."""
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
 
     @property
     def restarts(self) -> int:
-        """How often the filter had to be started again: what it believed was made with a sensor that lies."""
+        """Number of restarts of the filter after it had used a faulty sensor."""
         return self.inertial.named + self.overruled
 
     @property
@@ -248,7 +248,7 @@ def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | No
 
 
 def _sigmas(cov: F64) -> tuple[float, float]:
-    """Standard deviations of one horizontal component and of the vertical one, m."""
+    """Return the standard deviations of one horizontal component and of the vertical one, m."""
     forward, right, down = cov.diagonal()[:3].tolist()
     return math.sqrt(max(0.0, forward + right) / 2.0), math.sqrt(max(0.0, down))
 

@@ -18,7 +18,7 @@ _OLD_S = 0.1
 
 
 class Half(Struct, frozen=True):
-    """Whether one half repeats itself."""
+    """Repetition of one half of a sample: unchanged values."""
 
     since: int = -1
     """Instant at which the value was first read that it repeats, ns; -1 while it changes."""

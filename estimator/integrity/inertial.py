@@ -44,7 +44,7 @@ _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 _TURNED_RAD_S = math.radians(8.0)
 """Least turn, a root mean square, by which a wrong sense is told."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
-"""What a multirotor in the air feels: its thrust along the body's own vertical axis, and little across it."""
+"""Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it."""
 _PERSISTS_GROSS = 2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
@@ -53,7 +53,7 @@ _BIN_SHARE = 0.01
 """Weight of one bin in what is usual, in the long run: it takes ten seconds to change."""
 _SIGMAS = 5.0
 _GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
-"""What the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
+"""Errors that the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
 _INFLATED = 2.0
 """Residuals of neighbouring bins are alike."""
 _SHARE = 0.4
@@ -66,7 +66,7 @@ class LyingHalf(Struct, frozen=True):
 
     sensor: Literal["accelerometer", "gyro", "attitude"]
     what: str
-    """What it does, in words."""
+    """Description of the fault, in words."""
     well: int = 0
     """Number of bins in a row in which it agreed again."""
 
@@ -125,17 +125,17 @@ class Inertial(Struct, frozen=True):
     gyro: Half = Half()
     accel: Half = Half()
     repeats: tuple[Half, ...] = (Half(),) * 8
-    """Whether the gyro, the accelerometer, and each of their axes repeat themselves."""
+    """Repetition of the gyro, the accelerometer, and each of their axes."""
     repeating: bool = False
-    """Whether one of them does now."""
+    """True if one of them repeats itself now."""
     alive: int = 0
     """A bit for each axis that has changed in flight: one that a sensor does not have never does."""
     turn: TurnByAttitude = TurnByAttitude()
     parity: Parity = Parity()
     gyro_fault: LyingHalf | None = None
-    """What parity says of it."""
+    """Gyro fault by parity."""
     attitude_fault: LyingHalf | None = None
-    """What parity says of the attitude, which nothing can replace: nobody descends by it."""
+    """Attitude fault by parity. Nothing can replace the attitude, so there is no descent with it."""
     accel_fault: LyingHalf | None = None
     suspected: str | None = None
     """The sensor that the newest bin accused, of gyro and attitude."""
@@ -143,11 +143,11 @@ class Inertial(Struct, frozen=True):
     accel_against: int = 0
     """Number of bins in a row that accused the accelerometer."""
     named: int = 0
-    """How often parity has named a sensor."""
+    """Number of times that parity has named a sensor."""
 
     @property
     def accel_lost(self) -> bool:
-        """Whether the estimator does without the accelerometer."""
+        """True if the estimator does without the accelerometer."""
         return self.accel.frozen or self.accel_fault is not None
 
     @property

@@ -100,7 +100,7 @@ class Parity(Struct, frozen=True):
 
 
 class Slope(NamedTuple):
-    """What a witness has over the accelerometer along one axis."""
+    """Difference between a witness and the accelerometer along one axis."""
 
     value: float
     """True less measured acceleration, m/s^2."""

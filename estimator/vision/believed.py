@@ -1,4 +1,4 @@
-"""What the filter's belief says about the pad's place in a frame: where it is expected, how surely, and which places it excludes.
+"""Expected place of the pad in a frame by the filter's estimate: its position, its uncertainty and the excluded places.
 
 A fresh belief weighs in. What is found in a place that it excludes does not take the tracked pad's place, however sure it is: it
 is reported beside it (`Detection.elsewhere`), because a belief can be wrong, and the guard judges it.
@@ -34,7 +34,7 @@ search.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BelievedPlace:
-    """What the filter's belief says about places in the frame."""
+    """Expected and excluded places of the pad in the frame, by the filter's estimate."""
 
     state: RelativeState | None
     """None if it is not fresh, not consistent or not sharp: then it excludes no place."""

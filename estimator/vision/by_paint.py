@@ -54,7 +54,7 @@ class TrackerMemory:
     alike_yaw_rad: float | None = None
     """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
     lit: bool = False
-    """Whether the pad was last seen by its lamps."""
+    """True if the pad was last seen by its lamps."""
 
 
 _CLOSE_PX = 1.0
@@ -82,7 +82,7 @@ fraction of the variance that the drawing must explain there: of pads in glare o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Now:
-    """What is known when a frame is looked at."""
+    """Inputs of one frame's tracking."""
 
     tracker: TrackerConfig
     frame: Frame
@@ -125,7 +125,7 @@ class _Seen:
 
     @property
     def agrees(self) -> bool:
-        """Whether the tracked pad's edges are where it says, and not some of them on others that look alike."""
+        """True if the tracked pad's edges are at its place, and not on other edges that look alike."""
         return self.tracked is not None and self.tracked.agreement >= _AGREES
 
     def settled(self) -> _Seen:

@@ -1,4 +1,4 @@
-"""How accurately a pad can be measured in a frame, how its headings can be told apart, and how it stands out from a deck."""
+"""Accuracy with which a pad can be measured in a frame, resolution of its headings, and its contrast with a deck."""
 
 import math
 from collections.abc import Callable

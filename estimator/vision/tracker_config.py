@@ -32,7 +32,7 @@ class TrackerConfig:
     """Work of a search in one frame; what is left goes on with the next frame. In flight it is `FRAME_WORK`; inf searches each
     frame to the end."""
     motion: CameraMotion | None = None
-    """How the camera moves in this frame; None if that is not known, or if all rows are exposed at once."""
+    """Motion of the camera in this frame; None if unknown, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None
     """The trained network that is asked about what a search finds; None to ask none."""
     integrity: IntegrityOptions = field(default_factory=IntegrityOptions)

@@ -128,7 +128,7 @@ rest of the pad still fits."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
-    """What a look found, and how sure it is that this is the pad."""
+    """Verified find, with the confidence that it is this pad."""
 
     found: Looked
     confidence: float

@@ -183,7 +183,7 @@ class DroneState:
         return self._newest_flags
 
     def control_state(self, phase: VehiclePhase) -> int:
-        """The demo option's control state: major in the upper, minor in the lower 16 bits."""
+        """Return the demo option's control state: major in the upper, minor in the lower 16 bits."""
         return _WORDS[phase] | (LOST_COM if self._silent and phase is VehiclePhase.HOVERING else 0)
 
     def _obey(self, command: at.AtCommand, ids: Ids | None, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
@@ -262,7 +262,7 @@ class DroneState:
 
 
 def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
-    """The stick of a PCMD, each axis held to -1..1."""
+    """Return the stick of a PCMD, each axis limited to -1..1."""
     roll, pitch, gaz, yaw = _unit(command.roll), _unit(command.pitch), _unit(command.gaz), _unit(command.yaw)
     return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))
 
@@ -283,6 +283,6 @@ def _leds_of(value: str) -> Leds | None:
 
 
 def refusal(counters: Counter[str]) -> str | None:
-    """Why the drone did not take a configuration key; None where it took every one so far."""
+    """Return the reason why the drone refused a configuration key, or None if it took every one so far."""
     refused = (answer.value for answer in Answer if answer is not Answer.SET)
     return next((why for why in refused if counters[f"config_{why}"]), None)

@@ -57,10 +57,10 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """What a camera sees during an exposure."""
+    """View of a camera during an exposure."""
 
     pose: Pose
-    """Of the pad, in the middle of the exposure."""
+    """Pose of the pad, in the middle of the exposure."""
     scene: U16
     """(H, W, 4) everything except the pad."""
     gain: I16

@@ -268,7 +268,7 @@ class PadInImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PadBlur:
-    """What the blur of the lens makes of the pad's edges beyond what a blur of pixels makes of them, in a part of the frame."""
+    """Difference between the lens' blur of the pad's edges and a blur of pixels, in a part of the frame."""
 
     window: NDArray[np.int32]
     """(4,) first column and row of the part, and their numbers."""

@@ -59,7 +59,7 @@ MEASURES: Mapping[str, tuple[str, Callable[[Flight], float]]] = {
     "speed": ("m/s along the deck at a contact", _speed),
     "distance": ("m from the pad's centre at a contact", _distance),
 }
-"""By what the worst flights are chosen: the unit, and the measure of a flight."""
+"""Measures for choosing the worst flights: the unit, and the measure of a flight."""
 
 
 class FaultTally:

@@ -200,7 +200,7 @@ WARM_UP_FLIGHTS = 30
 """Number of flights after which the faults have gone most ways through the code once, and its caches and arenas are full."""
 FRAME_RATES_HZ = (30, 60)
 OPERATOR_WAIT_S = 15.0
-"""How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
+"""Longest wait of the pilot for an operator: nobody is there, and a scenario's time must not end before the wait."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
@@ -209,7 +209,7 @@ _DECIDED_S = 2
 
 @dataclass(frozen=True, slots=True)
 class SoakOptions:
-    """What a soak flies and how long, and what it writes."""
+    """Options of a soak: its flights, its length and its files."""
 
     seed: int
     """Seed of the first flight; each flight adds 1."""

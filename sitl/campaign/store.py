@@ -33,7 +33,7 @@ class ResultStore(Protocol):
     """Keeps the results of a campaign."""
 
     place: str
-    """Where the results are, for people."""
+    """Place of the results, for people."""
 
     def keys(self) -> set[str]:
         """Return the keys of the kept flights."""

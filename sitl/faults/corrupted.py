@@ -35,7 +35,7 @@ Values = tuple[float, ...]
 
 
 class SignalFacts(NamedTuple):
-    """What a signal is."""
+    """Properties of a signal."""
 
     axes: int
     """Number of its values; the first three are named x, y and z."""
@@ -44,7 +44,7 @@ class SignalFacts(NamedTuple):
     si: float = 1.0
     """Value of that unit in SI units and radians."""
     wraps: bool = False
-    """Whether it is an angle of a whole circle."""
+    """True if it is an angle of a full circle."""
 
 
 _DEG = math.pi / 180.0
@@ -270,7 +270,7 @@ SIZES: dict[Signal, Sizes] = {
     "ship_place": _PLACES,
     "commands": Sizes((0.02, 0.3), (0.005, 0.1), (0.1, 1.0)),
 }
-"""In the units of a scenario file."""
+"""Fault sizes in the units of a scenario file."""
 
 
 def draw(seed: int, signals: Sequence[Signal], heights_m: tuple[float, float]) -> tuple[Corrupted, ...]:

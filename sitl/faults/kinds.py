@@ -122,7 +122,7 @@ class StreamFault(Fault, frozen=True):
 
     @property
     def silent(self) -> bool:
-        """Whether nothing passes."""
+        """True if nothing passes."""
         return self.dropped_fraction >= 1.0
 
 
@@ -305,7 +305,7 @@ class TiltLimited(Fault, frozen=True, tag="tilt_limited"):
 
 
 class LinkLost(Fault, frozen=True, tag="link_lost"):
-    """Nothing passes between the vehicle and the service: no samples, no frames, no commands."""
+    """Lost link between the vehicle and the service: no samples, no frames, no commands."""
 
 
 class ServiceKilled(Fault, frozen=True, tag="service_killed"):

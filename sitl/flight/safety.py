@@ -32,7 +32,7 @@ MET_AFTER_S = 0.5
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
-"""How far above the highest height that a flight calls for is unsafe: waves and gusts do not carry a vehicle there."""
+"""Unsafe height above the highest height that a flight calls for: waves and gusts do not carry a vehicle there."""
 RECEIVERS_M = 10.0
 """Error of a height over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 SLIDE_MAX_M_S = 0.5
@@ -161,7 +161,7 @@ class MotionWatch:
 
     @property
     def unsafe(self) -> tuple[str, ...]:
-        """What of it is unsafe, one line each."""
+        """Unsafe events, one line each."""
         out = []
         if self.highest_m > self.called_for_m + TOO_HIGH_M:
             out.append(f"flew {self.highest_m:.1f} m high, where {self.called_for_m:.1f} m are the most that is called for")
@@ -316,7 +316,7 @@ class AtEnd(NamedTuple):
     held: bool = False
     """A person held it, flew it, or had ended the landing."""
     go_arounds: int = 0
-    """How often it went around."""
+    """Number of go-arounds."""
     refusal: tuple[str, str] = ("", "")
     """Words that the reason of a refusal must hold, and the reason that it gave."""
     put_down: bool = False

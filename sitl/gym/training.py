@@ -40,7 +40,7 @@ DOWN_MAX_M_S, YAW_RATE_MAX_RAD_S = 0.5, 0.6
 _TRIM_TIME_S = 2.0
 """Time constant of the trim."""
 ENDS = tuple(name.removeprefix("EPISODE_").lower() for name in SIM.names("episode_end"))
-"""How an episode ends, by the core's number."""
+"""Endings of an episode, by the core's number."""
 TERMS = tuple(name.removeprefix("REWARD_").lower() for name in list(SIM.names("reward_term"))[:-1])
 """The terms of the reward, in order."""
 WEIGHTS: Mapping[str, float] = {

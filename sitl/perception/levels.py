@@ -157,7 +157,7 @@ _AGREED = 3
 _TRUE_TILT_COV, _LEAST_COV = 1e-12 * np.eye(3), 1e-12 * np.eye(_N)
 _TRUE_TILT_COV.setflags(write=False)
 _SEEN, _LEAST_SEEN_COV = np.ix_([0, 1, 2, 6], [0, 1, 2, 6]), 1e-12 * np.eye(4)
-"""Where place and heading are in the estimate's covariance, and the least covariance of a sighting."""
+"""Indices of position and heading in the estimate's covariance, and the least covariance of a sighting."""
 
 
 class EstimateTable:

@@ -28,7 +28,7 @@ LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")
 
 
 class PerceivedWorld(Protocol):
-    """What a perception asks of the world of a flight."""
+    """Interface of a flight's world that a perception needs."""
 
     @property
     def scenario(self) -> Scenario: ...

@@ -45,7 +45,7 @@ class WrongModel(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def any(self) -> bool:
-        """Whether something differs."""
+        """True if something differs."""
         return self != WrongModel()
 
     def drawn(self, seed: int) -> "WrongModel":

@@ -39,7 +39,7 @@ class Loops:
     velocity_p: float = 5.0
     """1/s: acceleration per m/s of horizontal velocity error while hovering."""
     velocity_d: float = 1.0
-    """Per m/s^2 of acceleration."""
+    """Term per m/s^2 of acceleration."""
     velocity_i: float = 1.0
     """1/s^2. The thesis' loop has none and drifts downwind for ever; the real drone holds its place (Bristeau, Callou,
     Vissiere & Petit, The navigation and control technology inside the AR.Drone micro UAV, IFAC 2011, section 5)."""
@@ -69,7 +69,7 @@ class Avionics:
     flow_noise_time_s: float = 0.2
     flow_lag_s: float = 0.03
     flow_sees_deck: bool = True
-    """Whether the optical flow measures against the deck while over it. If False, it always measures against the still water."""
+    """True if the optical flow measures against the deck while over it. If False, it always measures against the still water."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class Airframe:
     from the middle."""
     rotor_radius_m: float = 0.10
     ground_effect: Literal["body", "rotors"] = "body"
-    """Whether the ground effect is that of what lies under the body's middle, or each rotor's own over the deck's edge."""
+    """Kind of ground effect: by the surface under the body's middle, or by each rotor's own over the deck's edge."""
     rotors_above_m: float = 0.03
     """Height of the rotor plane above the body's origin."""
     yaw_torque_per_thrust_m: float = 0.02
@@ -168,7 +168,7 @@ class FeetSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What a full stick asks for until the configuration says otherwise."""
+    """Values of a full stick until the configuration changes them."""
 
     euler_angle_max_deg: Annotated[float, number("largest tilt", "deg", 1.0, 45.0)]
     vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.1, 5.0)]

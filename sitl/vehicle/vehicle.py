@@ -34,7 +34,7 @@ _AIR_DENSITY, _THRUST_COEFFICIENT = 1.225, 0.12
 
 
 class VehiclePhase(IntEnum):
-    """What the vehicle is doing."""
+    """Phase of the vehicle's flight."""
 
     LANDED = 0
     TAKING_OFF = 1

@@ -61,7 +61,7 @@ class Manoeuvre:
         return True
 
     def __bool__(self) -> bool:
-        """Whether there is anything to add."""
+        """Return whether there is anything to add."""
         return bool(self._begun)
 
     def pad(self, t_s: F64) -> Mounted:

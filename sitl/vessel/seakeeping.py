@@ -269,12 +269,12 @@ class Turn:
     """Clockwise from above positive, not 0."""
     at_s: float
     over_s: float
-    """How long it takes until rate and speed are steady."""
+    """Time until rate and speed are steady."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """Where the ship would be without waves at times (T,), relative to its place and heading at time 0."""
+    """Course of the ship without waves at times (T,), relative to its place and heading at time 0."""
 
     p: F64
     """(T, 2) m ahead and to starboard of the first place, along the first heading."""

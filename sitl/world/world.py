@@ -245,7 +245,7 @@ class World:
 
     @property
     def reached(self) -> bool:
-        """Whether commands reach the vehicle."""
+        """True if commands reach the vehicle."""
         return not self.streams.commands.silent
 
     def active(self, kind: str) -> bool:

@@ -61,7 +61,7 @@ class TiltAxis(Struct, frozen=True):
 
 
 class AxisMeasured(Struct, frozen=True):
-    """What is measured on one axis in one cycle."""
+    """Measurements of one axis in one cycle."""
 
     p: float
     """The pad against the body by the filter, m."""

@@ -20,7 +20,7 @@ KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")
 
 
 def tail_s(o: GuidanceOptions) -> float:
-    """The time that a try under way may still take: from the gate to the deck, up again, four touches on the way, a question."""
+    """Return the time that an attempt may still take: from the gate to the deck, up again, four touches, a question."""
     climb_s = 3.0 * (o.tries.safe_height_m + 0.3) / o.tries.climb_m_s + 10.0
     once_s = o.cone.press_s + o.cone.commit_s + o.land_timeout_s + climb_s
     return o.cone.commit_s + 5.0 * once_s + 2.0 * o.tries.operator_wait_s

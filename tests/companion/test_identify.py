@@ -50,7 +50,7 @@ def gauss_markov(rng: np.random.Generator, n: int, sigma: float, time_s: float) 
 
 
 def flown(seed: int, gusts_m_s2: float) -> tuple[TiltResponse, FlightCourse]:
-    """A vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
+    """Return a vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
     rng = np.random.default_rng(seed)
     true = structs.replace(
         GIVEN.tilt,

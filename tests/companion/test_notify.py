@@ -1,4 +1,4 @@
-"""What systemd is told, over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
+"""Notifications to systemd over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
 
 import asyncio
 import itertools

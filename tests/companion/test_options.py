@@ -76,7 +76,7 @@ TABLES = {
 
 
 def classes() -> Iterator[type]:
-    """Every options class of the packages that fly."""
+    """Yield every options class of the packages that fly."""
     for package in (companion, drivers, estimator):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if found.name.startswith("companion.cli") or found.name.endswith("__main__"):

@@ -1,4 +1,4 @@
-"""Nothing dead or implausible keeps it flying down: guard, estimator and guidance together, over random histories of faults.
+"""Dead or implausible inputs never keep the drone flying down: guard, estimator and guidance over random faults.
 
 A body follows the commands; what it senses is frozen, displaced, misstamped, beyond reason or missing for spells drawn at random.
 """

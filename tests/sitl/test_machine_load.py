@@ -22,7 +22,7 @@ SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 
 
 
 def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
-    """A demo of 30 s in which guidance cycles came that much late."""
+    """Return a demo of 30 s in which guidance cycles came that much late."""
     health = Health(SystemClock())
     health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
     for _ in range(9):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def make_certificates(folder: Path) -> None:
-    """A CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
+    """Make a CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
 
     def openssl(*words: str) -> None:
         subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)

@@ -20,7 +20,7 @@ _STALL = -errno.EPIPE
 
 
 class Function(Protocol):
-    """What sits behind the bus."""
+    """USB function behind the bus."""
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
         """Answer to a request on endpoint 0; None stalls it."""

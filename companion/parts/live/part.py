@@ -183,14 +183,14 @@ class LiveFeed(NullObserver):
 
 
 _WAITING_BYTES = 4 << 20
-"""What may wait for a slow viewer, bytes; the oldest is dropped."""
+"""Most bytes that wait for a slow viewer; the oldest are dropped."""
 _REQUESTS_EACH_S = 100
 _REFUSALS_MAX = 20
 """Requests that are refused before the connection is closed."""
 
 
 class LiveServer(Protocol):
-    """What a viewer needs of the endpoint."""
+    """Interface of the endpoint that a viewer needs."""
 
     clock: Clock
     topics: tuple[str, ...]
@@ -310,7 +310,7 @@ class LiveViewer:
 log = logging.getLogger(__name__)
 
 _ALIVE_S = 4.0
-"""How often a viewer is asked whether it is still there; half of it without an answer ends the connection."""
+"""Interval of pings to a viewer, s; half of it without an answer ends the connection."""
 
 
 class FoxgloveEndpoint:

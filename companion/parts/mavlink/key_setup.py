@@ -42,9 +42,9 @@ class Met:
     stack: str
     armed: bool
     signs: bool
-    """Whether the autopilot's messages are signed, by whatever key."""
+    """True if the autopilot's messages are signed, by whatever key."""
     old_version: bool
-    """Whether it speaks MAVLink 1 even to one who speaks 2: such messages carry no signature."""
+    """True if it uses MAVLink 1 even towards MAVLink 2 peers: such messages carry no signature."""
 
 
 async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | None, clock: Clock, seconds: float) -> Met:

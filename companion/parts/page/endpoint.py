@@ -69,7 +69,7 @@ _LOGIN_S = 3.0
 _WRONG_TOKEN_S = 1.0
 """A wrong token is answered after this time."""
 _ALIVE_S = 4.0
-"""How often a browser is asked whether it is still there; half of it without an answer ends the connection."""
+"""Interval of pings to a browser, s; half of it without an answer ends the connection."""
 _ATTITUDE_S = 1.0
 _LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60

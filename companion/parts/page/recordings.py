@@ -47,7 +47,7 @@ _BYTES_MAX = 400_000_000
 """Recordings beyond this, some four minutes with pictures, would take too much of a small computer's memory."""
 _NICE = 19
 _OOM_SCORE = 500
-"""Where memory runs short the kernel ends the report, not the service."""
+"""If memory runs short the kernel ends the report, not the service."""
 
 
 class ReportMaker:

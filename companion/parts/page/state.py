@@ -1,4 +1,4 @@
-"""What the page shows of the flight: the place of drone and deck, what is wrong, the live picture. Values in, values out."""
+"""State of the flight that the page shows: the place of drone and deck, faults, the live picture. Values in, values out."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ from estimator.vision.pad import Pad
 # Lines instead of painted pixels stay sharp on any screen, can be switched off, and cost the drone's computer no drawing.
 
 AHEAD_S = (1.0, 2.0)
-"""How far ahead the deck is drawn, s; the drone is taken to keep its velocity."""
+"""Horizons at which the deck is drawn, s; the drone is assumed to keep its velocity."""
 _CHI2_95 = 5.991
 """95 % quantile of the chi-square distribution with two degrees of freedom."""
 _FAR_PX = 4000.0

@@ -1,4 +1,4 @@
-"""What the page offers beside the flight: tools that answer requests of browsers, each with work of its own."""
+"""Tools that the page offers beside the flight: each answers requests of browsers, and does its own work."""
 
 from typing import Protocol
 

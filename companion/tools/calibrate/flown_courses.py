@@ -1,4 +1,4 @@
-"""What was asked of a vehicle in a recording and what it reported: the courses that its response is identified from."""
+"""Commanded and reported motion of a vehicle in a recording, from which its response is identified."""
 
 import itertools
 import math
@@ -32,7 +32,7 @@ class FlownCourses:
     tilt: FlightCourse | None
     climb: FlightCourse | None
     by_accelerometer: bool
-    """Whether the vertical speed is the integral of the accelerometer, because the vehicle reports none."""
+    """True if the vertical speed is the integral of the accelerometer, because the vehicle reports none."""
     leans: int
     """Number of commands that ask for a tilt."""
     velocities: int

@@ -185,7 +185,7 @@ _DELAY_MAX_S = 0.28
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountFit:
-    """What a flight tells."""
+    """Camera mount that a flight yields."""
 
     values: F64
     """(13,), see `MOUNT` and so on."""

@@ -54,7 +54,7 @@ _TERMS = {
 """Terms of the distortion that a model estimates: the first ones of its coefficients."""
 LensChoice = Literal["auto", "brown", "fisheye"]
 _STRONG = 10.0
-"""How much less a fisheye's criterion must be than that of Brown's lens to be taken: very strong evidence in Raftery's table."""
+"""Least advantage of a fisheye's criterion over that of Brown's lens: very strong evidence in Raftery's table."""
 _DRAWS = 400
 """Draws of the bootstrap."""
 _CONDITION = 1e-10

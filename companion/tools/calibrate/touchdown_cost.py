@@ -1,4 +1,4 @@
-"""What an error of calibration costs at touchdown: centimetres beside the pad's centre, and speed by the climb.
+"""Cost of a calibration error at touchdown: centimetres beside the pad's centre, and speed by the climb.
 
 A camera that is turned by an angle sees the pad beside its place by the angle times the distance. Lower than
 `LAST_SIGHTING_M` the pad fills the frame, and the filter carries on by the IMU. A delay shows the pad where it was, beside its
@@ -34,7 +34,7 @@ from estimator.core.library import CORE
 
 LAST_SIGHTING_M = 0.4
 DELAY_SPEED_M_S = 0.9
-"""What a second of delay would cost: 50 ms added 4.7 cm rms to ten landings of the scenario demo."""
+"""Cost of a second of delay: 50 ms added 4.7 cm rms to ten landings of the scenario demo."""
 TURN_RATE_RAD_S = 0.25
 """Rate of roll and pitch while the vehicle follows a deck."""
 APPROACH_M = 3.0
@@ -95,7 +95,7 @@ _V, _DECK, _DECK_ACCEL, _UNKNOWN, _GUST, _SPEED, _ACCEL, _PUSHED, _UNDER_WAY = r
 
 
 class HeaveDisturbances(NamedTuple):
-    """What disturbs the climb at sea state 4, near the deck.
+    """Disturbances of the climb at sea state 4, near the deck.
 
     The deck's speed and frequency are the means of twelve flights of `sea_state_4`; its band, the gust and the rest are assumed.
     """
@@ -237,12 +237,12 @@ class ClimbCost(NamedTuple):
 
     @property
     def cost_m_s(self) -> float:
-        """How much faster the one contact in forty is; 0 if it is no faster."""
+        """Excess speed of one contact in forty; 0 if it is no faster."""
         return max(0.0, self.by_file.hard_m_s - self.own.hard_m_s)
 
     @property
     def cost_cm(self) -> float:
-        """What the error of the climb adds to the drift, in squares; 0 if it does no harm."""
+        """Further drift by the climb's error, in squares; 0 if it does no harm."""
         return math.sqrt(max(0.0, self.by_file.drift_cm**2 - self.own.drift_cm**2))
 
 
@@ -296,13 +296,13 @@ class ResponseCost(NamedTuple):
     """Root mean square distance from the pad's centre at touchdown, both axes."""
 
     error_cm: float
-    """By the file's response; inf if the loop is unstable."""
+    """Error by the file's response; inf if the loop is unstable."""
     own_cm: float
-    """By the vehicle's own."""
+    """Error by the vehicle's own response."""
 
     @property
     def cost_cm(self) -> float:
-        """What the error of the response adds, in squares; 0 if it does no harm."""
+        """Further drift by the response's error, in squares; 0 if it does no harm."""
         return math.sqrt(max(0.0, self.error_cm**2 - self.own_cm**2))
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # the dialect is large, and a service without an autopilot do
     from drivers.mavlink.autopilot import Autopilot
 
 LISTENING_S = 4.0
-"""How long messages are counted."""
+"""Time for which messages are counted."""
 _LOOKS_S = 0.1
 TOOK_OFF = "the vehicle took off, which ends the examination"
 

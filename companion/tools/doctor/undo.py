@@ -32,7 +32,7 @@ class PlannedWrite(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class UndoFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """What was about to be written, in that order; it exists before the first write."""
+    """Parameters before a repair, in the order of the writes; the file exists before the first write."""
 
     autopilot: str
     system: int
@@ -83,13 +83,13 @@ OnResult = Callable[["WriteResult"], None]
 
 @dataclass(frozen=True, slots=True)
 class WriteResult:
-    """What became of one planned write."""
+    """Result of one planned write."""
 
     planned: PlannedWrite
     value: float | None
     """The parameter's value as read last; None if it was not answered."""
     refused: str | None = None
-    """Why the parameter does not have the planned value; None if it has."""
+    """Reason why the parameter does not have the planned value; None if it has."""
 
 
 async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:

@@ -32,7 +32,7 @@ class Machine:
 
     @property
     def is_this(self) -> bool:
-        """Whether it is the computer that runs this program, not the root of another."""
+        """True if it is the computer that runs this program, not the root of another."""
         return self.root == Path("/")
 
     def path(self, inside: str) -> Path:

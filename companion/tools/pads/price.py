@@ -40,7 +40,7 @@ _EACH = 6
 _FOUND = 0.8
 """Share of those in which it has to be found."""
 _ALL = 1e-6
-"""What a drawing has to tell where all finds count."""
+"""Least support of a drawing if all finds count."""
 _TOP, _LEAST_SCALE = 0.06, 0.7
 """Share of the views whose log-odds show how fast they fall, and the least of that: so few views do not show less."""
 _BY_COUNT = 0.01
@@ -56,7 +56,7 @@ _TAKEN_PX = (24.0, 48.0)
 
 @dataclass(frozen=True, slots=True)
 class Price:
-    """What a search for a pad costs in clutter."""
+    """Cost of a pad in clutter: how often a search finds it where it is not."""
 
     views: int
     per_1000: tuple[float, float]
@@ -104,7 +104,7 @@ class _Find(NamedTuple):
     log_odds: float
     """Those of its edges and its light alone."""
     support: float
-    """What the drawing tells there, times the share that follows it."""
+    """Support that the drawing gives there, times the share that follows it."""
 
 
 def _finds(pad: Pad, px: U8, level: bool) -> list[_Find]:
@@ -136,7 +136,7 @@ def _surest(views: Sequence[Sequence[_Find]], least_support: float) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class _Tail:
-    """What clutter tells where its edges and its light alone would make it a pad: of so many views, and how much on average."""
+    """Clutter whose edges and light alone would make it a pad: the number of views, and the average support."""
 
     share: float
     mean: float

@@ -23,12 +23,12 @@ U8 = NDArray[np.uint8]
 
 RATE_HZ = 8
 SPEED = 2.0
-"""How many seconds of flight pass in a second of the image."""
+"""Seconds of flight in a second of the image."""
 _FILM_WIDTH_PX = 440
 _SIDE_PX = 200
 _STRIP_PX = 96
 _STILL_S = 3.0
-"""How long the last image stays before the animation begins again."""
+"""Duration of the last image before the animation begins again, s."""
 _COLOURS = 96
 _INK, _PALE, _PAPER = (230, 230, 230), (110, 110, 110), (32, 26, 22)
 _ABOVE_M = 1.0

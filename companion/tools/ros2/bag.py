@@ -13,7 +13,7 @@ from companion.tools.ros2.typestore import require_rosbags, typestore
 from estimator.contracts.errors import BadInput
 
 _METADATA_VERSION: Final = 8
-"""What ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
+"""Version that ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
 
 
 def export(recording: Recording, folder: Path) -> dict[str, int]:

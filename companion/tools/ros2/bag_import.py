@@ -27,7 +27,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 _LATEST_S = 5.0
 """A header whose stamp is older than this when its message is written is of another clock."""
 _DOWN = ("down", "rangefinder", "altimeter")
-"""What the topic or frame of a range is called that looks down; a message itself does not say."""
+"""Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
 _KINDS: Final = {
     "sensor_msgs/msg/Imu": "IMU", "sensor_msgs/msg/Range": "range", "sensor_msgs/msg/Image": "camera",
     "sensor_msgs/msg/CompressedImage": "camera", "geometry_msgs/msg/TwistWithCovarianceStamped": "velocity",

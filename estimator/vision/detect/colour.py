@@ -1,4 +1,4 @@
-"""How much more of the disc's own colour a place has than others: one more image to search, where there is colour.
+"""Image of the disc's own colour: its excess at each place over other places. It is searched too, if there is colour.
 
 The measure is the logarithm of the disc's dominant channel minus that of the stronger of the other two. A change of brightness,
 colour temperature or white balance shifts it by the same amount all over the frame.

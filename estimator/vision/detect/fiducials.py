@@ -35,7 +35,7 @@ _CORNER_PX = 0.7
 _TILT_RAD = math.radians(4.0)
 """Standard deviation of the tilt between the deck and a vehicle of known attitude."""
 _SAME_SIDES = 0.25
-"""What the corners of a fiducial may be off from where another one's pose has them, in its sides in the frame."""
+"""Largest distance of a fiducial's corners from their place by another fiducial's pose, in its sides in the frame."""
 _MIRRORED = 6.0
 """Difference of two squared errors, in variances, below which a pose and its mirror image are both tried."""
 _UNIT = np.eye(3)
@@ -60,7 +60,7 @@ class FiducialPose(NamedTuple):
 
     pose: PadPose
     off_px: float
-    """What the pad's farthest edge in view may be off by, from errors of the corners alone."""
+    """Largest error of the pad's farthest visible edge by errors of the corners alone, px."""
 
 
 def fiducial_poses(grey: U8, camera: Camera, pad: Pad, plane: Plane, window_px: int) -> list[FiducialPose]:

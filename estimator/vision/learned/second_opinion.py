@@ -57,7 +57,7 @@ class Patch:
     frame: U8
     """Blue, green and red, (SIDE, SIDE, 3)."""
     seen: NDArray[np.bool_]
-    """What is in the frame and under no cover, (SIDE, SIDE)."""
+    """Mask of the points in the frame that nothing covers, (SIDE, SIDE)."""
     drawn: U8
     """The drawing's blue, green, red and what share of a sample the pad's file tells the paint of, (SIDE, SIDE, 4)."""
     pixel: float

@@ -116,7 +116,7 @@ class ReadCells(NamedTuple):
     agreement: float
     """1 if they are as drawn, 0 by chance; 1 if none is read."""
     clear: float
-    """How many are resolved: each counts by the square of its contrast in the blurred drawing."""
+    """Number of resolved features: each counts by the square of its contrast in the blurred drawing."""
     in_view: int
 
 

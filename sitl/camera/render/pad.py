@@ -53,7 +53,7 @@ _BUDGET = 16_000
 _PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "triangle": 4, "letter": 4, "fiducial": 4}
 """Index in `pad_paint_kind` of the paint of each part."""
 _UPPER = 5
-"""That of lettering of a second paint."""
+"""Index of the upper side of lettering of a second paint."""
 
 Pose = tuple[F64, F64]
 """Rotation (3, 3) of the pad and its centre (3,) m in `cam`."""
@@ -76,7 +76,7 @@ class Stroke:
 
     @property
     def in_front(self) -> bool:
-        """Whether the camera sees the pad's upper side all the time."""
+        """True if the camera sees the pad's upper side all the time."""
         poses = (self.middle,) if self.first is self.middle is self.last else (self.first, self.middle, self.last)
         return all(float(R[:, 2].dot(t)) > 1e-3 for R, t in poses)
 

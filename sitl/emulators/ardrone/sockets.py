@@ -15,7 +15,7 @@ Address = tuple[str, int]
 
 NAVDATA_CLIENTS_MAX = 8
 NAVDATA_LEASE_S = 10.0
-"""How long a navdata client is served after it was heard of last; every client asks again when navdata stops."""
+"""Time for which a navdata client is served after its last datagram; every client repeats its request when navdata stops."""
 CONTROL_CLIENTS_MAX = 8
 _BACKLOG_MAX = 1 << 18
 _VIDEO_SEND_BUFFER = 1 << 16
@@ -107,7 +107,7 @@ class VideoPort:
 
     @property
     def busy(self) -> bool:
-        """Whether somebody is watching."""
+        """True if somebody is watching."""
         return self._client is not None
 
     async def listen(self, host: str, port: int, stack: AsyncExitStack) -> int:
@@ -163,7 +163,7 @@ class VideoDatagramPort(asyncio.DatagramProtocol):
 
     @property
     def busy(self) -> bool:
-        """Whether somebody is watching."""
+        """True if somebody is watching."""
         if self._client is not None and seconds_between(self._client[1], self._now()) > NAVDATA_LEASE_S:
             self._client = None
             self._counters["video_client_expired"] += 1

@@ -1,4 +1,4 @@
-"""What an autopilot's parameters differ in from its firmware's defaults: which, by the names and units of each release."""
+"""Differences of an autopilot's parameters from its firmware's defaults, by the names and units of each release."""
 
 import pytest
 

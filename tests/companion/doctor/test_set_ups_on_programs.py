@@ -37,7 +37,7 @@ CASES = [(stack, name) for stack, names in DANGEROUS.items() for name in names]
 
 
 OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
-"""What a program's own start-up for simulations sets wrongly: PX4's makes 3 of COM_LOW_BAT_ACT, whatever it was told."""
+"""Wrong settings of a program's own start-up for simulations: PX4's sets COM_LOW_BAT_ACT to 3 in every case."""
 
 
 @asynccontextmanager

@@ -84,7 +84,7 @@ class Aircraft(MiniatureAutopilot):
         self.p_ned, self.v_ned = state.p_ned, state.v_ned
 
     def frame(self) -> Frame:
-        """What the camera sees now."""
+        """Return the frame that the camera sees now."""
         measured_at = after(self._since, self.body.t_s)
         image = self.body.expose()()
         self.images += 1

@@ -1,4 +1,4 @@
-"""Who has the vehicle, and what is sent in each period."""
+"""Holder of the vehicle, and the message that is sent in each period."""
 
 import math
 
@@ -33,7 +33,7 @@ class Flight:
         self.streamer.on_condition(self.condition)
 
     def periods(self, seconds: float, command: Velocity | Hover | Land | None = None, *, seen: bool = True) -> list[Message]:
-        """Every message of that long at 25 Hz, the command repeated in each period."""
+        """Return every message of that long at 25 Hz, the command repeated in each period."""
         out: list[Message] = []
         for _ in range(round(seconds * 25)):
             self.now = MonoNs(self.now + S // 25)

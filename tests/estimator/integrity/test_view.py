@@ -24,7 +24,7 @@ def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.
 def watched(
     seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0
 ) -> Iterator[ViewWatch]:
-    """The watch after each sighting; the camera turns bearings in the body by `mirror`."""
+    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`."""
     rng = np.random.default_rng(seed)
     state = ViewWatch()
     phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)

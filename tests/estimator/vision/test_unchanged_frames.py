@@ -1,4 +1,4 @@
-"""What is found in some frames is what it was: places, their deviations, evidence, scores.
+"""Finds in some frames are unchanged: places, their deviations, evidence, scores.
 
 WHY: constants of search, alignment, registration and lamps are tuned on thousands of frames. Another value breaks no property and
 must not come unseen. WHAT: frames by day from 0.3 to 12 m, searched from cold and looked at from the truth, and by night.

@@ -76,7 +76,7 @@ async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer:
 
 @pytest.mark.parametrize(("demo", "low_hz", "high_hz"), [("TRUE", 13.0, 18.0), ("FALSE", 170.0, 215.0)])
 async def test_rates(server: ArDroneServer, peer: Peer, world: PointMass, demo: str, low_hz: float, high_hz: float) -> None:
-    """In the drone's own time, which a busy machine does not stretch."""
+    """Rates are in the drone's own time, which a busy machine does not stretch."""
     peer.ask()
     await peer.configure("general:navdata_demo", demo)
     first = (await peer.on_message()).sequence

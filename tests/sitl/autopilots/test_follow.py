@@ -43,7 +43,7 @@ def attitude(seconds: float) -> Attitude:
 
 
 def truth(kind: str, p: F64) -> Message:
-    """What a simulator says of a place: in steps of 1e-7 degrees."""
+    """Return a simulator's report of a place, in steps of 1e-7 degrees."""
     lat = LAT + math.degrees(p[0] / EARTH_M)
     lon = LON + math.degrees(p[1] / (EARTH_M * math.cos(math.radians(LAT))))
     q = [1.0, 0.0, 0.0, 0.0]

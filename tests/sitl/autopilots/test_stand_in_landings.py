@@ -85,7 +85,7 @@ async def test_it_finds_the_ship_by_her_reports_and_lands(tmp_path: Path) -> Non
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the speeds over the ground alone this one is not felt: it goes around after it."""
+    """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
     scenario = load("sea_state_5")
     program = AutopilotProgram("px4", None)

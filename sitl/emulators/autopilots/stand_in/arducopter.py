@@ -42,7 +42,7 @@ class LowPass:
 
     @property
     def value(self) -> F64:
-        """What has passed the filter."""
+        """Output of the filter."""
         return self._out[0]
 
     def step(self, value: F64, cutoff_hz: float) -> None:

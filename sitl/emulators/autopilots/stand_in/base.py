@@ -73,7 +73,7 @@ class MiniatureAutopilot:
     unsupported: set[int] = field(default_factory=set)
     """Messages whose stream is refused."""
     distance_cm: int | None = None
-    """Of its rangefinder, or echoed from us."""
+    """Distance of its rangefinder, or echoed from us."""
     deaf: bool = False
     """Hears commands and answers none."""
     silent: bool = False
@@ -130,7 +130,7 @@ class MiniatureAutopilot:
         return mav.MAVLink_heartbeat_message(2, kind, base, custom_mode(self.stack, self.mode), 4 if self.armed else 3, 3)
 
     def set_mode(self, name: str) -> None:
-        """As a person would by the remote control."""
+        """Set the mode as a person would by the remote control."""
         self.mode = name
         self.send(self.heartbeat())
 

@@ -42,8 +42,7 @@ _NO_POSITION = "Arming denied: Resolve system health failures first"
 """The words that came in two chunks; the second held one letter."""
 _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
 _LOW_THRUST, _NO_THRUST = 0.6, 0.1
-"""How far above the least thrust, on the way to that of hovering, the land detector takes contact with the ground for possible,
-and the thrust for none."""
+"""Thrusts of the land detector between the least and hovering: possible contact with the ground, and no thrust."""
 _WANTS_UP_M_S = 0.3
 
 
@@ -120,7 +119,7 @@ class Px4StandIn(StandIn):
 
     @property
     def ground_contact(self) -> bool:
-        """Whether its land detector takes it to touch the ground."""
+        """True if its land detector reports contact with the ground."""
         return self._contact_s >= self.parameter("LNDMC_TRIG_TIME") / 3.0
 
     # What it does

@@ -112,4 +112,4 @@ class Algebra:
 
 
 ALGEBRA = Algebra(N)
-"""For the filter's error state."""
+"""Algebra of the filter's error state."""
