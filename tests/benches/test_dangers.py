@@ -64,7 +64,7 @@ def test_the_table_has_a_row_for_each_fault_with_what_was_unsafe() -> None:
     assert b == "| b | 2 | pad | 2 on pad (landed) | no | pad, 10 cm off (seed 1); hardest 0.40 m/s |  |"
 
 
-def test_it_flies_the_asked_seeds_of_the_asked_faults(
+def test_it_flies_the_requested_seeds_of_the_requested_faults(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flights = Flights()
@@ -74,7 +74,7 @@ def test_it_flies_the_asked_seeds_of_the_asked_faults(
     assert "vision: registration; settings: sim; seeds: 211 to 212\n" in capsys.readouterr().out
 
 
-def test_a_run_that_is_told_to_end_says_so_and_the_next_one_goes_on_with_it(
+def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     words = ("--only", "imu_spike", "battery_low", "--out", str(tmp_path / "flights.jsonl"))

@@ -87,7 +87,7 @@ def test_a_known_camera_is_recovered(
         assert cv2.imread(str(figures / name)) is not None
 
 
-def test_a_poor_set_is_refused_and_told_what_it_lacks(
+def test_a_poor_set_is_refused_and_its_lacks_are_reported(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "camera.toml"

@@ -35,7 +35,7 @@ def test_a_wrong_mount_and_delay_are_found_within_their_sigmas(seed: int, later_
     assert found.sigma[DELAY] < 0.0015
 
 
-def test_a_hover_without_leans_and_turns_is_refused_with_what_it_lacks() -> None:
+def test_a_hover_without_tilts_and_turns_is_refused_with_what_it_lacks() -> None:
     result = flight_result(flights.flight(3, TURNED, 0.02, lean_deg=0.2, turn_deg=0.0, seconds=30.0))
     assert "degrees only" in (result.mount_refusal() or "")
     assert "ms only" in (result.delay_refusal() or "")
@@ -45,7 +45,7 @@ def test_a_hover_without_leans_and_turns_is_refused_with_what_it_lacks() -> None
         assert lack in lacks
 
 
-def test_a_deck_that_rolls_is_said_and_widens_the_sigmas() -> None:
+def test_a_deck_that_rolls_is_reported_and_widens_the_sigmas() -> None:
     ashore = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0))
     on_deck = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0, deck_deg=2.0))
     assert np.all(on_deck.mount_sigma_deg > 1.5 * ashore.mount_sigma_deg)

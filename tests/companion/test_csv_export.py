@@ -45,7 +45,7 @@ def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, c
     assert not any(name.startswith(("camera", "scene", "tf", "pose")) for name in names), "drawings for viewers are left out"
 
 
-def test_what_cannot_be_written_or_is_damaged_is_said(
+def test_what_cannot_be_written_or_is_damaged_is_reported(
     flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")

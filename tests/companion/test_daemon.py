@@ -319,7 +319,7 @@ async def test_a_bug_of_ours_is_loud_and_leaves_the_vehicle_in_its_hover(monkeyp
     assert vehicle.left_hovering == 1
 
 
-async def test_it_ends_with_the_flight_when_told_so() -> None:
+async def test_it_ends_with_the_flight_when_ordered() -> None:
     vehicle = FakeVehicle()
     daemon = daemon_of(vehicle.open, once=True)
 

@@ -236,7 +236,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
     assert named in err
 
 
-def test_both_opinions_are_printed_where_a_second_one_is_asked(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0
     alone, both = records(capsys)

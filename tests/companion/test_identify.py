@@ -80,7 +80,7 @@ def fitted(course: FlightCourse) -> TiltFit:
     return fit
 
 
-def test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms() -> None:
+def test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms() -> None:
     # Why: softer gains end where the delay is said to be known, so what is said has to be true.
     errors, sigmas = [], []
     for seed in range(60):
@@ -106,7 +106,7 @@ def test_little_motion_is_never_a_wrong_delay_that_is_sure(seed: int, gusts_m_s2
         assert found.delay_sigma_s > 0.06
 
 
-def test_lag_and_delay_of_the_climb_are_told_apart() -> None:
+def test_lag_and_delay_of_the_climb_are_distinguished() -> None:
     n, delay, lag = 600, 9, 0.5
     u = np.repeat([0.0, 0.5, 0.9, 0.2, -0.4, 0.5], 100)
     v, rng = np.zeros(n), np.random.default_rng(4)
@@ -232,7 +232,7 @@ def test_the_flight_itself_found_the_longer_delay_and_flew_by_it(recordings: dic
     assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.KNOWN]
 
 
-def test_what_cannot_be_identified_is_said_in_one_line(
+def test_what_cannot_be_identified_is_reported_in_one_line(
     recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rough, pid = str(recordings["rough"]), str(recordings["pid"])
@@ -340,7 +340,7 @@ def test_the_climb_of_a_landing_is_found_after_a_flight_by_hand(by_hand_s: float
 
 
 @pytest.mark.parametrize(("seconds", "code", "said"), [(20.0, 1, "too little motion"), (4.0, 2, "overlap by less than 4 s")])
-def test_a_flight_that_tells_nothing_writes_no_file(
+def test_a_flight_without_information_writes_no_file(
     seconds: float, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     still, out = tmp_path / "still.mcap", tmp_path / "mine.toml"

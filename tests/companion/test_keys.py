@@ -144,7 +144,7 @@ async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys
     assert "no autopilot is heard" in capsys.readouterr().err
 
 
-async def test_a_link_of_mavlink_1_gets_no_key_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+async def test_a_link_of_mavlink_1_gets_no_key_and_gives_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = made(tmp_path)
     async with lockable(old_version=True) as (autopilot, url):
         assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(path)) == 2

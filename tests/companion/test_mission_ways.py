@@ -49,7 +49,7 @@ def test_all_visits_to_a_leg_share_its_time(state: State, name: str) -> None:
         assert found == ((ReasonCause.STATE_TIME, spent_s, 45.0) if over else None)
 
 
-def test_all_visits_to_the_gate_share_one_wait_and_what_kept_it_shut_is_told() -> None:
+def test_all_visits_to_the_gate_share_one_wait_and_what_kept_it_shut_is_reported() -> None:
     for waited_s, over in ((20.0, False), (20.001, True)):
         p = memory(State.GATE, 1.0, attempt=Attempt(at_gate_s=waited_s))
         found = figures(of(Event.TIMEOUT, p, cycle(seen())))
@@ -224,7 +224,9 @@ def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_s
 @pytest.mark.parametrize(
     ("since_s", "unheard_s", "climbs"), [(1.99, 0.0, True), (2.01, 0.0, False), (3.0, 1.01, True), (None, 0.0, True)]
 )
-def test_while_it_is_asked_it_climbs_to_the_safe_height_first(since_s: float | None, unheard_s: float, climbs: bool) -> None:
+def test_while_the_operator_decides_it_climbs_to_the_safe_height_first(
+    since_s: float | None, unheard_s: float, climbs: bool
+) -> None:
     since = None if since_s is None else ns(NOW - since_s)
     p = memory(State.ANOTHER_PAD, since=since, unheard_s=unheard_s)
     assert climbs_from_question(p, ns(NOW), OPTIONS) is climbs

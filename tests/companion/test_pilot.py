@@ -110,7 +110,7 @@ def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -
     assert cockpit.tick(sighted=False) == Hover()
 
 
-def test_it_waits_for_the_start_when_told_to() -> None:
+def test_it_waits_for_the_start_when_ordered() -> None:
     cockpit = Cockpit(automatic=False)
     assert not any(sinks(cockpit.tick(sighted=True)) for _ in range(50))
     cockpit.pilot.begin()

@@ -38,7 +38,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls
     return path, record_to(path, seconds=1.2, frames="png")
 
 
-def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
+def test_everything_reported_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
     path, told = flown
     recording = open_recording([path])
     events = list(recording.events())

@@ -165,7 +165,7 @@ def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, Ob
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
+def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(
     flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     part = tmp_path / "cut.mcap"

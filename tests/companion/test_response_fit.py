@@ -246,14 +246,14 @@ def tilt_course(frequency_rad_s: float, damping: float) -> TiltFit:
     return fitted(FlightCourse(u, out, np.arange(600) > 0))
 
 
-def test_of_a_climb_that_asked_for_nothing_lag_and_gain_stay_where_the_search_began() -> None:
+def test_of_a_climb_that_requested_nothing_lag_and_gain_stay_where_the_search_began() -> None:
     still = FlightCourse(np.zeros((600, 1)), lasting(np.random.default_rng(5), (600, 1), 0.05, 0.9)[:, :1], np.arange(600) > WARM)
     found = fit_climb(still, GIVEN.climb)
     assert found is not None
     assert found.fitted.values[1:] == pytest.approx([math.log(GIVEN.climb.lag_s), 0.0], abs=0.02)
 
 
-def test_of_a_flight_that_tells_little_most_stays_where_the_search_began() -> None:
+def test_of_a_flight_that_reports_little_most_stays_where_the_search_began() -> None:
     n = 600
     u = 0.004 * asked(7, n)
     y = answered(TRUE, u) + lasting(np.random.default_rng(7), (n, 2), 0.08, 0.9)

@@ -61,7 +61,7 @@ def test_the_delay_that_is_flown_with_stays_on_the_page_of_metrics() -> None:
     assert value(page, "decklander_response_longer_seconds") == 0.1
 
 
-def test_the_ground_station_hears_of_a_contradiction_only() -> None:
+def test_the_ground_station_learns_of_a_contradiction_only() -> None:
     class Nobody:
         def __getattr__(self, name: str) -> Any:
             raise AssertionError(name)

@@ -119,7 +119,7 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
 
 
 @pytest.mark.parametrize(("delay_s", "too_late"), [(0.3, False), (0.38, False), (0.45, True)])
-def test_a_delay_that_nothing_can_fly_with_is_told_after_two_fits(delay_s: float, too_late: bool) -> None:
+def test_a_delay_that_nothing_can_fly_with_is_reported_after_two_fits(delay_s: float, too_late: bool) -> None:
     u = leans(3, 16.0, 0.6)
     watch = begun(GIVEN.tilt, KNOWN_S)
     for before, after in watched(watch, u, answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, 3)):
@@ -321,7 +321,7 @@ def identified_by(guidance: GuidanceOptions, tilt: TiltResponse, **other: Any) -
     return identifier, told
 
 
-def test_softer_gains_and_a_contradiction_are_told_once_each() -> None:
+def test_softer_gains_and_a_contradiction_are_reported_once_each() -> None:
     identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt)
     assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
     assert identifier.in_use is told[-1]
@@ -332,13 +332,13 @@ def test_softer_gains_and_a_contradiction_are_told_once_each() -> None:
 
 
 @pytest.mark.parametrize("state", [State.STANDBY, State.PRESS, State.DOWN, State.LANDED])
-def test_a_drone_that_touches_something_tells_nothing(state: State) -> None:
+def test_a_drone_that_touches_something_reports_nothing(state: State) -> None:
     identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
     assert told == []
     assert identifier.in_use == ASSUMED
 
 
-def test_a_hover_asks_for_no_tilt_and_tells_nothing() -> None:
+def test_a_hover_requests_no_tilt_and_reports_nothing() -> None:
     _, told = identified_by(GuidanceOptions(), GIVEN.tilt, command=Hover())
     assert [one.state for one in told] == [ResponseState.ASSUMED]
 

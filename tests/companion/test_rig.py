@@ -188,7 +188,7 @@ CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/
     ("links", "level"),
     [("udpin://0.0.0.0:14550", "WARNING"), ("serial:///dev/ttyAMA0:57600, tcp://127.0.0.1:5760", "INFO")],
 )
-def test_links_that_are_not_signed_are_told_of_with_the_cure(
+def test_links_that_are_not_signed_are_reported_with_the_cure(
     links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     caplog.set_level("INFO")

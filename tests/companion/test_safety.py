@@ -180,7 +180,7 @@ def test_without_a_fault_it_lands() -> None:
     assert loop.d[2] < 0.45
 
 
-def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
+def test_a_camera_that_freezes_is_refused_reported_and_not_descended_by() -> None:
     loop = Loop()
     loop.until(below(1.5, loop))
     told = loop.until(lambda decision: IntegrityAlert.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
@@ -222,7 +222,7 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
         ("stamps old", IntegrityAlert.STAMPS),
     ],
 )
-def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, alert: IntegrityAlert) -> None:
+def test_what_is_dead_or_contradicts_stops_the_descent_and_is_reported(fault: str, alert: IntegrityAlert) -> None:
     loop = Loop()
     loop.until(below(1.8, loop))
     loop.until(lambda decision: alert.value in decision.reason, fault, seconds=2.0)
@@ -235,7 +235,7 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, a
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
-def test_half_an_imu_that_is_dead_is_told_and_after_a_second_nobody_descends_until_it_lives() -> None:
+def test_half_an_imu_that_is_dead_is_reported_and_after_a_second_nobody_descends_until_it_lives() -> None:
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     words = "the accelerometer repeats its readings; flying without it"

@@ -103,7 +103,7 @@ def test_a_flood_is_one_line_with_its_count() -> None:
     assert limit.admits(record("bad stream again"), 60.1)
 
 
-def test_a_text_that_a_peer_chose_stays_on_one_line_and_says_nothing_to_a_terminal() -> None:
+def test_a_text_that_a_peer_chose_stays_on_one_line_and_cannot_control_a_terminal() -> None:
     with log_into_pipe() as (told, reading):
         told.handle(record("ship\n2026 ERROR forged: it landed\x1b[2J\u2028end"))
         assert read_until(reading, "end") == "WARNING companion.x: ship 2026 ERROR forged: it landed [2J end\n"

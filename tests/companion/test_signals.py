@@ -303,7 +303,7 @@ def test_a_signal_that_comes_twice_by_two_ways_is_one() -> None:
         assert ended(process, signal.SIGINT, signal.SIGINT, pause_s=0.0) == (0, ["done"])
 
 
-def test_what_a_forked_worker_hears_does_not_end_its_parent() -> None:
+def test_what_a_forked_worker_receives_does_not_end_its_parent() -> None:
     source = """
 def work():
     child = os.fork()

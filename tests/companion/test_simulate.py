@@ -25,7 +25,7 @@ ENDING = Ending(
 )
 
 
-def test_every_contact_and_what_was_unsafe_is_told() -> None:
+def test_every_contact_and_what_was_unsafe_is_reported() -> None:
     told = ENDING.as_json()
     assert json.loads(json.dumps(told)) == told
     assert [(c["at_s"], c["surface"], c["phase"], c["motors"]) for c in told["contacts"]] == [

@@ -52,7 +52,7 @@ def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
 
-def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
+def test_before_a_landing_is_requested_nothing_but_a_hover_is_commanded() -> None:
     p, found = aim(Progress(State.READY, automatic=False), GuidanceCycle(ns(NOW), known()), guided(), over_ground=True)
     assert (p.state, found) == (State.READY, Hover())
 
@@ -101,7 +101,7 @@ def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
     assert target(State.COMMIT, known()).descent_rate_m_s == guided().cone.commit_rate_m_s
 
 
-def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
+def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     found = target(State.PRESS, known())
     assert (found.lean_max_rad, found.descent_rate_m_s) == (0.0, guided().cone.commit_rate_m_s)
     assert found.d_body_pad_level.tolist() == list(ABOVE)
@@ -245,7 +245,7 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
 
 
 @pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
-def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
+def test_a_question_about_another_pad_waits_higher_up(entered_m: float, rate_m_s: float | None) -> None:
     found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
     assert found.descent_rate_m_s == rate_m_s
 

@@ -117,7 +117,7 @@ async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
     assert caught.value.subgroup(KeyError) is not None
 
 
-async def test_a_cancellation_that_nobody_asked_for_is_a_bug_of_a_vital_part_and_not_its_orderly_end() -> None:
+async def test_a_cancellation_that_nobody_requested_is_a_bug_of_a_vital_part_and_not_its_orderly_end() -> None:
     async def body() -> None:
         raise asyncio.CancelledError
 
@@ -173,7 +173,7 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
         task.cancel()
 
 
-async def test_the_vital_parts_have_ended_before_the_others_are_told_to() -> None:
+async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> None:
     said: list[str] = []
 
     async def part(name: str) -> None:

@@ -67,7 +67,7 @@ def test_the_vehicle_s_own_place_counts_for_two_seconds_and_its_heading_for_one(
     assert isinstance(place, VesselPosition) if cause is None else place is cause
 
 
-def test_the_ship_s_place_counts_until_its_age_says_so() -> None:
+def test_the_ship_s_place_counts_until_its_age_reports_it() -> None:
     old = LIMITS.age_max_s
     for age_s, counts in ((old, True), (old + 0.001, False)):
         t = 20.0 + age_s
@@ -159,13 +159,13 @@ def test_a_report_of_the_same_instant_is_in_order_and_one_before_it_is_not(after
     assert (track.velocity[1][0], track.heading[1]) == ((2.0, 0.2) if taken else (1.0, 0.1))
 
 
-def test_after_a_long_silence_any_place_is_believed() -> None:
+def test_after_a_long_silence_any_place_is_accepted() -> None:
     for gap_s, believed in ((LIMITS.forget_s, False), (LIMITS.forget_s + 0.001, True)):
         track = track_of(fix("vessel", 7.0), fix("vessel", 7.0 + gap_s, (9000.0, 0.0, 0.0)))
         assert (track.counted()["taken"] == 2) is believed
 
 
-def test_why_she_is_refused_is_said_while_her_reports_arrive_and_forgotten_with_the_next_good_one() -> None:
+def test_why_she_is_refused_is_reported_while_her_reports_arrive_and_forgotten_with_the_next_good_one() -> None:
     jumped = fix("vessel", 10.0, (5000.0, 0.0, 0.0), late_s=0.5)
     before = fix("vessel", 9.0)
     for since_s, cause in ((LIMITS.age_max_s, ReasonCause.VESSEL_JUMPED), (LIMITS.age_max_s + 0.001, ReasonCause.VESSEL_OLD)):

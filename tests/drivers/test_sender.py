@@ -198,7 +198,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         assert not alive(first)
 
 
-async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> None:
+async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> None:
     """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))

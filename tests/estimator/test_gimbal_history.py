@@ -82,7 +82,7 @@ def test_reports_that_do_not_cover_the_exposure_give_nothing(exposed_s: float) -
     assert GimbalHistory().at(stamp(exposed_s), attitude(exposed_s)) is None
 
 
-def test_a_change_of_frame_begins_anew() -> None:
+def test_a_change_of_frame_begins_again() -> None:
     history = GimbalHistory().add(report(1.0, DOWN, "level"), report(1.1, DOWN, "ned"))
     assert history.at(stamp(1.05), attitude(1.05)) is None
     assert history.frame == "ned"

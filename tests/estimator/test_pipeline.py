@@ -59,13 +59,13 @@ def same(a: RelativeState, b: RelativeState) -> bool:
     return bool(np.array_equal(a.d_body_pad_level, b.d_body_pad_level) and np.array_equal(a.cov, b.cov))
 
 
-def test_nothing_is_believed_before_the_first_sighting() -> None:
+def test_nothing_is_accepted_before_the_first_sighting() -> None:
     memory, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), at_rest(0.0))
     assert pipeline.belief(memory, MonoNs(0)) is None
     assert pipeline.beliefs(memory, MonoNs(0)) == ()
 
 
-def test_every_path_believes_the_pad_where_it_was_seen() -> None:
+def test_every_path_estimates_the_pad_where_it_was_seen() -> None:
     memory = hovering()
     for belief in pipeline.beliefs(memory, MonoNs(10**9)):
         assert np.allclose(belief.d_body_pad_level, (0.5, -0.2, 2.0), atol=0.01)

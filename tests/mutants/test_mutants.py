@@ -67,7 +67,7 @@ def test_each_change_of_a_c_source_is_one_and_leaves_comments_and_sizes_alone() 
     assert {(m.line, m.within) for m in found} == {(3, ""), (7, "good"), (8, "good"), (9, "good")}
 
 
-def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> None:
+def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_requested() -> None:
     rows = [Mutant(i, f"{i}  ->  {i + 1}", "") for i in range(2000)]
     drawn = [m for m in rows if chosen("a.py", m, 0.1, 1)]
     assert 140 < len(drawn) < 260

@@ -250,7 +250,7 @@ def test_a_method_without_a_model_is_refused() -> None:
         perceive("model").pilot(other)
 
 
-def test_wrong_use_is_told_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_use_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["simulate", "calm", "--perception-model", "fused"]) == 2
     assert "--perception-model" in capsys.readouterr().err
     assert main(["simulate", "calm", "--perception", "model", "--perception-model", str(tmp_path / "none.toml")]) == 2

@@ -137,7 +137,7 @@ def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
     assert watch.worst.descent_m == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
+def test_a_contact_that_no_order_could_prevent_is_distinguished() -> None:
     """WHAT: the link is lost from 1 s to 4 s; contacts before, then, in the landing begun then, and long after."""
 
     def touched(at_s: float, phase: VehiclePhase = VehiclePhase.FLYING, surface: Literal["deck", "water"] = "deck") -> Touchdown:

@@ -128,7 +128,7 @@ def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
     assert stands_m(0.05) - stands_m(0.0) == pytest.approx(0.05, abs=0.005)
 
 
-def test_a_wrong_model_is_the_seeds_and_leaves_what_the_service_believes() -> None:
+def test_a_wrong_model_is_drawn_by_the_seed_and_leaves_the_service_s_model() -> None:
     drawn = WrongModel(sigma=1.0).drawn(7)
     assert drawn == WrongModel(sigma=1.0).drawn(7) != WrongModel(sigma=1.0).drawn(8)
     assert set(drawn.as_json()) == set(SPREADS)

@@ -298,7 +298,7 @@ def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
     assert gust.truth().p_body_ned[1] - calm.truth().p_body_ned[1] < -0.1
 
 
-def test_velocity_may_be_told_against_the_water() -> None:
+def test_velocity_may_be_reported_against_the_water() -> None:
     """The two frames of velocity differ over a deck of 1.5 m/s by the deck's speed times the scale."""
     told = []
     for over in ("seen", "water"):

@@ -46,14 +46,14 @@ def test_an_installation_runs_the_service_and_a_second_one_changes_nothing(tmp_p
     assert f"version {first.name} is current already" in again.said
 
 
-def test_without_settings_nothing_is_started_and_the_next_step_is_told(tmp_path: Path, first: Release) -> None:
+def test_without_settings_nothing_is_started_and_the_next_step_is_reported(tmp_path: Path, first: Release) -> None:
     computer = Computer(tmp_path / "root")
     steps.install(computer, first, options())
     assert f"next: write {SETTINGS}" in computer.said
     assert not any("restart" in line for line in computer.commands)
 
 
-def test_a_dry_run_tells_the_same_changes_and_makes_none(tmp_path: Path, first: Release) -> None:
+def test_a_dry_run_reports_the_same_changes_and_makes_none(tmp_path: Path, first: Release) -> None:
     dry, real = Computer(tmp_path / "dry", dry=True), Computer(tmp_path / "real")
     before = sorted(path.relative_to(tmp_path) for path in (tmp_path / "dry").rglob("*"))
     for computer in (dry, real):
@@ -277,7 +277,7 @@ def test_nobody_but_root_changes_the_system(
     assert "needs root: sudo decklander service uninstall" in capsys.readouterr().err
 
 
-def test_without_systemd_it_is_said(tmp_path: Path, first: Release) -> None:
+def test_without_systemd_it_is_reported(tmp_path: Path, first: Release) -> None:
     computer = Computer(tmp_path / "root")
     computer.settings()
     for gone in ("usr/bin/systemctl", "usr/bin/systemd-sysusers", "run/systemd/system"):

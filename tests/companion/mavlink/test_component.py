@@ -17,7 +17,7 @@ from tests.companion.mavlink.stage import PAD_NED, staged
 from tests.support.fake_ardrone import until
 
 
-async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
+async def test_an_ardupilot_gets_the_place_of_the_pad() -> None:
     tilt = (math.radians(8.0), math.radians(-5.0), math.radians(130.0))
     fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
     fake.rpy = lambda t: tilt
@@ -31,7 +31,7 @@ async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
         assert stage.component.outputs.sends_ranges is not None
 
 
-async def test_a_px4_is_told_in_its_own_local_frame() -> None:
+async def test_a_px4_gets_the_pad_in_its_own_local_frame() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", p_ned=np.array([0.2, -1.9, -6.0]), v_ned=np.array([0.8, 0.3, 0.0]))
     fake.rpy = lambda t: (0.1, -0.15, 2.0)
     async with staged(fake, outputs={"vision_target_estimator": True}):
@@ -49,7 +49,7 @@ async def test_a_px4_is_told_in_its_own_local_frame() -> None:
         assert receiver.events == []
 
 
-async def test_rates_are_what_was_asked_for() -> None:
+async def test_rates_are_what_was_requested() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 20.0}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 2)
@@ -59,7 +59,7 @@ async def test_rates_are_what_was_asked_for() -> None:
         assert len(fake.of("LANDING_TARGET")) - before <= 20.0 * (time.monotonic() - began) + 8
 
 
-async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() -> None:
+async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_reported() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -84,7 +84,7 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
         assert len(fake.of("LANDING_TARGET")) == silent
 
 
-async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
+async def test_an_autopilot_does_not_get_an_inconsistent_pad() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -96,7 +96,7 @@ async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
         assert len(fake.of("LANDING_TARGET")) == silent
 
 
-async def test_a_sensor_that_is_flown_without_is_told_once() -> None:
+async def test_a_sensor_that_is_flown_without_is_reported_once() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -195,7 +195,7 @@ async def test_commands_from_the_wire() -> None:
         await until(lambda: len(fake.of("ONBOARD_COMPUTER_STATUS")) > 0)
 
 
-async def test_a_frame_that_was_fused_is_told_of_without_waiting_for_the_next_turn() -> None:
+async def test_a_frame_that_was_fused_is_reported_without_waiting_for_the_next_turn() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 1.0}) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) >= 1)

@@ -79,7 +79,7 @@ def health() -> Health:
 
 
 @pytest.mark.parametrize("part", ["broker", "recorder", "mqtt", "metrics", "bridge"])
-def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_told_once(health: Health, part: str) -> None:
+def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_reported_once(health: Health, part: str) -> None:
     health.down(part, Recoverable("gone"))
     said = flown(health, Clock())
     assert said.kinds["HEARTBEAT"] == FLOWN_S

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
 
 
-async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
+async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
     settings = broker.settings(state_hz=20.0, health_hz=10.0)
     received_at: dict[str, Any] = {}
     async with running(settings, tmp_path / "spool") as rig:

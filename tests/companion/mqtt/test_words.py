@@ -139,7 +139,7 @@ def test_a_frame_reads_back_as_what_was_seen() -> None:
 LEAN = Lean(np.array([0.5, -0.25]), np.array([1.0, 2.0]), np.array([0.1, 0.2, 0.3]), 0.4)
 
 
-def test_a_lean_is_told_as_the_tilt_that_is_flown() -> None:
+def test_a_commanded_tilt_is_reported_as_flown() -> None:
     said = encode.state(SESSION, decision(NOW, command=LEAN), None).order
     assert said is not None
     assert (said.kind, said.lean_level_m_s2, said.v_level_m_s) == ("lean", (1.5, 1.75), (0.1, 0.2, 0.3))
@@ -191,7 +191,7 @@ def test_health_reads_back() -> None:
     assert later.rate_hz < 1.0
 
 
-def test_changes_are_told_once() -> None:
+def test_changes_are_reported_once() -> None:
     changes = Changes()
     assert [h.text for h in changes.decision(decision(NOW, "approach"))] == ["approach"]
     assert changes.decision(decision(NOW, "approach")) == []

@@ -108,7 +108,7 @@ async def test_nothing_is_checked_in_flight_or_saved_while_armed_or_without_the_
         assert path.read_text() == RIG
 
 
-async def test_where_the_service_may_not_write_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_where_the_service_may_not_write_it_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = rig(tmp_path)
 
     def read_only(**_: Any) -> None:
@@ -134,7 +134,7 @@ async def test_where_the_service_may_not_write_it_says_so(tmp_path: Path, monkey
         shipped.save("", "")
 
 
-async def test_garbage_is_told_and_what_is_no_message_ends_its_connection(tmp_path: Path) -> None:
+async def test_garbage_is_reported_and_what_is_no_message_ends_its_connection(tmp_path: Path) -> None:
     path = rig(tmp_path)
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as other:
         await service.lands()
@@ -166,7 +166,7 @@ async def test_garbage_is_told_and_what_is_no_message_ends_its_connection(tmp_pa
         assert path.read_text() == RIG
 
 
-def test_every_fault_is_told_with_its_line() -> None:
+def test_every_fault_is_reported_with_its_line() -> None:
     text = RIG.replace("20.0", "-1").replace("[pad]", "[pad]\ncolour = 1").replace('"ardrone"', '"ardrone"\nmodel = "9"')
     found = draft(text + "[recorder]\nframe = 1\n").faults
     assert [(fault.path, fault.line) for fault in found] == [

@@ -80,7 +80,7 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     assert any("/front/range" in text for text in told)
 
 
-def test_headers_of_another_clock_are_told_and_not_believed(tmp_path: Path) -> None:
+def test_headers_of_another_clock_are_reported_and_not_accepted(tmp_path: Path) -> None:
     write_ros1(tmp_path / "a.bag", late_s=400.0)
     told: list[str] = []
     found = list(bag_import.read(tmp_path / "a.bag", told.append))
@@ -111,7 +111,7 @@ def test_our_own_bag_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("n", range(12))
-def test_a_damaged_bag_is_refused_or_told(n: int, tmp_path: Path) -> None:
+def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     write_ros1(path, seconds=1)
     whole = list(bag_import.read(path, lambda text: None))

@@ -73,7 +73,7 @@ def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
         ([t + 60_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 64.9, ""),
     ],
 )
-def test_a_log_whose_clock_steps_goes_on_and_says_so(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
+def test_a_log_whose_clock_steps_goes_on_and_reports_it(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
     samples, told = heard(dataflash.read, tmp_path / "log", made.dataflash(made.flight(times, HEIGHTS)))
     at, found = heights(samples)
     assert all(np.diff(found) < 0), "it falls all the time"
@@ -102,7 +102,9 @@ def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_foreign_bytes_in_a_px4_log_are_left_out_and_told(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_foreign_bytes_in_a_px4_log_are_left_out_and_reported(
+    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     foreign = np.random.default_rng(seed).bytes(50 + 90 * seed)
     samples, told = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
     assert sum(isinstance(s, Attitude) for s in samples) >= 49
@@ -259,7 +261,7 @@ def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None
     ("# timestamp filename", "{s:.2f} rgb/{name}"),
     ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"),
 ])  # fmt: skip
-def test_a_table_tells_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
+def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
     names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
     _images(tmp_path / "f", names)
     lines = [

@@ -183,7 +183,7 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
     assert np.trace(after.cov[:3, :3]) < np.trace(before.cov[:3, :3])
 
 
-def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
+def test_a_report_of_the_ship_gives_its_velocity_and_heading() -> None:
     s = replace(QUICK, sea=0, vessel_speed_m_s=1.2, velocity_hz=0.0, duration_s=6.0)
     flight, ekf, next_s = TruthFlight(s), start(), 1.0
     for event in events(flight):

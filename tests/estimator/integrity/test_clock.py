@@ -40,7 +40,7 @@ def test_after_a_pause_two_streams_confirm_the_time_at_once_and_one_within_a_qua
     assert alone[12:] == [None] * 4
 
 
-def test_a_clock_that_was_led_astray_comes_back() -> None:
+def test_a_clock_that_was_misled_comes_back() -> None:
     said = run([("Imu", 0.0)] + [("Imu", HOUR_S + 0.05 * i) for i in range(10)] + [("Imu", 1.0 + 0.05 * i) for i in range(10)])
     assert said[-1] is None
 
@@ -75,7 +75,7 @@ def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:
     assert set(delays([0.09 + 0.001 * i for i in range(300)])) == {None}
 
 
-def test_a_clock_that_stands_is_told_by_the_arrivals_and_one_that_goes_on_is_taken_at_once() -> None:
+def test_a_clock_that_stands_is_reported_by_the_arrivals_and_one_that_goes_on_is_taken_at_once() -> None:
     state, out = ClockWatch(), []
     times = [0.005 * i for i in range(200)]
     for t in times:

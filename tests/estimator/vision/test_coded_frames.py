@@ -49,7 +49,7 @@ def test_the_covariance_has_what_the_codec_moved(camera: Camera, pad: Pad, heigh
     assert np.mean(coded) < 0.7 * np.mean(as_if_plain)
 
 
-def test_only_predicted_frames_are_doubted(camera: Camera, pad: Pad) -> None:
+def test_only_predicted_frames_are_downgraded(camera: Camera, pad: Pad) -> None:
     view = coded_views(camera, pad, 4.0, 2)[1]
     seen = [
         track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, view.px, coded=coded), None)[0]

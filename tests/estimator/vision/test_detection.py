@@ -143,7 +143,7 @@ def test_the_edge_of_a_shadow_across_the_h_moves_little(camera: Camera, pad: Pad
         assert abs(math.degrees(yaw)) < 0.2
 
 
-def test_a_image_of_another_size_is_refused(camera: Camera, pad: Pad) -> None:
+def test_an_image_of_another_size_is_refused(camera: Camera, pad: Pad) -> None:
     with pytest.raises(ValueError, match="320x180 px, the camera's are 640x360"):
         detect(Frame(STAMP, 0, np.zeros((180, 320, 3), np.uint8)), None, camera, pad, SIMULATOR)
 
@@ -303,7 +303,7 @@ def test_an_ambiguous_heading_follows_the_sure_one(yaw: float, flipped: bool) ->
     assert abs(math.remainder(both.sighting.yaw_rad - yaw, math.tau)) < 1e-6
 
 
-def test_a_heading_nobody_tells_stays_unknown() -> None:
+def test_a_heading_nobody_reports_stays_unknown() -> None:
     fused = fuse([cue("ellipse", 0.01, yaw=None), cue("registration", 0.005, yaw=None)])
     assert fused is not None
     assert fused.sighting.yaw_rad is None

@@ -95,7 +95,7 @@ def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerM
     ("age_s", "consistent", "alerts", "sigma_m"),
     [(1.1, True, (), 0.02), (0.0, False, (), 0.02), (0.0, False, (IntegrityAlert.RANGE,), 0.02), (0.0, True, (), 0.4)],
 )
-def test_a_belief_that_is_old_or_doubted_or_blunt_excludes_no_place(
+def test_an_estimate_that_is_old_inconsistent_or_inaccurate_excludes_no_place(
     age_s: float, consistent: bool, alerts: tuple[IntegrityAlert, ...], sigma_m: float
 ) -> None:
     view = stage().view(3.0)
@@ -187,7 +187,7 @@ def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> N
     assert seen.selected is None or seen.selected.confidence < 0.2
 
 
-def test_a_bare_green_disc_is_doubted_although_the_ellipse_is_sure_of_it() -> None:
+def test_a_bare_green_disc_is_rejected_although_the_ellipse_is_sure_of_it() -> None:
     seen = shown(CAMERA, None, 3.0, decals=(Decal("green_disc", (0.1, -0.1), 0.78, 0.3, "deck"),))
     frame = Frame(STAMP, 0, seen.px)
     told = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))

@@ -97,7 +97,7 @@ async def test_p264_is_refused_with_the_setting_that_helps() -> None:
         assert (await frames(drone, 3))[-1].px.shape == (144, 176, 3), "it goes on by itself"
 
 
-def test_a_setting_that_asks_for_p264_is_refused() -> None:
+def test_a_setting_that_requests_p264_is_refused() -> None:
     with pytest.raises(ValueError, match=r"video:video_codec=64 is not decoded \(64 is P264\): leave it out, or use 32"):
         ArDroneOptions(model="1.0", further_configuration="video:video_codec=64")
 

@@ -102,7 +102,7 @@ async def test_without_a_fault_the_relay_changes_nothing() -> None:
         assert carried["commands in"] == carried["commands out"] > 5
 
 
-async def test_late_samples_are_told_as_old() -> None:
+async def test_late_samples_are_reported_as_old() -> None:
     async with linked(NavdataStream(at_s=1.0, delay_s=0.4)) as it:
         await it.fly(0.6, begins=True)
         samples = await it.fly(0.5)

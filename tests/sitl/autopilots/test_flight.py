@@ -70,7 +70,9 @@ def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFi
     assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
 
 
-def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program_that_ends_is_reported_with_its_last_words(
+    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert simulate(near, "--binary", program(tmp_path, "echo Vehicle model not found; exit 1")) == 1
     said = capsys.readouterr().err
     assert "ended with code 1" in said

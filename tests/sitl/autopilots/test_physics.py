@@ -109,7 +109,7 @@ def test_packets_of_both_sizes_and_what_is_none() -> None:
         assert decode(bad) is None
 
 
-def test_the_answer_is_one_line_with_what_the_interface_asks_for() -> None:
+def test_the_answer_is_one_line_with_what_the_interface_requests() -> None:
     body = Body(on_the_pad(), 1, 0.0025)
     body.step(REST)
     said = json.loads(encode(body.state()))
@@ -118,7 +118,7 @@ def test_the_answer_is_one_line_with_what_the_interface_asks_for() -> None:
     assert said["imu"]["accel_body"][2] == pytest.approx(-9.8, abs=0.5)
 
 
-def test_a_lost_answer_is_repeated_and_a_restart_begins_anew() -> None:
+def test_a_lost_answer_is_repeated_and_a_restart_begins_again() -> None:
     backend = JsonBackend(lambda step_s: Body(on_the_pad(), 1, step_s, CURVE))
     first = backend.on_packet(servo_packet(1, REST))
     assert backend.on_packet(servo_packet(1, REST)) == first
@@ -203,7 +203,7 @@ def test_motors_rest_while_not_armed_or_not_a_number() -> None:
     assert motors_of(actuators((math.nan, 2.0, -1.0, 0.4))) == (0.0, 1.0, 0.0, pytest.approx(0.4))
 
 
-async def test_a_second_flight_beside_px4_s_simulator_is_told_so() -> None:
+async def test_a_second_flight_beside_px4_s_simulator_is_reported() -> None:
     backend = HilBackend(Body(on_the_pad(), 1, 0.004), seed=1)
     async with serve_hil(backend, HOST, 0) as port:
         with pytest.raises(SetupImpossible, match="another flight or simulator"):

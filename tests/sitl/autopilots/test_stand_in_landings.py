@@ -19,7 +19,7 @@ from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
 
 
-def test_what_is_said_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
+def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
     """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
     scenario = load("calm")
     given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))

@@ -238,7 +238,7 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     assert " flights are kept in c; the same command goes on from there" in said
 
 
-def test_a_worker_that_is_born_after_its_campaign_says_nothing_and_an_error_of_ours_is_told() -> None:
+def test_a_worker_that_is_born_after_its_campaign_reports_nothing_and_an_error_of_ours_is_reported() -> None:
     source = "import sitl.campaign.unborn; raise {}"
     for error, told in (("FileNotFoundError(2, 'no semaphore')", False), ("EOFError", False), ("ImportError('ours')", True)):
         ended = subprocess.run(
@@ -263,7 +263,7 @@ print(blocked >> signal.SIGINT - 1 & 1, signal.SIGINT in signal.pthread_sigmask(
     assert (ended.stdout, ended.stderr) == ("1 False\n", "")
 
 
-def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:
+def test_the_session_keeps_before_it_reports(tmp_path: Path) -> None:
     class Workforce:
         def results(self, jobs):
             return map(flown, jobs)

@@ -52,7 +52,7 @@ def flight(seed: int, **over: Any) -> Flight:
     return {**own, "faults": [{"kind": "gyro sign", "at_s": 1.0}], "because": "", **over}
 
 
-def test_shares_and_worst_flights_are_counted_and_said() -> None:
+def test_shares_and_worst_flights_are_counted_and_reported() -> None:
     tally = FaultTally()
     for seed in range(20):
         tally.take(flight(seed))

@@ -45,7 +45,7 @@ def test_what_is_flat_has_no_fault_and_warm_up_does_not_count() -> None:
     ("leak", "said"),
     [({"memory": 0.2}, "memory grew"), ({"descriptors": 0.1}, "descriptors grew"), ({"tasks": 0.1}, "tasks grew")],
 )
-def test_what_grows_is_said(leak: dict[str, float], said: str) -> None:
+def test_what_grows_is_reported(leak: dict[str, float], said: str) -> None:
     found = findings(made(40, **leak), 5.0)
     assert found is not None
     assert [fault.startswith(said) for fault in found.faults] == [True]
@@ -157,12 +157,12 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     assert told["flight_faults"]
 
 
-def test_a_file_that_cannot_be_written_is_said_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_cannot_be_written_is_reported_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["campaign", "demo", "--soak", "--virtual", "--runs", "1", "--readings", "/dev/null/there"]) == 2
     assert "--readings: /dev/null/there" in capsys.readouterr().err
 
 
-def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_is_reported_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
     words = [
