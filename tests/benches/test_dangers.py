@@ -56,8 +56,8 @@ def test_the_worst_touch_is_on_the_worst_surface_and_the_hardest_may_be_another(
 
 def test_the_table_has_a_row_for_each_fault_with_what_was_unsafe() -> None:
     water = flight("a", 1, [contact("water", 3.0)], ["in water"])
-    said = dangers.table([flight("b", 1, [contact("pad", 0.1)]), water, flight("b", 2, [])])
-    a, b = said.splitlines()[2:4]
+    output = dangers.table([flight("b", 1, [contact("pad", 0.1)]), water, flight("b", 2, [])])
+    a, b = output.splitlines()[2:4]
     assert (
         a == "| a | 1 | pad | 1 failed (landed) | yes, 1 of 1 | water, 300 cm off (seed 1); hardest 0.40 m/s | seed 1: in water |"
     )
@@ -79,9 +79,9 @@ def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_i
 ) -> None:
     words = ("--only", "imu_spike", "battery_low", "--out", str(tmp_path / "flights.jsonl"))
     assert run(monkeypatch, Flights(ended_after=1), *words) == 128 + signal.SIGTERM
-    said = capsys.readouterr().out
-    assert "INTERRUPTED by SIGTERM: 1 of 2 flights were not flown" in said
-    assert "| imu_spike | 1 |" in said
+    output = capsys.readouterr().out
+    assert "INTERRUPTED by SIGTERM: 1 of 2 flights were not flown" in output
+    assert "| imu_spike | 1 |" in output
     flights = Flights()
     assert run(monkeypatch, flights, *words) == 0
     assert flights.flown == [("battery_low", 1)]

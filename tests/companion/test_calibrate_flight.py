@@ -72,9 +72,9 @@ def test_the_mount_is_written_into_a_copy_of_the_camera_file(
     folder, _, settings = flown
     out = tmp_path / "new.toml"
     assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "cm at touchdown" in said
-    assert "was [0.00, 0.00, 90.00]" in said
+    output = capsys.readouterr().out
+    assert "cm at touchdown" in output
+    assert "was [0.00, 0.00, 90.00]" in output
     text = out.read_text(encoding="utf-8")
     assert "# by eye" in text
     assert "# The bottom camera of the thesis' simulator" in text
@@ -96,12 +96,12 @@ def test_the_delay_is_written_into_a_copy_of_the_settings(
     out = tmp_path / "rig.toml"
     words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]
     assert main(words) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     was = settings.vehicle.video_delay_s  # type: ignore[union-attr]
-    assert told["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
-    assert told["sigma_s"] < 0.002
+    assert reported["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
+    assert reported["sigma_s"] < 0.002
     new = load(str(out))
-    assert new.vehicle.video_delay_s == pytest.approx(told["delay_s"], abs=1e-4)  # type: ignore[union-attr]
+    assert new.vehicle.video_delay_s == pytest.approx(reported["delay_s"], abs=1e-4)  # type: ignore[union-attr]
     assert new.estimator.ekf.sigma_delay_s < 0.005
     assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
 
@@ -150,8 +150,8 @@ def test_values_change_in_place_and_comments_stay() -> None:
     assert tomllib.loads(with_values(text, "estimator.ekf", {"s": 1.0}, "t"))["estimator"] == {"ekf": {"s": 1.0}}
     assert with_values('camera = {file = "x"}  # mine\n', "camera", {"file": "z"}, "t") == 'camera = {file = "z"}  # mine\n'
     assert with_values('camera.file = "x"\n', "camera", {"file": "z"}, "t") == 'camera.file = "z"\n'
-    for bad, said in (("camera = 3\n", "camera is not a table"), ("camera", "t: .* line 1")):
-        with pytest.raises(BadInput, match=said):
+    for bad, output in (("camera = 3\n", "camera is not a table"), ("camera", "t: .* line 1")):
+        with pytest.raises(BadInput, match=output):
             with_values(bad, "camera", {"file": "z"}, "t")
 
 

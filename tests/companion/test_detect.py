@@ -109,9 +109,9 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
     common = (album / "a.png", "--camera", "sim", "--json")
     assert detect(*common, "--attitude", table, "--attitude-sigma-deg", "0.1") == 0
     assert detect(*common) == 0
-    told, assumed = records(capsys)
+    reported, assumed = records(capsys)
     true = np.array(SCENE.d_body_pad_level)
-    d_told, d_assumed = np.array(told["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
+    d_told, d_assumed = np.array(reported["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
     assert np.linalg.norm(d_told - true) < 0.006
     assert np.linalg.norm(d_told - true) < np.linalg.norm(d_assumed - true) < 0.09
     cov = np.reshape(assumed["cov"], (4, 4))[:3, :3]  # type: ignore[call-overload]

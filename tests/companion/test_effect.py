@@ -92,9 +92,9 @@ def test_what_does_not_go_together_about_the_ship_s_place_is_reported(
     file = tmp_path / "own.toml"
     file.write_text(f'vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\n{lines}\n')
     assert main(["config", "check", str(file)]) == 0
-    told = capsys.readouterr().out.splitlines()[1:]
-    assert [line for line in told if said is not None and said in line] == told
-    assert len(told) == (0 if said is None else 1)
+    reported = capsys.readouterr().out.splitlines()[1:]
+    assert [line for line in reported if said is not None and said in line] == reported
+    assert len(reported) == (0 if said is None else 1)
 
 
 @pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])

@@ -447,7 +447,7 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
     x, memory = np.zeros(len(model.A)), LAW.start()
     x[0] = off_m
     place: list[float] = []
-    said: tuple[float, float] | None = None
+    output: tuple[float, float] | None = None
     after, asked_at = round(seconds / T), 60
     assert LAW.ahead(memory, known(0.0), seconds) is None, "nothing is under way before the first cycle"
     for n in range(asked_at + after):
@@ -457,9 +457,9 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
         )  # fmt: skip
         memory, command = stepped(memory, k)
         if n == asked_at:
-            said = LAW.ahead(memory, k, seconds)
+            output = LAW.ahead(memory, k, seconds)
         x = model.A @ x + model.B * float(command.a_level[0] + command.trim_level[0])
         x[:2] -= push_m_s2 * np.array([0.5 * T * T, T])
         place.append(abs(float(x[0])))
-    assert said is not None
-    assert said[0] == pytest.approx(place[-1], abs=0.004)
+    assert output is not None
+    assert output[0] == pytest.approx(place[-1], abs=0.004)

@@ -223,9 +223,9 @@ def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
 def test_what_the_frames_show_is_reported_where_nothing_else_is_seen() -> None:
     p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=4)
     assert of(Event.HOPELESS, p, cycle()) == WHY
-    told = of(Event.HOPELESS, p, cycle(frames=BLIND))
-    assert told is not None
-    assert told.cause is ReasonCause.FRAMES
+    reported = of(Event.HOPELESS, p, cycle(frames=BLIND))
+    assert reported is not None
+    assert reported.cause is ReasonCause.FRAMES
     assert of(Event.HOPELESS, replace(p, in_sight=True, seen_height_m=2.0), cycle(seen(), frames=BLIND)) == WHY
 
 
@@ -343,8 +343,8 @@ def test_a_fresh_sight_from_above_the_gate_s_height_reports_that_it_has_left_the
 @pytest.mark.parametrize(("alert", "at_once"), [("UNFELT", True), ("ATTITUDE", True), ("CAMERA_FROZEN", False)])
 def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str, at_once: bool) -> None:
     p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.4, in_sight=False)
-    doubted = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
-    found = of(Event.LIMIT, p, cycle(doubted), OPTIONS)
+    suspect = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
+    found = of(Event.LIMIT, p, cycle(suspect), OPTIONS)
     assert (found is not None and found.cause is ReasonCause.LOST_LOW) is at_once
 
 

@@ -182,17 +182,17 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
 def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_read() -> None:
     options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 0}, cone={"gate_s": 7.0})
     flight = PointFlight([0.0, 0.0, 1.2], options)
-    said: list[tuple[float, Reason]] = []
+    output: list[tuple[float, Reason]] = []
     while flight.progress.state is not State.REFUSED and flight.t < 40.0:
         flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
         flight.cycle()
         waits_for = flight.progress.waits_for
         assert flight.progress.state is State.GATE or waits_for is None
-        if waits_for is not None and (not said or said[-1][1] is not waits_for):
-            said.append((flight.t, waits_for))
-    assert {reason.cause for _, reason in said} == {ReasonCause.RELATIVE_SPEED}
-    assert len(said) >= 3
-    assert all(later - at >= 2.0 - 1e-6 for (at, _), (later, _) in pairwise(said))
+        if waits_for is not None and (not output or output[-1][1] is not waits_for):
+            output.append((flight.t, waits_for))
+    assert {reason.cause for _, reason in output} == {ReasonCause.RELATIVE_SPEED}
+    assert len(output) >= 3
+    assert all(later - at >= 2.0 - 1e-6 for (at, _), (later, _) in pairwise(output))
 
 
 @pytest.mark.parametrize(

@@ -64,13 +64,13 @@ def test_the_patience_without_sight_is_that_of_all_holds_together_and_says_what_
         assert found == ((ReasonCause.NOT_FOUND_AGAIN, spent_s, 20.0) if over else None)
     alert = Reason(ReasonCause.ALERT, detail=IntegrityAlert.CAMERA_FROZEN)
     stale = Reason(ReasonCause.STALE, 0.6, 0.5)
-    for reason, told in ((alert, alert), (Reason(ReasonCause.INCONSISTENT), Reason(ReasonCause.INCONSISTENT)), (stale, None)):
-        assert of(Event.TIMEOUT, replace(p, reason=reason), cycle()) == (told or of(Event.TIMEOUT, p, cycle()))
+    for reason, reported in ((alert, alert), (Reason(ReasonCause.INCONSISTENT), Reason(ReasonCause.INCONSISTENT)), (stale, None)):
+        assert of(Event.TIMEOUT, replace(p, reason=reason), cycle()) == (reported or of(Event.TIMEOUT, p, cycle()))
     searched = memory(State.SEARCH, 300.1, reason=alert)
     assert figures(of(Event.TIMEOUT, searched, cycle())) == (ReasonCause.NOT_FOUND, pytest.approx(300.1), 300.0)
-    told = of(Event.TIMEOUT, searched, cycle(frames=BLIND))
-    assert told is not None
-    assert told.cause is ReasonCause.FRAMES
+    reported = of(Event.TIMEOUT, searched, cycle(frames=BLIND))
+    assert reported is not None
+    assert reported.cause is ReasonCause.FRAMES
 
 
 # The ship

@@ -65,8 +65,8 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(
         for i in range(600, 900):
             recorder.on_sample(imu(0.01 * i))
         wait_for(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
-    said = [r for r in caplog.records if r.levelname == "ERROR"]
-    assert [r.getMessage() for r in said] == [
+    output = [r for r in caplog.records if r.levelname == "ERROR"]
+    assert [r.getMessage() for r in output] == [
         "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
     ]
     assert any("recording again, into" in r.getMessage() for r in caplog.records)

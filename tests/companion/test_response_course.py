@@ -76,8 +76,8 @@ def test_a_course_is_the_mean_of_what_held_over_each_step_beside_what_was_report
     np.testing.assert_allclose((course.asked - held.mean(axis=1))[known].mean(axis=0), 0.0, atol=1e-3)
     np.testing.assert_array_equal(course.asked[~known], y[~known], "where nobody asks, the vehicle leans as it likes")
     between = np.clip(np.searchsorted(reported.t_s, begins), 1, None)
-    heard = reported.t_s[between] - reported.t_s[between - 1] <= 0.25
-    counts = [bool(known[k] and heard[k] and k >= 60 and known[k - 60 : k].all()) for k in range(n)]
+    received = reported.t_s[between] - reported.t_s[between - 1] <= 0.25
+    counts = [bool(known[k] and received[k] and k >= 60 and known[k - 60 : k].all()) for k in range(n)]
     np.testing.assert_array_equal(course.counts, counts)
     assert 100 < sum(counts) < n - 200
 

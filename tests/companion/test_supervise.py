@@ -174,20 +174,20 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
 
 
 async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> None:
-    said: list[str] = []
+    output: list[str] = []
 
     async def part(name: str) -> None:
         try:
             await asyncio.Event().wait()
         finally:
             await asyncio.sleep(0.01)
-            said.append(name)
+            output.append(name)
 
     ended = asyncio.Event()
     asyncio.get_running_loop().call_soon(ended.set)
     parts = {"vehicle": lambda: part("vehicle")}
     await run(parts, RestartOptions(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
-    assert said == ["vehicle", "mqtt"]
+    assert output == ["vehicle", "mqtt"]
 
 
 async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fails(caplog: pytest.LogCaptureFixture) -> None:

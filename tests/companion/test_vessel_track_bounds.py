@@ -160,9 +160,9 @@ def test_a_report_of_the_same_instant_is_in_order_and_one_before_it_is_not(after
 
 
 def test_after_a_long_silence_any_place_is_accepted() -> None:
-    for gap_s, believed in ((LIMITS.forget_s, False), (LIMITS.forget_s + 0.001, True)):
+    for gap_s, estimate in ((LIMITS.forget_s, False), (LIMITS.forget_s + 0.001, True)):
         track = track_of(fix("vessel", 7.0), fix("vessel", 7.0 + gap_s, (9000.0, 0.0, 0.0)))
-        assert (track.counted()["taken"] == 2) is believed
+        assert (track.counted()["taken"] == 2) is estimate
 
 
 def test_why_she_is_refused_is_reported_while_her_reports_arrive_and_forgotten_with_the_next_good_one() -> None:
@@ -229,7 +229,7 @@ def test_her_height_is_the_newest_that_she_reported_and_that_of_the_sea_before()
     own = fix("vehicle", 9.0, (0.0, 0.0, -30.0), v=(0.0, 0.0, 0.0)), nose(9.0)
     without = fix("vessel", 9.0, (20.0, 0.0, 0.0), origin=flat)
     assert known(track_of(without, *own, limits=limits), 9.0).height_m == pytest.approx(28.5, abs=0.01)
-    told = fix("vessel", 8.9, (20.0, 0.0, -6.0))
-    assert known(track_of(told, without, *own, limits=limits), 9.0).height_m == pytest.approx(22.5, abs=0.01)
+    noted = fix("vessel", 8.9, (20.0, 0.0, -6.0))
+    assert known(track_of(noted, without, *own, limits=limits), 9.0).height_m == pytest.approx(22.5, abs=0.01)
     blind = fix("vehicle", 9.0, (0.0, 0.0, 0.0), origin=flat), nose(9.0)
-    assert known(track_of(told, *blind), 9.0).height_m is None
+    assert known(track_of(noted, *blind), 9.0).height_m is None

@@ -143,6 +143,6 @@ def test_without_filterpy_one_line_names_the_extra(monkeypatch: pytest.MonkeyPat
     for words in (["simulate"], ["campaign", "--runs", "1", "--json"]):
         arguments = [words[0], "calm", *words[1:], "--perception", "model", "--set", "estimator.path=constant_velocity"]
         assert cli.main(arguments) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        assert "decklander[compare]" in said
+        output = capsys.readouterr().err
+        assert output.count("\n") == 1
+        assert "decklander[compare]" in output

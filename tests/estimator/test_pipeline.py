@@ -146,10 +146,10 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
     assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
     assert len(memory.guard.view.bearings) > 4
     assert all(level[1] < 0.0 for _, _, level, _ in memory.guard.view.bearings), "the view watch follows the tracked pad alone"
-    believed = pipeline.belief(memory, NOW)
-    assert believed is not None
-    assert IntegrityAlert.ELSEWHERE in believed.alerts
-    assert not believed.consistent
+    estimate = pipeline.belief(memory, NOW)
+    assert estimate is not None
+    assert IntegrityAlert.ELSEWHERE in estimate.alerts
+    assert not estimate.consistent
 
 
 def test_a_tracked_pad_that_is_unsure_does_not_count_beside_a_clearer_one() -> None:

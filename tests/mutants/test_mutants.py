@@ -93,11 +93,11 @@ def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Pat
         f"t = judge('gatekeeper.py', ['test_gatekeeper.py'], 1.0, 1, root=Path({str(tmp_path)!r}))\n"
         "print(t.killed, sorted(m.change for m in t.survivors))"
     )
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
         check=True, timeout=100,
     ).stdout  # fmt: skip
-    assert said.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
+    assert output.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
     broken = subprocess.run(
         [sys.executable, "-c", f"import mutants.interpreted; del mutants.interpreted.changed_functions; {program}"],
         cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False, timeout=100,

@@ -171,11 +171,11 @@ def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault:
 
 def test_a_delayed_sensor_reports_what_was_true_before() -> None:
     w, true = world(Barometer(at_s=0.0, delay_s=0.4)), world()
-    told, past = list[float](), list[float]()
+    reported, past = list[float](), list[float]()
     for tick in range(1, 301):
-        for each, out in ((w, told), (true, past)):
+        for each, out in ((w, reported), (true, past)):
             out.append(at(each, 0.004 * tick).readings().pressure_pa)
-    assert told[200:] == past[100:200]
+    assert reported[200:] == past[100:200]
 
 
 def test_dropped_and_noisy_readings_follow_the_seed() -> None:

@@ -56,8 +56,8 @@ def test_a_demo_that_failed_on_a_machine_that_kept_up_blames_no_machine() -> Non
     ],
 )
 def test_the_simulated_drone_s_own_time_is_reported(changed: dict[str, Any], figure: str) -> None:
-    said = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
-    assert ended(None, said=said).in_words().endswith(f"the result means nothing: {figure}")
+    output = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
+    assert ended(None, said=output).in_words().endswith(f"the result means nothing: {figure}")
 
 
 def test_a_landing_on_the_pad_is_not_talked_down() -> None:

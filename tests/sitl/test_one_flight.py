@@ -33,10 +33,10 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     again.pop("cpu_s")
     assert first == again
     assert first["outcome"] == "time ran out"
-    told = [sample.at for sample in truth]
-    assert told == sorted(told)
-    assert len(told) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
-    assert told[-1] == 1_000_000_000, "the last one at the end"
+    reported = [sample.at for sample in truth]
+    assert reported == sorted(reported)
+    assert len(reported) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
+    assert reported[-1] == 1_000_000_000, "the last one at the end"
     assert fly("near", scenario, 4, settings).as_json()["seed"] == 4
 
 
@@ -53,9 +53,9 @@ def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture
     with pytest.raises(BadInput, match="known are pixels"):
         perception_level("thoughts")
     assert cli.main(["simulate", "calm", "--perception", "thoughts"]) == 2
-    said = capsys.readouterr().err
-    assert "--perception: there is no level 'thoughts'; known are pixels" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "--perception: there is no level 'thoughts'; known are pixels" in output
+    assert output.count("\n") == 1
 
 
 def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:

@@ -168,8 +168,8 @@ def test_a_contact_that_no_order_could_prevent_is_distinguished() -> None:
 
 def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_service() -> None:
     assert dangers(SAFE, [contact("pad")], None) == ()
-    said = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
-    assert said == (
+    output = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
+    assert output == (
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "came down 1.30 m, to 0.20 m over the deck, without true sight of the pad for 5.2 s",
         "touched the deck 0.48 m from the pad's centre",

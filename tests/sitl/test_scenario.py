@@ -206,8 +206,8 @@ def test_any_data_is_a_scenario_or_one_clear_line(data: Any) -> None:
     try:
         from_mapping(table, "any.toml")
     except BadInput as why:
-        said = str(why)
+        output = str(why)
     else:
-        said = "any.toml: good"
-    assert said.startswith("any.toml: ")
-    assert "\n" not in said
+        output = "any.toml: good"
+    assert output.startswith("any.toml: ")
+    assert "\n" not in output

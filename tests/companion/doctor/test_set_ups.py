@@ -110,10 +110,10 @@ def test_there_are_forty_of_each_stack() -> None:
 
 def test_each_parameter_that_a_single_rule_judges_is_broken_or_good_in_the_data() -> None:
     for stack, data in DATA.items():
-        told = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
-        left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - told
+        reported = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
+        left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - reported
         assert left <= {"INS_HNTC2_FREQ", "ARMING_SKIPCHK"}
-        assert set(rules_values.FAILSAFE_PARAMETERS[stack]) <= told
+        assert set(rules_values.FAILSAFE_PARAMETERS[stack]) <= reported
 
 
 def test_limits_of_speed_are_judged_against_the_ship_s() -> None:

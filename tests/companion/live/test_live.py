@@ -266,9 +266,9 @@ async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> No
     async with serving() as service, watching(service) as other:
         for flood in (["{"] * (part._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
             async with watching(service) as client:
-                for said in flood:
+                for output in flood:
                     if not client.socket.closed:
-                        await client.socket.send_str(said)
+                        await client.socket.send_str(output)
                 async with asyncio.timeout(20):
                     while (await client.socket.receive()).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
                         pass

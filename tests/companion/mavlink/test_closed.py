@@ -170,9 +170,9 @@ async def test_a_peer_that_may_not_command_is_answered_and_reported_once(caplog:
             assert border.tower.handlers == []
             assert setting(border) == before
             assert border.component.refusals.counts == {"COMMAND_LONG": 24, "PARAM_SET": 3}
-            told = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]
-            assert len(told) == 1
-            assert "vehicle.operators" in told[0]
+            reported = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]
+            assert len(reported) == 1
+            assert "vehicle.operators" in reported[0]
 
 
 async def test_what_grows_by_what_is_sent_is_bounded() -> None:

@@ -38,11 +38,11 @@ async def test_a_px4_gets_the_pad_in_its_own_local_frame() -> None:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 10)
         receiver = Px4Receiver()
         for m in fake.of("LANDING_TARGET")[-5:]:
-            told = receiver.on_message(m)
-            assert told is not None
-            assert told[0] == "absolute"
+            reported = receiver.on_message(m)
+            assert reported is not None
+            assert reported[0] == "absolute"
             # It flies at 0.9 m/s: the place on the ground stands still only if both parts are of one instant
-            assert told[1] == pytest.approx(PAD_NED, abs=0.03)
+            assert reported[1] == pytest.approx(PAD_NED, abs=0.03)
         stamps = [m.time_usec for m in fake.of("LANDING_TARGET")]
         assert stamps == sorted(set(stamps)), "never the same instant twice"
         assert len(fake.of("TARGET_RELATIVE")) > 5
@@ -170,8 +170,8 @@ async def test_what_a_pilot_must_know() -> None:
     async with staged(fake) as stage:
         stage.phase = "gave up"
         await until(lambda: len(fake.of("STATUSTEXT")) >= 2)
-        told = {m.text: m.severity for m in fake.of("STATUSTEXT")}
-        assert told == {"Decklander: approach": 6, "Decklander: gave up": 2}
+        reported = {m.text: m.severity for m in fake.of("STATUSTEXT")}
+        assert reported == {"Decklander: approach": 6, "Decklander: gave up": 2}
         await until(lambda: len([m for m in fake.of("NAMED_VALUE_FLOAT") if m.name == "dl_sigma"]) == 2)
         values = {m.name: m.value for m in fake.of("NAMED_VALUE_FLOAT")}
         assert values["dl_seen"] == 1.0

@@ -306,15 +306,15 @@ def test_setting_reports_the_value_in_force_to_everyone(tunables: tuple[Tunables
     def put(name: bytes, value: float, kind: int = 9, target: tuple[int, int] = US) -> list[Message]:
         return params.on_message(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
 
-    (told,) = put(b"PID_H_KP", 0.3)
-    assert told.param_value == pytest.approx(0.3)
+    (reported,) = put(b"PID_H_KP", 0.3)
+    assert reported.param_value == pytest.approx(0.3)
     assert applied[-1].guidance.pid.horizontal.kp == 0.3, "not 0.30000001192"
     for bad in (99.0, math.nan, math.inf):
-        (told,) = put(b"PID_H_KP", bad)
-        assert told.param_value == pytest.approx(0.3)
+        (reported,) = put(b"PID_H_KP", bad)
+        assert reported.param_value == pytest.approx(0.3)
         assert params.refused
-    (told,) = put(b"PID_H_KP", 1.0, kind=6)
-    assert told.param_value == pytest.approx(0.3)
+    (reported,) = put(b"PID_H_KP", 1.0, kind=6)
+    assert reported.param_value == pytest.approx(0.3)
     assert put(b"NO_SUCH", 1.0) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 1)) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 0)) == [], "setting is never for everyone"

@@ -94,9 +94,9 @@ async def test_the_reason_of_the_broker_is_reported(
         await until(lambda: len(broker.statuses) == 2)
         assert rig.count("connection_failures") == 1
         assert {name for name, _ in broker.clients} == {client_id("drone")}
-    told = [line for line in caplog.messages if "the broker ended the connection" in line]
-    assert len(told) == 1
-    assert said in told[0].lower()
+    reported = [line for line in caplog.messages if "the broker ended the connection" in line]
+    assert len(reported) == 1
+    assert said in reported[0].lower()
 
 
 async def test_the_status_follows_a_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -240,13 +240,13 @@ def test_a_fence_that_holds_guidance_back_ends_the_landing_and_reports_it() -> N
     pilot.on_sample(Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
     pilot.on_sample(VehicleStatus(at(NOW), True, "flying", 0.9, False, True))
     pilot.operator._place = place((4.9, 0.0))
-    now, said = NOW, list[str]()
+    now, output = NOW, list[str]()
     for _ in range(250):
         now = after(now, 0.02)
         pilot.operator.tick(now)
         chosen = pilot.operator.choose(now, Hover() if pilot.paused else flown((1.0, 0.0, 0.0)))
-        said += [chosen.limit] if not said or said[-1] != chosen.limit else []
-    assert said == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
+        output += [chosen.limit] if not output or output[-1] != chosen.limit else []
+    assert output == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
     assert chosen.command == Hover()
     assert [(o.sender.source, o.order) for o in orders] == [(OrderSource.LIMITS, OperatorOrder.HOLD)]
     assert pilot.operator.take(OperatorOrder.BEGIN, OrderSender(OrderSource.MQTT), now).accepted

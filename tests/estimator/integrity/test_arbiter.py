@@ -57,9 +57,9 @@ def test_a_filter_five_sigma_apart_is_reported_after_half_a_second_and_overruled
 
     _, overruled = followed(20.0, away)
     assert overruled == [pytest.approx(7.8, abs=0.3)]
-    told, _ = followed(7.0, away)
-    assert told.apart(told.t)
-    assert not told.apart(told.t + 3_000 * MS), "once it is silent it says nothing"
+    reported, _ = followed(7.0, away)
+    assert reported.apart(reported.t)
+    assert not reported.apart(reported.t + 3_000 * MS), "once it is silent it says nothing"
     early, _ = followed(6.0, away)
     assert not early.apart(early.t)
 

@@ -76,8 +76,8 @@ def test_the_covariance_holds_over_many_frames(camera: Camera, pad: Pad) -> None
         z = float(rng.uniform(0.9, 2.2))
         at = (0.15 + rng.uniform(-0.1, 0.1) * z, rng.uniform(-0.1, 0.1) * z, z)
         scene = PadPlacement(at, rng.uniform(-3, 3), *rng.normal(0, 0.05, 2), *rng.normal(0, sigma_deck, 2))
-        told = Rotation.from_rpy(scene.roll_rad, scene.pitch_rad, 0.0) @ Rotation.from_rotvec(rng.normal(0, sigma_tilt, 3))
-        attitude = Attitude(STAMP, told, np.eye(3) * sigma_tilt**2)
+        reported = Rotation.from_rpy(scene.roll_rad, scene.pitch_rad, 0.0) @ Rotation.from_rotvec(rng.normal(0, sigma_tilt, 3))
+        attitude = Attitude(STAMP, reported, np.eye(3) * sigma_tilt**2)
         frame = image(scene, camera, pad, samples=3, blur_px=0.6, noise=2.0, seed=i)
         seen = detect(frame, attitude, camera, pad, SIMULATOR, sigma_deck_rad=sigma_deck)
         for name, values in nees.items():

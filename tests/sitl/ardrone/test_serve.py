@@ -53,7 +53,7 @@ def test_it_ends_when_ordered_and_leaves_the_whole_truth(how: str, tmp_path: Pat
 )
 def test_wrong_use_is_one_line(arguments: tuple[str, ...], code: int, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert serve.main(list(arguments)) == code
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert what in said.err
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert what in output.err
+    assert output.err.count("\n") == 1
