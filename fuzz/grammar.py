@@ -2,7 +2,7 @@
 
 Valid ones are made record by record, then cut, doubled, reordered, re-defined and filled with numbers that no sensor gives. Three
 things hold: a reader raises nothing but the project's own errors, no file is taken for one of another kind, and what is read of
-records that are only missing, doubled or in another order is what they say, or something is told.
+records that are only missing, doubled or in another order is what they say, or a fault is reported.
 """
 
 import math

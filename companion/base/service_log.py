@@ -90,7 +90,7 @@ class KindLimit:
         return False
 
     def due(self, now_s: float) -> Iterator[tuple[str, str]]:
-        """Yield logger and words for each kind whose minute is over and of which some were held back."""
+        """Yield logger and words for each kind whose minute is over and that had lines held back."""
         for kind in self._kinds.values():
             if kind.held and now_s - kind.since_s >= _MINUTE_S:
                 yield kind.name, f"{kind.held} more lines like this in {now_s - kind.since_s:.0f} s: {kind.last}"

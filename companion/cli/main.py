@@ -3,7 +3,7 @@
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
-Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
+Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is requested.
 """
 
 import argparse
@@ -129,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (this process' own when `argv` is None) and return the exit code.
 
     Raises:
-        SystemExit: help or the version was asked for, or the arguments are wrong.
+        SystemExit: help or the version was requested, or the arguments are wrong.
     """
     if argv is not None:
         return _run(list(argv), importlib.import_module)
@@ -140,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _run(sys.argv[1:], _load_for_good)
         except (SystemExit, signals.Stopped):
             raise
-        except BaseException as why:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+        except BaseException as why:  # a bug of ours: print Python's traceback, but no thread that hangs may keep the process
             # A signal that comes while a class is made reaches us as the cause of Python's own error.
             if isinstance(why.__cause__, signals.Stopped):
                 raise why.__cause__ from None
@@ -259,7 +259,7 @@ def _refuse(why: DecklanderError) -> int:
 
 
 def _cure(why: DecklanderError) -> str:
-    """Return what helps where a file is missing: the folder that there is none of, or a name that is alike."""
+    """Return the cure for a missing file: the missing folder, or a similar name."""
     missing = why.__cause__
     if not isinstance(missing, FileNotFoundError) or not isinstance(missing.filename, str | os.PathLike):
         return ""

@@ -172,7 +172,7 @@ class Pilot:
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
-        That is while nobody has agreed to land on the pad it refers to, and while the deck is believed to move as none does.
+        That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
         """
         believed = self.believed(now)
         if believed is None:
@@ -191,7 +191,7 @@ class Pilot:
         return self.estimation.all_believed(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         return self.estimation.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
@@ -207,8 +207,8 @@ class Pilot:
     def take_samples(self, samples: Sequence[Sample]) -> int:
         """Take samples in the order in which they were received; return how many wait for `fused`.
 
-        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
-        same as one by one, and what surrounds each step costs once.
+        The estimator processes them when the next answer is needed, those of several datagrams together: beliefs and results are
+        the same as one by one, and what surrounds each step costs once.
         """
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)

@@ -69,7 +69,7 @@ class AutopilotLog(Struct, frozen=True):
 
     stack: str
     vehicle: str | None
-    """Name of the firmware, such as "ArduCopter", if the log tells it."""
+    """Name of the firmware, such as "ArduCopter", if the log has it."""
     firmware: tuple[int, int, int] | None
     parameters: dict[str, float]
     """The last value of each."""
@@ -166,7 +166,7 @@ _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PL
 def parameters_of(path: Path) -> AutopilotLog:
     """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME VALUE`, or QGroundControl's table with tabs.
 
-    Return a log that holds nothing else; the stack is what the file says, or its names tell.
+    Return a log that holds nothing else; the stack is given by the file, or by its names.
 
     Raises:
         BadInput: the file cannot be read, or no line of it is a parameter.

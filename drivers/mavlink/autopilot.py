@@ -76,7 +76,7 @@ class _Known:
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
     version: Version | None = None
-    """Its firmware and hardware, once it told them."""
+    """Its firmware and hardware, once it reported them."""
     released_at: MonoNs | None = None
     """Time when the vehicle was taken from this program; None while nobody has it."""
 
@@ -206,7 +206,7 @@ class Autopilot:
             raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
-            # The autopilot's velocities are over the ground, as a lean's are.
+            # The autopilot's velocities are over the ground, as a tilt's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
                 command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)

@@ -1,10 +1,10 @@
 """Know who is meant by "the autopilot", and who else is there: the one place that says it. No I/O.
 
-Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is heard alone is listened to at
+Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is alone is followed at
 once. While it is not clear who is meant, nothing is commanded, and each case names the setting that chooses.
 
-Autopilots that use one system id over one link, behind a router, are told apart: their times since boot differ, and each counts
-its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
+Autopilots that use one system id over one link, behind a router, are distinguished: their times since boot differ, and each
+counts its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NEXT_WITHIN = 8
 _REACHED_WITHIN = 64
 """Sequence numbers that another autopilot may have used since its last message with a time."""
 _HELD_S = 0.5
-"""Time for which a message waits to be told whose it is."""
+"""Time for which a message waits until its sender is known."""
 _REBOOT_S, _REPLACED_S = 1.0, 10.0
 """Silence after which another clock is taken for the autopilot's: after a reboot, and where two ran beside one another."""
 _BELIEVED = 3
@@ -84,7 +84,7 @@ class _Origin:
         return (sequence - self.sequence) % 256
 
     def apart_from(self, sequence: int) -> bool:
-        """Return whether a sequence number is none that it may have reached with messages that told no time."""
+        """Return whether a sequence number cannot have been reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:
@@ -291,7 +291,7 @@ class Bound:
 
 @dataclass(slots=True)
 class Roster:
-    """The autopilots that were heard, and other users of ids that are not theirs."""
+    """The autopilots that were received, and other users of ids that are not theirs."""
 
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
@@ -338,7 +338,7 @@ class Roster:
         self._elsewhere = received.source_text, received.received_at, differed + 1 if differs else 0
 
     def note_uid(self, uid: int, now: MonoNs) -> None:
-        """Note the hardware that answered under the autopilot's id; 0 tells nothing."""
+        """Note the hardware that answered under the autopilot's id; 0 is ignored."""
         self.uids = {one: known for one, known in self.uids.items() if seconds_between(known[0], now) < _UID_S}
         if uid and (uid in self.uids or len(self.uids) < _UIDS_MAX):
             self.uids[uid] = now, self.uids.get(uid, (now, 0))[1] + 1

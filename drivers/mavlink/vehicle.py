@@ -109,7 +109,7 @@ class Version:
     capabilities: int
     """MAV_PROTOCOL_CAPABILITY bits."""
     uid: int
-    """The unique id of the hardware; 0 where it tells none."""
+    """The unique id of the hardware; 0 where it reports none."""
 
     def __str__(self) -> str:
         hardware = f"hardware {self.uid:x}" if self.uid else "hardware without an id"

@@ -33,7 +33,7 @@ class Verdict(Enum):
     GATED = "gated"
     """The input is implausible against the belief."""
     LOW_CONFIDENCE = "low_confidence"
-    """A sighting with less confidence than the settings ask for: it was compared with nothing."""
+    """A sighting with less confidence than the settings request: it was compared with nothing."""
     TOO_OLD = "too_old"
     TOO_NEW = "too_new"
     SINGULAR = "singular"

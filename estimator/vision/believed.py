@@ -24,8 +24,8 @@ from estimator.vision.tracker_config import TrackerConfig
 _FRESH_S = 1.0
 """Age of the newest fused sighting up to which a belief excludes places."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
-believed position lie within the sum.
+"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of
+the expected position lie within the sum.
 
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.

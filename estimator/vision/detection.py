@@ -159,7 +159,7 @@ class Detection(Struct, frozen=True, eq=False):
     methods: Mapping[Method, Sighting | None]
     """The sighting of every method that was tried."""
     opinions: Opinions | None = None
-    """The two opinions on the best registration; None if the second was not asked."""
+    """The two opinions on the best registration; None without a second opinion."""
     elsewhere: Sighting | None = None
     """Sighting that is surer than `selected`, or the only one, at a place that a fresh estimate excludes.
 

@@ -1,6 +1,6 @@
 """Plan of a campaign: a scenario or a named set, settings, a level of perception and the values that are varied.
 
-What each scenario of a set (configs/scenarios/sets) expects is said in its own file.
+What each scenario of a set (configs/scenarios/sets) expects is written in its own file.
 """
 
 from __future__ import annotations

@@ -423,7 +423,7 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
             for _ in range(_DECIDED_S * 20):
                 if pilot.outcome is not None or said["ended"] == "time is up":
                     break
-                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot has heard of it
+                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot knows of it
             frames = health.frames - before
             before = Counter(health.frames)
             late_s = late.quantile(0.5) if (late := health.delays.get("guidance_late")) is not None else None

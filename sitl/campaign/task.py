@@ -118,7 +118,7 @@ def flight_hash(flight: Flight) -> str:
 
 
 def job_of(flight: Flight) -> Job:
-    """Return the job of which this is the result."""
+    """Return the job of this result."""
     return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
 
 

@@ -1,4 +1,4 @@
-"""A map of wind, sea and vehicle: what lands, how well, and what is refused, drawn from the flights of a campaign."""
+"""A map of wind, sea and vehicle: landings, their accuracy and refusals, drawn from the flights of a campaign."""
 
 import re
 from collections import Counter

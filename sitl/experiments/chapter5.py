@@ -171,7 +171,7 @@ class Landed(NamedTuple):
 
 
 class Chapter5(NamedTuple):
-    """All of it."""
+    """Chapter 5 as a whole."""
 
     up_and_down: ExperimentFlight
     hover: HoverFlights

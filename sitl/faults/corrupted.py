@@ -25,7 +25,7 @@ SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late
 SIGNALS: tuple[Signal, ...] = get_args(Signal)
 ERRORS: tuple[SignalError, ...] = get_args(SignalError)
 PACKETS = frozenset({"samples", "frames"})
-"""Signals of which whole packets are late or doubled, and not values; of commands both."""
+"""Signals whose whole packets are late or doubled, and not their values; commands have both."""
 UNSIZED = frozenset({"frozen", "doubled", "swapped", "sign"})
 """Errors that have no size."""
 LATE_MAX_S = 2.0
@@ -240,7 +240,7 @@ _FACTOR_LEAST = 0.03
 """Least change by a factor."""
 _COMMAND_S = 0.5
 """Longest time in which commands do something else than they say. Nothing on board can fly a vehicle that turns right for left;
-what is asked is that it gets over it."""
+the requirement is that it gets over it."""
 
 
 class Sizes(NamedTuple):

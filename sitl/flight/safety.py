@@ -28,7 +28,7 @@ BLIND_DESCENT_MAX_M = 0.5
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 MET_AFTER_S = 0.5
-"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
+"""Time after a command at which the vehicle has the speed that it requests, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
@@ -48,7 +48,7 @@ COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
 """The phases in which a person commands; a contact is then the person's."""
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
-"""The phases of guidance that end a try by climbing."""
+"""The phases of guidance that end an attempt by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
 either lands or refuses."""

@@ -74,7 +74,7 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
 
 
 def test_flips_between_states_restart_no_budget() -> None:
-    """Sight that comes and goes each second: descend, hold blind, descend; the try's and the landing's times go on."""
+    """Sight that comes and goes each second: descend, hold blind, descend; the attempt's and the landing's times go on."""
     o = guided(tries={"landing_s": 20.0, "losses_max": 1000, "blind_descent_max_m": 10.0, "climb_after_s": 15.0})
     p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
     t = 0.0

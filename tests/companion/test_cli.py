@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line on stderr, and nothing imported that was not asked for."""
+"""The command line: exit codes, one line on stderr, and nothing imported that was not requested."""
 
 from __future__ import annotations
 

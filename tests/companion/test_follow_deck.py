@@ -391,7 +391,7 @@ def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -
 
 
 def own_after(part: OwnPart, unexplained: float, lean: float, rate: float, spans: float) -> OwnPart:
-    """Return the vehicle's own part after some of its time constants in which so much of the lean was not explained."""
+    """Return the vehicle's own part after some of its time constants in which this much of the tilt was not explained."""
     return OwnPart(float(np.clip(part.own + (1.0 - math.exp(-spans)) * unexplained, -3.0, 3.0)), lean, rate)
 
 

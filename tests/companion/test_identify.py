@@ -290,7 +290,7 @@ def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
 
 
 def still_flight(path: Path, seconds: float, kept: dict[str, bytes] | None = None) -> None:
-    """Record a vehicle that is asked to lean by the same angle all the time, and reports it with the noise of its sensors.
+    """Record a vehicle that is asked to tilt by the same angle all the time, and reports it with the noise of its sensors.
 
     `kept` are the files that the recording holds instead of its own settings, camera and pad.
     """

@@ -29,7 +29,7 @@ DESCENT = (State.INTERCEPT, State.DESCEND, State.GATE, State.HOLD_BLIND)
 
 
 def memory(state: State, since_s: float = 1.0, **more: Any) -> Progress:
-    """Return a try that began a second ago, in sight of pad 1 at a metre."""
+    """Return an attempt that began a second ago, in sight of pad 1 at a metre."""
     fields: dict[str, Any] = {
         "automatic": True, "since": ns(NOW - since_s), "seen": ns(NOW), "seen_height_m": 1.0, "in_sight": True, "track": 1,
         "entered_height_m": 1.0, "begun": True,
@@ -229,7 +229,7 @@ def test_what_the_frames_show_is_told_where_nothing_else_is_seen() -> None:
     assert of(Event.HOPELESS, replace(p, in_sight=True, seen_height_m=2.0), cycle(seen(), frames=BLIND)) == WHY
 
 
-# Limits of a try
+# Limits of an attempt
 
 
 def test_a_limit_ends_the_commit_but_not_without_an_estimate() -> None:

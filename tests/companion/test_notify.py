@@ -36,7 +36,7 @@ class Systemd:
         self.messages: list[dict[str, str]] = []
 
     def read(self) -> list[dict[str, str]]:
-        """Everything heard so far."""
+        """Everything received so far."""
         while True:
             try:
                 text = self.socket.recv(4096).decode()

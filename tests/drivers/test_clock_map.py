@@ -14,7 +14,7 @@ FLOOR_S = 0.002
 
 @dataclass
 class Received:
-    """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were heard."""
+    """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were received."""
 
     true_ns: np.ndarray
     remote_ns: np.ndarray

@@ -199,7 +199,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
 
 
 async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> None:
-    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still hears it."""
+    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.settimeout(60.0)

@@ -5,7 +5,7 @@
 Needs root, debootstrap and whatever this machine uses to reach Debian's and Python's packages. Each step is read from the
 Dockerfiles, so that the two cannot drift. Then compose.yaml's broker, sim and daemon run from those roots as its user, the roots
 read-only, in a network of their own, until the simulated drone has landed on the pad, the health check says yes, Prometheus'
-endpoint has every figure of the dashboard and the ground hears the drone through TLS. Times and sizes are printed.
+endpoint has every figure of the dashboard and the ground receives the drone through TLS. Times and sizes are printed.
 """
 
 import argparse

@@ -120,7 +120,7 @@ def test_images_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
 
 
 def decisions_blind(diary: Diary) -> int:
-    """Return at how many decisions sight was stale, none of which sinks; what the air does to the drone is not a command."""
+    """Return at how many decisions sight was stale, none of which descends; what the air does to the drone is not a command."""
     blind = 0
     for decision in diary.decisions:
         belief = decision.belief

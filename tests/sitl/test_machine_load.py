@@ -70,7 +70,7 @@ def test_a_landing_on_the_pad_is_not_talked_down() -> None:
 
 
 class LateClock(VirtualClock):
-    """Wakes everybody up later than asked for."""
+    """Wakes everybody up later than requested."""
 
     async def sleep(self, seconds: float) -> None:
         await super().sleep(seconds + 0.05)

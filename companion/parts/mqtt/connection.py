@@ -294,7 +294,7 @@ class Connection(aiomqtt.Client):
         """Raise the broker's own reason in place of the errors that follow from the end of the connection.
 
         Raises:
-            Recoverable: the broker ended the connection and said why.
+            Recoverable: the broker ended the connection, with its reason.
         """
         try:
             yield

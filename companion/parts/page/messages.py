@@ -31,7 +31,7 @@ class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="draw
 
 
 class PictureRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="picture", forbid_unknown_fields=True):
-    """Send pictures so from now on; H.264 begins anew with a key frame."""
+    """Send pictures so from now on; H.264 begins again with a key frame."""
 
     codec: Literal["jpeg", "h264"]
 

@@ -158,7 +158,7 @@ class PageViewer:
             case DrawnNotice():
                 self._drawn(request.number, now)
             case PictureRequest():
-                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks anew.
+                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
                 self.encoder = self._served.frame_encoder() if request.codec == "h264" else None
                 self._flying.clear()
             case RecordingsRequest():

@@ -38,7 +38,7 @@ _FIXES = {
 
 
 def arming_refused(p: Snapshot) -> Finding | None:
-    """Find an autopilot that is not armed and told why it will not be."""
+    """Find an autopilot that is not armed and reports why it cannot be."""
     a = p.autopilot
     if a is None or a.armed or p.log is not None:
         return None

@@ -127,7 +127,8 @@ def refuse_in_flight(machine: Machine, *, on_ground: bool = False) -> None:
 def start(machine: Machine, sleep: Callable[[float], None] = time.sleep, seconds: float = WATCHED_S) -> str | None:
     """Start the service again and watch it; return why it does not come up, None if it does.
 
-    It is up when it has said that it is ready, keeps its process for `seconds`, and has the frames and samples that came before.
+    It is up when it has reported that it is ready, keeps its process for `seconds`, and has the frames and samples that came
+    before.
     """
     before = state(machine)
     try:

@@ -187,7 +187,7 @@ def check_python(machine: Machine, python: str) -> None:
     """Refuse a computer whose Python cannot run the service.
 
     Raises:
-        SetupImpossible: it is of 32 bits, too old, without `venv`, or not there; the text says what helps.
+        SetupImpossible: it is of 32 bits, too old, without `venv`, or not there; the text names the cure.
     """
     done = machine.ask([python, "-c", _PROBE])
     words = done.stdout.split()

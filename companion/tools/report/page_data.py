@@ -88,7 +88,7 @@ def events(log: FlightLog) -> list[FlightEvent]:
 
 
 def page_flight(log: FlightLog, label: str, ink: str, video_from: MonoNs | None) -> PageFlight:
-    """Return what the page tells of a flight at its cursor."""
+    """Return the figures of a flight at the page's cursor."""
     first = None if video_from is None else seconds_between(log.started, video_from)
     phases = [(seconds_between(log.started, change.at), change.phase) for change in log.phases]
     out = PageFlight(label, ink, first, phases)

@@ -3,7 +3,7 @@
 Hypotheses come from the fiducials of a pad that has some, from circles of edges in luminance, at several sizes of the frame, from
 the outlines of small areas that stand out, from the strokes of the H, and from circles in the measure of the disc's colour where
 there is colour. A pad that has fiducials and not
-disc, ring and lettering besides is searched by its fiducials alone, as nothing else tells it from other markings.
+disc, ring and lettering besides is searched by its fiducials alone, as nothing else distinguishes it from other markings.
 
 A search may be given a budget of work; what is left goes on with the next frame. The budget counts work and not time, so that the
 same frames give the same results.
@@ -174,7 +174,7 @@ def search(
 
 @dataclass(slots=True, eq=False)
 class _Task:
-    """A search in one frame: what it is given, and what it has done so far."""
+    """A search in one frame: its inputs and its progress."""
 
     view: FrameView
     sure: float

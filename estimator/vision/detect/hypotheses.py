@@ -131,7 +131,7 @@ def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, pl
     best: Guess | None = None
     turns = np.linspace(0.0, math.tau, _HEADINGS, endpoint=False).tolist() if aside > _ASIDE * pad.disc_radius_m else [None]
     for turn in turns:
-        # A component beside the centre says where that is at each heading; the drawing tells which heading is right.
+        # A component beside the centre says where that is at each heading; the drawing decides which heading is right.
         pose = flat if turn is None else _beside(flat, drawn.centroid_m, turn)
         seen = heading(pyramid[level], 1 << level, camera, pad, pose)
         if seen is None or (turn is not None and abs(math.remainder(seen.turn_rad - turn, math.tau)) > math.tau / _HEADINGS):
@@ -248,7 +248,7 @@ class Kind(NamedTuple):
     least_round: float = LEAST_DRAWING
     """Smallest fraction of the variance that a guess from a circle with an ellipse for its outline must explain to be tried."""
     least_drawing: float = LEAST_DRAWING
-    """The same of any other guess."""
+    """Smallest such fraction for any other guess."""
     by_colour: bool = False
     """True if guesses come from the disc's colour."""
 
@@ -270,7 +270,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     """Return the kinds of hypotheses, quick and likely kinds first.
 
     Kinds whose guesses are often wrong are looked at twice: first for guesses that are clear, and for the others after all kinds.
-    Those that only a pad of which a part is covered needs are the last ones.
+    Those that only a partly covered pad needs are the last ones.
     """
     luminance, colour = _Images(_luminance, pyramid, _MORE_CIRCLES), _Images(lambda px: disc_colour(px, pad), pyramid, {})
     frame = _Searched(pyramid, camera, pad, plane)

@@ -42,7 +42,7 @@ OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
 
 @asynccontextmanager
 async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
-    """Run the program with parameters over the doctor's good ones; yield it and the URL at which it is heard."""
+    """Run the program with parameters over the doctor's good ones; yield it and the URL of its link."""
     asked = {name: float(value) for name, value in (DATA[stack]["good"]["defaults"] | dict(parameters)).items()}
     binary = Path(PROGRAMS[stack])
     if stack == "ArduPilot":

@@ -116,7 +116,7 @@ def key_file(tmp_path: Path) -> Path:
 
 @asynccontextmanager
 async def listening(broker: Broker, tmp_path: Path, **changes: object) -> AsyncIterator[tuple[RunningPart, Connection]]:
-    """Yield a part, and a ground station that hears its answers."""
+    """Yield a part, and a ground station that receives its answers."""
     async with running(broker.settings(**changes), tmp_path / "spool") as rig, broker.ground() as ground:
         await until(lambda: rig.count("connections") == 1)
         await ground.subscribe([(TREE + "reply/#", 1), (TREE + "operator", 1)])

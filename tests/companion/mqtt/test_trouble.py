@@ -87,7 +87,7 @@ async def flown(settings: MqttSettings, folder: Path, enough: Callable[[RunningP
 
 
 def failed(times: int) -> Callable[[RunningPart], bool]:
-    """Return whether connecting has failed so many times."""
+    """Return whether connecting has failed this many times."""
     return lambda rig: rig.count("connection_failures") >= times
 
 

@@ -1,4 +1,4 @@
-"""Files as the world has them: told apart by content, with damage and steps told; only what looks down gives a height."""
+"""Files as the world has them: distinguished by content, with damage and steps told; only what looks down gives a height."""
 
 import tempfile
 from collections.abc import Callable, Iterable

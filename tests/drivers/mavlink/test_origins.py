@@ -133,7 +133,7 @@ def test_values_that_are_made_up_are_no_second_autopilot() -> None:
 
 
 def test_heartbeats_alone_tell_a_second_autopilot() -> None:
-    """One that is asked for nothing sends no times: its HEARTBEATs count on their own."""
+    """One without requests sends no times: its HEARTBEATs count on their own."""
     codec, origins = Codec(1, 1, datagrams=True), Origins()
     codec._spoken[1] = 77
     beats = [(2.0 + n, codec.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))) for n in range(6)]

@@ -165,7 +165,7 @@ def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
 
 @pytest.mark.parametrize(("down", "flown"), [(0.125, 0.0), (-0.5, -0.5)])
 def test_without_a_heading_it_holds_over_the_deck_or_climbs_and_never_descends(down: float, flown: float) -> None:
-    """WHY: an autopilot that hears nothing flies on with its last setpoint, ArduCopter for 3 s: most of a metre down."""
+    """WHY: an autopilot that receives nothing flies on with its last setpoint, ArduCopter for 3 s: most of a metre down."""
     flight = Flight(Stack.ARDUPILOT, "guided")
     flight.periods(0.2, GO)
     flight.told("guided")

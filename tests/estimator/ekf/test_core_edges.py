@@ -64,7 +64,7 @@ from tests.estimator.ekf.test_core_sightings import agrees
 
 
 def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: float = 0.0) -> Belief:
-    """Return the belief after a sighting that followed others of these ages and ratios, off down by so many sigmas."""
+    """Return the belief after a sighting that followed others of these ages and ratios, off down by this many sigmas."""
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
     values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)),) for ratio in ratios)

@@ -65,7 +65,7 @@ def flown_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bo
 
 
 def offset(x: float, z: float) -> F64:
-    """Return an offset with so many metres sideways, most of them to the east."""
+    """Return an offset with this many metres sideways, most of them to the east."""
     return np.array([0.6 * x, 0.8 * x, z])
 
 

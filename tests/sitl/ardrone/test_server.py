@@ -185,7 +185,7 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & NavdataState.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    # By the drone's own clock, from the last command on that it took: a busy machine hears and says late.
+    # By the drone's own clock, from the last command on that it took: a busy machine receives and says late.
     spoken_us = server._drone_clock.microseconds(server.drone.state._received_at or world.now)
     hovered_us, landing_us = (t.time_us for n in (hovering, landing) if (t := n.get(navdata.NavdataTime)) is not None)
     assert 1.0e6 <= hovered_us - spoken_us < 1.1e6

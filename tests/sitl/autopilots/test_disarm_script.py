@@ -89,7 +89,7 @@ class Scripting:
 
 
 def aboard(deck: Deck, **parameters: float) -> Scripting:
-    """Put the script aboard; a companion is heard each second until `deck.silent` is set."""
+    """Put the script aboard; a companion's message arrives each second until `deck.silent` is set."""
     pilot = deck.pilot
     assert isinstance(pilot, CopterStandIn)
     script, fly, steps, per = Scripting(pilot, **parameters), pilot.fly, [0], round(PERIOD_S / STEP_S)

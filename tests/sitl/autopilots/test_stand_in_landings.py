@@ -45,7 +45,7 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
     assert end.landing is not None
     assert end.landing.on_pad
     assert end.landing.lateral_m < 0.12
-    # On a starved machine the stand-in of ArduCopter hears late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
+    # On a starved machine the stand-in of ArduCopter receives late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
     assert end.landing.slide_m_s < (0.8 if stack == "arducopter" else 0.3)
     assert abs(math.degrees(end.landing.yaw_rad)) < 8.0, "from 20 degrees off the arrow"
     assert end.armed_after_contact_s is not None
