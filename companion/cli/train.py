@@ -16,7 +16,7 @@ from companion.guidance.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import settings_for
-from sitl.gym.imitation import Flown, Imitation, ImitationOptions, RoundProgress, fly_policy
+from sitl.gym.imitation import EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
 from sitl.gym.training import TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import load
 
@@ -118,7 +118,7 @@ def _words(progress: RoundProgress) -> str:
     )
 
 
-def _conclude(args: argparse.Namespace, policy: Policy, flown: Flown) -> None:
+def _conclude(args: argparse.Namespace, policy: Policy, flown: EpisodesFlown) -> None:
     if args.json:
         sys.stdout.write(json.dumps({"record": policy.record, "written": str(args.out)}) + "\n")
         return

@@ -113,7 +113,7 @@ class Teacher:
         self._under_way[self._begun], self._lag[self._begun] = 0.0, 0.0
 
 
-class Flown(NamedTuple):
+class EpisodesFlown(NamedTuple):
     """Episodes that ended: how many, the share that landed, and the median distance of those from the centre."""
 
     episodes: int
@@ -121,16 +121,16 @@ class Flown(NamedTuple):
     distance_m: float
 
 
-def tally(ends: list[NDArray[np.int8]], touchdowns: list[F32]) -> Flown:
+def tally(ends: list[NDArray[np.int8]], touchdowns: list[F32]) -> EpisodesFlown:
     """Return what came of the episodes that ended with any of some steps."""
     over = np.concatenate(ends)
     distances = np.concatenate(touchdowns)[over == _LANDED, 0]
     count = int((over != _FLYING).sum())
     landed = int((over == _LANDED).sum())
-    return Flown(count, landed / max(1, count), float(np.median(distances)) if landed else math.nan)
+    return EpisodesFlown(count, landed / max(1, count), float(np.median(distances)) if landed else math.nan)
 
 
-def fly_policy(policy: Policy, worlds: TrainingWorlds, seed: int) -> Flown:
+def fly_policy(policy: Policy, worlds: TrainingWorlds, seed: int) -> EpisodesFlown:
     """Fly the first episode of every world by a policy, from a seed on, and return what came of them."""
     seen = worlds.begin(range(seed, seed + worlds.count))
     ends, touchdowns = np.zeros(worlds.count, np.int8), np.full((worlds.count, 3), np.nan, np.float32)
@@ -167,7 +167,7 @@ class RoundProgress(NamedTuple):
 
     round: int
     examples: int
-    flown: Flown
+    flown: EpisodesFlown
     error: float
 
 
@@ -225,7 +225,7 @@ class Imitation:
         full = {"acceleration_m_s2": self._worlds.acceleration_m_s2, "place_m": float(starts.max())}
         return Policy({name: self.weights[name].copy() for name in ARRAYS}, {**record, **full})
 
-    def _gather(self, share: float) -> Flown:
+    def _gather(self, share: float) -> EpisodesFlown:
         """Fly a round and keep what was seen and what the teacher would have done."""
         w, o, rng = self._worlds, self._o, self._rng
         ends, touchdowns = [], []
