@@ -49,6 +49,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "study": {
         "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
         "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
+        "train": ("companion.cli.train", "train a controller in the simulated sea"),
         "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
         "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     },

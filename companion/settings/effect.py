@@ -44,6 +44,7 @@ class _Rule:
 
 _RULES = (
     _Rule("vision.learned_file", lambda s: s.vision.learned == "off", 'vision.learned is "off"'),
+    _Rule("guidance.policy_file", lambda s: s.guidance.controller != "policy", 'guidance.controller is not "policy"'),
     _Rule("mqtt.", lambda s: s.mqtt.transport == "off", 'mqtt.transport is "off"', "mqtt.transport"),
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),

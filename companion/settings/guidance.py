@@ -8,7 +8,7 @@ from msgspec import Struct
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
 from companion.settings.rendezvous import RendezvousOptions
-from estimator.contracts.keys import check_ranges, choice, name, number
+from estimator.contracts.keys import check_ranges, choice, name, number, text
 
 _TUNED = "tuned in simulation"
 _Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
@@ -130,12 +130,16 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     controller: Annotated[
         str,
         name(
-            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or "
-            "the name under which an installed package offers one",
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), "
+            "policy (a trained network), or the name under which an installed package offers one",
             64,
             public=True,
         ),
     ] = "follow_deck"
+    policy_file: Annotated[
+        str,
+        text("what the controller policy flies by, as decklander train writes it; empty for the shipped one", 4096, shortest=0),
+    ] = ""
     pid: PidOptions = PidOptions()
     follow_deck: FollowDeckOptions = FollowDeckOptions()
     cone: ConeOptions = ConeOptions()

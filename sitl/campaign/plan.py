@@ -267,6 +267,8 @@ def make_plan(
     if scenario.vessel.motion:
         moved = Path(scenario.vessel.motion)
         files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
+    if settings.guidance.controller == "policy" and (path := Path(settings.guidance.policy_file)).is_file():
+        files["settings: guidance.policy_file"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)
