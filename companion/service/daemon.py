@@ -157,7 +157,7 @@ class Daemon:
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._taken_at = MonoNs(0)
-        """When the samples that wait were last asked for."""
+        """Time when the waiting samples were last taken."""
         self._newest_fused: Stamp | None = None
         """Stamp of the newest frame in the estimate that no command has used."""
         self._extras = dict(extras or {})

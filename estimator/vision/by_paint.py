@@ -75,8 +75,9 @@ _EXPECTED_SIGMAS = 3.0
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
-"""Radius of the disc, px, below which a pad that is not found from the belief is looked for some pixels about it, and the least
-fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
+"""Radius of the disc, px, below which a pad that the estimate did not lead to is searched some pixels about its place.
+
+The least fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
 """
 
 

@@ -121,9 +121,11 @@ rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, n
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
-"""Change of the distance from its start, as a fraction and by that of pixels of the radius, and of the place as a fraction of
-the radius, from which a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
-rest of the pad still fits."""
+"""Changes from its start at which a registration has strayed.
+
+They are of the distance, as a fraction and by that of pixels of the radius, and of the place, as a fraction of the radius. A
+cover over a part of a disc in its own shade pulls the edges there, and the rest of the pad still fits.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

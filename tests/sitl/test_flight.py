@@ -38,7 +38,7 @@ class Diary(NullObserver):
         self.decisions: list[Decision] = []
         self.verdicts: list[Verdict] = []
         self.errors_m: list[float] = []
-        """How far the belief was from the truth at each decision that had one."""
+        """Distance of the estimate from the truth at each decision that had one."""
         self.flight: Flight | None = None
         self._digest = hashlib.sha256()
 
