@@ -23,6 +23,7 @@ from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
+from companion.guidance.view import FieldOfView
 from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
@@ -168,6 +169,7 @@ class LandingGuidance:
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
         tilt: how the vehicle's tilt answers, by its file.
+        view: the field of a camera that leans with the body; None of another.
     """
 
     def __init__(
@@ -179,6 +181,7 @@ class LandingGuidance:
         over_ground: bool,
         reports: ReportLimits,
         tilt: TiltResponse,
+        view: FieldOfView | None = None,
     ) -> None:
         self._guidance = guidance
         self.mission = Progress.start(automatic=automatic)
@@ -206,7 +209,7 @@ class LandingGuidance:
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
-        self._wind, self._tilt = WindWatch(), tilt
+        self._wind, self._tilt, self._view = WindWatch(), tilt, view
         self._air: WindOverDrone | None = None
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
@@ -375,7 +378,7 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._wind = watched_wind(self._wind, knowledge)
-        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad)
+        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad, self._view)
         self._air = wind
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
