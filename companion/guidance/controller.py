@@ -44,7 +44,7 @@ class AtContact(Struct, frozen=True):
     """Where the control law will have the vehicle when its feet meet the deck, if nothing new pushes it."""
 
     error_m: float
-    """Distance from the pad's centre."""
+    """Distance of the pad's centre from where it is wanted."""
     speed_m_s: float
     """Speed along the deck."""
     sigma_m: float
@@ -69,6 +69,8 @@ class Knowledge(Struct, frozen=True):
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
     climb_max_m_s: float | None = None
     """The fastest climb that the controller asks for; None if it does not say."""
+    aim_level: tuple[float, float] = (0.0, 0.0)
+    """Where the pad's centre is wanted at the contact, forward and right, m: a vehicle that leans comes to stand to lee of it."""
     at_contact: AtContact | None = None
     """None from a controller that does not look ahead, and far from the deck."""
 
@@ -126,7 +128,7 @@ class Controller(Protocol[Memory]):
     def start(self) -> Memory: ...
 
     def ahead(self, memory: Memory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
-        """Return how far from the pad's axis, m, and how fast along the deck, m/s, the vehicle will be after so many seconds.
+        """Return how far from `knowledge.aim_level`, m, and how fast along the deck, m/s, the vehicle will be after so many seconds.
 
         None from a controller that does not know.
         """

@@ -208,6 +208,7 @@ class LandingGuidance:
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
+        self._touch: Impact | None = None
         self._forecast: Forecast | None = None
         self._wind, self._tilt, self._view = WindWatch(), tilt, view
         self._air: WindOverDrone | None = None
@@ -272,10 +273,12 @@ class LandingGuidance:
             # By the type itself: hundreds of samples a second, and a match asks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
-                    before, self._contact = self._contact.newest, watched(self._contact, sample)
-                    if self._contact.newest is not None and self._contact.newest is not before:
-                        # By our own clock: a stamp that lies would put the contact before the commit.
+                    before, self._contact = self._contact, watched(self._contact, sample)
+                    # By our own clock: a stamp that lies would put the contact before the commit.
+                    if self._contact.newest is not None and self._contact.newest is not before.newest:
                         self._impact = replace(self._contact.newest, at=received_at)
+                    if self._contact.touch is not None and self._contact.touch is not before.touch:
+                        self._touch = replace(self._contact.touch, at=received_at)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
@@ -309,7 +312,7 @@ class LandingGuidance:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._impact, self._forecast = ContactWatch(), None, None
+            self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
             self._held, self._held_by_deck, self._wind = HeldUp(), HeldUp(), WindWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
@@ -352,7 +355,8 @@ class LandingGuidance:
         if self.deck_impossible(now):
             self._forecast = None
             return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
-        seen = Knowledge(now, relative, body, deck)
+        aim = (0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m)
+        seen = Knowledge(now, relative, body, deck, aim_level=aim)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
@@ -392,7 +396,7 @@ class LandingGuidance:
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, range_m,
+            self._response.late_s, self._touch, range_m,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes

@@ -52,6 +52,11 @@ class InputQuality(Struct, frozen=True):
     """The camera's constant delay: how old a sighting is at least when it is fused."""
 
 
+def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:
+    """Return the distance from the place over the pad that the contact is wanted at, m."""
+    return math.dist(estimate.d_body_pad_level.tolist()[:2], knowledge.aim_level)
+
+
 def sigma_m(estimate: RelativeState) -> float:
     """Return the largest horizontal 1-sigma, metres."""
     (a, b), (_, c) = estimate.cov[:2, :2].tolist()
@@ -81,7 +86,7 @@ def gate(
         *_of_the_sightings(now, estimate, quality, limits),
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
-        (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
+        (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.error_m),
         (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
         *_at_contact(knowledge, limits, 1.0),
         *_of_the_deck(knowledge, limits, contact_s),
@@ -131,7 +136,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     turns = estimate.height_m > no_return_m(knowledge, cone)
     tilt_deg = math.degrees(knowledge.deck.tilt_rad) if turns and knowledge.deck is not None else None
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
-    beside = (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m)
+    beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1]) if turns else None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.controller import Knowledge
+from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.limits import InputQuality
 from companion.guidance.wind import WindOverDrone
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -59,6 +59,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """Whether the accelerometer is alive, so that its silence tells that nothing was touched."""
     late_s: float | None = None
     """How late the vehicle answers, where that is too late to be flown; None otherwise."""
+    touch: Impact | None = None
+    """The newest push that one foot alone may have made; None before one."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
 

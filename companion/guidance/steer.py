@@ -154,22 +154,23 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         height_m = way.approach_height_m if p.state is State.INTERCEPT else way.final_height_m
         over = np.array([way.pad_ahead_m, 0.0, height_m])
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
-    height_m, error_m, fast = estimate.height_m, estimate.lateral_m, o.cone.intercept_speed_m_s
+    height_m, error_m, fast = estimate.height_m, limits.beside_m(estimate, s.knowledge), o.cone.intercept_speed_m_s
+    x_m, y_m = s.knowledge.aim_level
     rise_m = rise_beyond_climb_m(s.knowledge)
     least_m = o.cone.gate_m + rise_m
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
             wide_m = min(o.tries.safe_height_m, error_m / o.cone.slope)
-            over = np.array([0.0, 0.0, max(min(height_m, p.entered_height_m), wide_m, least_m)])
+            over = np.array([x_m, y_m, max(min(height_m, p.entered_height_m), wide_m, least_m)])
             return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=fast, yaw_rad=yaw)
         case State.DESCEND:
             rate = cone.descent_rate_m_s(error_m, height_m, o.cone, least_m)
-            return Target(np.array([0.0, 0.0, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
+            return Target(np.array([x_m, y_m, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
         case State.COMMIT:
-            return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
+            return Target(np.array([x_m, y_m, 0.0]), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
     rate_max = o.tries.climb_m_s if rise_m == 0.0 or height_m > least_m else _AWAY_M_S
-    return Target(np.array([0.0, 0.0, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
+    return Target(np.array([x_m, y_m, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
 
 
 def _yaw_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> float | None:

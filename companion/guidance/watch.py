@@ -26,6 +26,10 @@ NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
 SILENT_S = 0.3
 """Time without a sample of the vehicle after which it counts as silent, seconds."""
+_PRESS_IN_WIND = 0.5
+"""Share of the time for which it presses on that is left in wind."""
+_TOUCH_S = 0.3
+"""Time for which the push of one foot counts, s."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 _AT_GATE_M = 0.08
@@ -218,13 +222,17 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         felt = None
     feet_m = contact.feet_m(s, o.cone)
     if p.state is State.COMMIT and p.since is not None:
+        if felt is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
+            felt = s.touch
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
     if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
-    if p.state is State.PRESS and in_state_s >= o.cone.press_s:
-        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
+    # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
+    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.leans_far else 1.0)
+    if p.state is State.PRESS and in_state_s >= press_s:
+        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 
 
 def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
@@ -422,7 +430,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
     if o.mission == "thesis":
         yield from _way_points(p, s, o, estimate)
         return
-    height_m, error_m = estimate.height_m, estimate.lateral_m
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
     if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and _windy(p, s) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)

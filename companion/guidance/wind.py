@@ -47,6 +47,14 @@ class WindOverDrone(NamedTuple):
     across_rad: float = 0.0
     """The turn that brings the wider side of the camera's field into the wind, clockwise positive."""
 
+    def aim_level(self, feet_below_m: float) -> tuple[float, float]:
+        """Return where the pad's centre is wanted at the contact, forward and right, m.
+
+        The feet that touch first stay, and the body that levels over them goes to lee by its height over them times the lean.
+        """
+        lee_m = -feet_below_m * math.sin(self.lean_rad)
+        return lee_m * self.into_level[0], lee_m * self.into_level[1]
+
     @property
     def leans_far(self) -> bool:
         """Whether the lean moves the pad so far towards the picture's edge that the nose turns for it."""
