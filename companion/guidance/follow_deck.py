@@ -289,7 +289,9 @@ class FollowDeck:
         c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
         a_ned, aim_ned = ((c * x - s * y, s * x + c * y) for x, y in (a_deck, knowledge.aim_level))
         after = tuning.after(_sigma_m(relative), max(0, round(seconds / self.period_s)))
-        (p_n, w_n), (p_e, w_e) = ((after @ tuning.state(memory.core.axes[axis], aim_ned[axis], a_ned[axis])).tolist() for axis in range(2))
+        (p_n, w_n), (p_e, w_e) = (
+            (after @ tuning.state(memory.core.axes[axis], aim_ned[axis], a_ned[axis])).tolist() for axis in range(2)
+        )
         return math.hypot(p_n, p_e), math.hypot(w_n, w_e)
 
     def step(

@@ -11,6 +11,7 @@ from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChan
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
+from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
@@ -212,6 +213,7 @@ class LandingGuidance:
         self._forecast: Forecast | None = None
         self._wind, self._tilt, self._view = WindWatch(), tilt, view
         self._air: WindOverDrone | None = None
+        self._swell = SwellWatch()
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports)
@@ -313,7 +315,7 @@ class LandingGuidance:
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
-            self._held, self._held_by_deck, self._wind = HeldUp(), HeldUp(), WindWatch()
+            self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
         self._changes += changes
@@ -356,13 +358,18 @@ class LandingGuidance:
             self._forecast = None
             return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
         aim = (0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m)
-        seen = Knowledge(now, relative, body, deck, aim_level=aim)
+        self._swell = watched_swell(self._swell, now, deck)
+        climb_m_s = self._law.climb_max_m_s
+        outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
+        # In steps, so that a forecast is carried on once and not in each cycle.
+        swell_rad_s = round(self._swell.rad_s, 1)
+        seen = Knowledge(now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
         return replace(
             seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=self._law.climb_max_m_s, at_contact=self._at_contact(seen),
+            climb_max_m_s=climb_m_s, at_contact=self._at_contact(seen),
         )  # fmt: skip
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:

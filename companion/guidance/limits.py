@@ -1,9 +1,11 @@
 """The limits of gate and commit: the first one that does not hold, as a reason with its numbers."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.clearance import rise_beyond_climb_m
@@ -32,6 +34,10 @@ _COMMIT_SPEED = 1.5
 """Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
+_PATIENT, _PATIENT_S = 0.5, 6.0
+"""Share of the error to come that opens the gate at first, and the time in which it becomes the whole, s."""
+_LATER_TRY, _LATER_MOST = 0.25, 1.5
+"""By how much the limits of place and speed grow with each go-around, and the most that they grow to."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 ON_PAD = 1.4
@@ -50,6 +56,13 @@ class InputQuality(Struct, frozen=True):
     """Standard deviation of the newest sighting's time stamp; None before the first."""
     delay_s: float = 0.0
     """The camera's constant delay: how old a sighting is at least when it is fused."""
+
+
+@lru_cache(maxsize=8)
+def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
+    """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
+    looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
+    return replace(limits, error_m=looser * limits.error_m, relative_speed_m_s=looser * limits.relative_speed_m_s)
 
 
 def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:
@@ -72,12 +85,14 @@ def gate(
     cone: ConeOptions,
     *,
     aligned: bool,
+    waited_s: float = math.inf,
 ) -> Reason | None:
     """Return the first limit that does not hold at the gate, or None.
 
     Args:
         estimate: a fresh, consistent estimate.
         aligned: whether the heading has to be that of the arrow.
+        waited_s: time at the gate in this try: the error to come may be larger the longer it waits.
     """
     contact_s = to_contact_s(estimate, cone)
     v = estimate.v_pad_level
@@ -88,7 +103,7 @@ def gate(
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
         (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.error_m),
         (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
-        *_at_contact(knowledge, limits, 1.0),
+        *_at_contact(knowledge, limits, 1.0, _PATIENT + (1.0 - _PATIENT) * min(1.0, waited_s / _PATIENT_S)),
         *_of_the_deck(knowledge, limits, contact_s),
         (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
         (ReasonCause.DECK_FALL, _fall_m_s(knowledge, contact_s, cone), limits.deck_fall_m_s),
@@ -152,13 +167,18 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     )
 
 
-def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> list[Comparison]:
-    """Return the comparisons of what the contact will be like; none where nobody looks ahead."""
+def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float, share: float = 1.0) -> list[Comparison]:
+    """Return the comparisons of what the contact will be like; none where nobody looks ahead.
+
+    Args:
+        looser: factor of the limits.
+        share: of what the error may be beside its uncertainty.
+    """
     ahead = knowledge.at_contact
     if ahead is None:
         return []
     return [
-        (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m, SIGMAS_AHEAD * ahead.sigma_m), looser * limits.error_m),
+        (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m / share, SIGMAS_AHEAD * ahead.sigma_m), looser * limits.error_m),
         (ReasonCause.SPEED_AHEAD, ahead.speed_m_s, looser * limits.relative_speed_m_s),
     ]
 

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
 from companion.guidance import cone, heading, limits, rendezvous
-from companion.guidance.clearance import rise_beyond_climb_m
+from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
@@ -96,6 +96,7 @@ Aim = Target | Command | None
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
 _HOLD_SPEED_M_S = 0.5
+_REFUSED = (State.REFUSED, State.GAVE_UP)
 _LOOK_M_S, _LEG_S = 0.4, 20.0
 """Speed upwind and to lee of a search in wind, m/s, and the time of each way, s; the first has half of it."""
 _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
@@ -134,6 +135,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, rendezvous.along_pattern(p.search_leg, s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
+        case State.REFUSED | State.GAVE_UP if o.refused == "return" and _out_of_reach_m_s(p, s, o) == 0.0:
+            return p, Hover(returns=True)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
             return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
     return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
@@ -156,7 +159,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
     height_m, error_m, fast = estimate.height_m, limits.beside_m(estimate, s.knowledge), o.cone.intercept_speed_m_s
     x_m, y_m = s.knowledge.aim_level
-    rise_m = rise_beyond_climb_m(s.knowledge)
+    rise_m = rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
     least_m = o.cone.gate_m + rise_m
     match p.state:
         case State.INTERCEPT:
@@ -213,6 +216,8 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
         # A deck that rises comes up to a drone that stays where it is.
         if p.state is State.HOLD_BLIND:
             climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
+        if p.state in _REFUSED and not over_ground:
+            climb_m_s += _out_of_reach_m_s(p, s, o)
         looks = _looks_upwind(p, s, o, climb_m_s) if p.state in (State.SEARCH, State.HOLD_BLIND) else None
         return replace(p, held=None), looks or without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
@@ -221,13 +226,19 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
     # A drone that was lifted stays up: without sight nothing asks it to come down again.
-    least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge))
+    least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS))
+    if p.state in _REFUSED:
+        least_m = o.tries.safe_height_m + s.knowledge.outrun_m
     wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m, least_m)])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     turns = _yaw_rad(s, o, estimate) if p.state is State.HOLD_BLIND and o.tries.heading == "across" else None
-    return p, Target(
-        wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=turns
-    )
+    return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=turns)
+
+
+def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return how fast a refused drone without sight climbs: once by the safe height, out of reach of a deck that comes up."""
+    since_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    return o.tries.climb_m_s if since_s * o.tries.climb_m_s < o.tries.safe_height_m else 0.0
 
 
 def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:
