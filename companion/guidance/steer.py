@@ -125,7 +125,9 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, _way_down(p, s, o, estimate)
         case State.PRESS if estimate is not None:
             level = np.array(estimate.d_body_pad_level)
-            return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
+            # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
+            level_off = None if s.wind is not None and s.wind.leans_far else 0.0
+            return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
         case State.PRESS | State.DOWN:
             # The thesis' way ends in the air; every other one comes here by a contact.
             return p, Land(on_deck=o.mission != "thesis" and _felt(p, s, o))

@@ -493,7 +493,6 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
                 limits.of_try(o.limits, p.go_arounds),
                 o.cone,
                 aligned=o.tries.heading == "align",
-                waited_s=p.attempt.at_gate_s,
             )
         )
     if blocked is not None:

@@ -24,6 +24,8 @@ GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
 """Time constant that takes the accelerometer's noise from the lean, s: gusts last longer."""
 _GAP_MAX_S = 0.5
+_DRAGGED_M = 0.06
+"""How far a vehicle is dragged over the deck, by the tangent of its lean, m; by simulated landings (docs/decisions/108)."""
 _FAR_RAD = math.radians(8.0)
 _SPENT = 0.95
 """Share of the tilt limit beyond which a steady lean leaves nothing to hold the place with."""
@@ -50,9 +52,10 @@ class WindOverDrone(NamedTuple):
     def aim_level(self, feet_below_m: float) -> tuple[float, float]:
         """Return where the pad's centre is wanted at the contact, forward and right, m.
 
-        The feet that touch first stay, and the body that levels over them goes to lee by its height over them times the lean.
+        The feet that touch first stay, and the body that levels over them goes to lee by its height over them times the
+        lean. Until the rotors stand the air drags it on.
         """
-        lee_m = -feet_below_m * math.sin(self.lean_rad)
+        lee_m = -(feet_below_m * math.sin(self.lean_rad) + _DRAGGED_M * math.tan(self.lean_rad))
         return lee_m * self.into_level[0], lee_m * self.into_level[1]
 
     @property
