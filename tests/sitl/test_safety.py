@@ -255,7 +255,7 @@ def test_a_climb_that_nobody_calls_for_is_unsafe_unless_a_person_or_nobody_comma
 
 def moved_to(at_s: float, height_m: float, down_m: float) -> Truth:
     at = np.array([0.0, 0.0, down_m])
-    return replace(truth(at_s, height_m), p_body_ned=at, p_pad_ned=at + [0.0, 0.0, height_m])
+    return replace(truth(at_s, height_m), p_body_ned=at, p_pad_ned=np.array([0.0, 0.0, down_m + height_m]))
 
 
 def test_a_deck_that_falls_away_below_makes_nobody_climb() -> None:
