@@ -330,7 +330,11 @@ async def _announce_page(page: PageSettings) -> None:
             writer.close()
             break
         await asyncio.sleep(_PROBE_S)
-    sys.stderr.write(f"operator page: http://{page.host}:{page.port}/#token={Path(page.token_file).read_text()}\n")
+    sys.stderr.write(f"operator page: {_address(page)}\n")
+
+
+def _address(page: PageSettings) -> str:
+    return f"http://{page.host}:{page.port}/#token={Path(page.token_file).read_text()}"
 
 
 def _with_foxglove(settings: Settings, port: int) -> Settings:
