@@ -158,6 +158,8 @@ class ImitationOptions(Struct, frozen=True, kw_only=True):
     """Standard deviation of what is added to the actions, in half of the worlds."""
     kept_most: int = 1_500_000
     """Examples that are kept; the oldest are forgotten."""
+    settle_steps: int = 100
+    """The first steps of an episode teach nothing: its trim begins at zero, and a mission's has long settled."""
     near_m: float = 0.4
     """Examples weigh 1 at the deck, and half at this height."""
 
@@ -234,8 +236,9 @@ class Imitation:
         wander = np.zeros((w.count, ACTIONS), np.float32)
         for _ in range(o.steps):
             seen, taught = w.views.copy(), self._teacher.actions()
-            self._seen.append(seen)
-            self._wanted.append(taught)
+            settled = w.truth["steps"] >= o.settle_steps
+            self._seen.append(seen[settled])
+            self._wanted.append(taught[settled])
             own = forward(self.weights, normal(self.weights, seen))[-1]
             wander = 0.9 * wander + 0.436 * rng.standard_normal(wander.shape, np.float32)
             action = np.clip(np.where(by_teacher, taught, own) + o.explore * wander * loud, -1.0, 1.0)
@@ -246,8 +249,8 @@ class Imitation:
             ends.append(np.where(quiet, w.ends, 0).astype(np.int8))
             touchdowns.append(w.touchdowns.copy())
         self._gathered += o.steps * w.count
-        keep = max(1, o.kept_most // w.count)
-        self._seen, self._wanted = self._seen[-keep:], self._wanted[-keep:]
+        while sum(map(len, self._seen)) > o.kept_most:
+            del self._seen[: o.steps], self._wanted[: o.steps]
         return tally(ends, touchdowns)
 
     def _begin(self) -> None:
