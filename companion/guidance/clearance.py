@@ -15,7 +15,7 @@ from estimator.ekf import Forecast
 _OLD_S = 0.5
 """A forecast older than this is not used, s."""
 _SIGMAS = 1.0
-"""How many standard deviations of the forecast rate are added to it."""
+"""Standard deviations of the forecast rate that are added to it."""
 _SWELL_RAD_S = math.tau / 9.0
 """Circular frequency with which the deck's rate is carried on beyond the forecast."""
 _SWELL_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)

@@ -26,13 +26,13 @@ GROUP = "decklander.controllers"
 
 @dataclass(frozen=True, slots=True)
 class ControllerSetup:
-    """What a controller is made from."""
+    """Parts from which a controller is made."""
 
     guidance: GuidanceOptions
     response: Response
     view: FieldOfView | None = None
     over_ground: bool = False
-    """Whether the vehicle's driver takes velocities over the ground and adds the deck's own to them."""
+    """True if the vehicle's driver takes velocities over the ground and adds the deck's own to them."""
 
 
 def make_controller(setup: ControllerSetup) -> Controller[Any]:

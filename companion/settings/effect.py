@@ -235,7 +235,7 @@ def _without(data: Mapping[str, Any], path: str) -> dict[str, Any]:
 def _changed(table: Struct, prefix: str = "") -> Iterator[str]:
     """Yield the dotted path of each key whose value is not its default; keys without a default are omitted.
 
-    The structs tell their defaults themselves; to describe the whole model first, as `refusal.walk` does, takes far longer.
+    The defaults come from the structs; to describe the whole model first, as `refusal.walk` does, takes far longer.
     """
     names, defaults = table.__struct_fields__, table.__struct_defaults__
     required = len(names) - len(defaults)

@@ -61,7 +61,7 @@ class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The position controller: limits of what it asks for, and where it is soft.
+    """The position controller: limits of what it requests, and where it is soft.
 
     The defaults suit a vehicle that tilts to follow a velocity command (0.2 s of dead time, then 0.4 s of lag) and is seen
     0.15 s late.

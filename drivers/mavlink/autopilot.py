@@ -76,9 +76,9 @@ class _Known:
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
     version: Version | None = None
-    """Its firmware and hardware, once it told them."""
+    """Its firmware and hardware, once it reported them."""
     released_at: MonoNs | None = None
-    """When the vehicle was taken from this program; None while nobody has it."""
+    """Time when the vehicle was taken from this program; None while nobody has it."""
 
 
 class Autopilot:
@@ -134,17 +134,17 @@ class Autopilot:
 
     @property
     def connected(self) -> bool:
-        """Whether the autopilot sent a message lately."""
+        """True if the autopilot sent a message lately."""
         return self._known is not None and not self._known.lost
 
     @property
     def id_conflicts(self) -> tuple[IdConflict, ...]:
-        """What is doubtful about who is the autopilot, and who we are."""
+        """Ambiguities about which component is the autopilot, or about our own id."""
         return self._roster.found
 
     @property
     def unclear(self) -> str | None:
-        """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
+        """Reason why nothing may be commanded: the autopilot is ambiguous. None while it is clear."""
         return self._roster.unclear
 
     @property
@@ -206,7 +206,7 @@ class Autopilot:
             raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
-            # The autopilot's velocities are over the ground, as a lean's are.
+            # The autopilot's velocities are over the ground, as a tilt's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
                 command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)

@@ -79,9 +79,9 @@ class Land:
     """
 
     persistent: bool = False
-    """A person's order: it needs no repeating and holds until the vehicle is on the ground or told to take off."""
+    """A person's order: it needs no repeating and holds until the vehicle is on the ground or commanded to take off."""
     on_deck: bool = False
-    """Whether the contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
+    """True if contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ class Verdict(Enum):
     GATED = "gated"
     """The input is implausible against the belief."""
     LOW_CONFIDENCE = "low_confidence"
-    """A sighting with less confidence than the settings ask for: it was compared with nothing."""
+    """A sighting with less confidence than the settings request: it was compared with nothing."""
     TOO_OLD = "too_old"
     TOO_NEW = "too_new"
     SINGULAR = "singular"
@@ -185,7 +185,7 @@ class RelativeState(Struct, frozen=True, eq=False):
     sighted: MonoNs
     """Measurement instant of the newest fused sighting."""
     consistent: bool
-    """Whether recent innovations agree with the claimed covariance."""
+    """True if recent innovations agree with the claimed covariance."""
     details: Sequence[tuple[str, float]] = field(default=())
     """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0

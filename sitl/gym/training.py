@@ -37,7 +37,7 @@ _PHYSICS_STEPS = 4
 DOWN_MAX_M_S, YAW_RATE_MAX_RAD_S = 0.5, 0.6
 """Values of a full action: the velocity down against the deck, the turn rate."""
 ENDS = tuple(name.removeprefix("EPISODE_").lower() for name in SIM.names("episode_end"))
-"""How an episode ends, by the core's number."""
+"""Endings of an episode, by the core's number."""
 TERMS = tuple(name.removeprefix("REWARD_").lower() for name in list(SIM.names("reward_term"))[:-1])
 """The terms of the reward, in order."""
 WEIGHTS: Mapping[str, float] = {

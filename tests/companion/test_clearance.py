@@ -1,4 +1,4 @@
-"""How much higher the drone stays because the deck will rise faster than it can climb."""
+"""Further height of the drone where the deck will rise faster than the drone can climb."""
 
 import math
 
@@ -36,7 +36,7 @@ def forecast(rise_m_s: F64, at_s: float = 0.0, sigma_m_s: float = 0.0) -> Foreca
 
 
 def swell(largest_m_s: float, t_s: float = 0.0) -> F64:
-    """The rate at the horizons after `t_s`, whose largest comes 1.5 s after 0."""
+    """Return the rate at the horizons after `t_s`, whose largest comes 1.5 s after 0."""
     return largest_m_s * np.cos(OMEGA * (np.array(HORIZONS_S) + t_s - 1.5))
 
 
@@ -47,7 +47,7 @@ def knowledge(
 
 
 def gained_m(largest_m_s: float) -> float:
-    """What a swell of this rate gains on a climb at the limit: 2 (V sin a - c a) / w with cos a = c / V."""
+    """Return the height that a swell of this rate gains on a climb at the limit: 2 (V sin a - c a) / w with cos a = c / V."""
     a = math.acos(CLIMB_M_S / largest_m_s)
     return 2.0 * (largest_m_s * math.sin(a) - CLIMB_M_S * a) / OMEGA
 

@@ -1,4 +1,4 @@
-"""Where to be in each state, asked of one guidance cycle."""
+"""Target in each state, for one guidance cycle."""
 
 import math
 from typing import Any
@@ -42,7 +42,7 @@ def target(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None,
 
 
 def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
-    """Where the body is over the pad, m along and beside its arrow."""
+    """Return the place of the body over the pad, m along and beside its arrow."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return -(c * d[0] - s * d[1]), -(s * d[0] + c * d[1])
 
@@ -157,7 +157,7 @@ def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
 @pytest.mark.parametrize("over_ground", [True, False])
 @pytest.mark.parametrize("rises_m_s", [0.4, -0.4])
 def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_ground: bool, rises_m_s: float) -> None:
-    """At 0.5 m/s over the ground it would be overtaken. A driver that adds the deck's velocity has it in already."""
+    """A climb at 0.5 m/s over the ground would be overtaken. A driver that adds the deck's velocity includes it already."""
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
     p = Progress(State.GO_AROUND, automatic=True, begun=True)

@@ -1,4 +1,4 @@
-"""The wind over the drone: its mean and gusts by the lean, whatever the nose does, and how much of it the tilt can fly."""
+"""The wind over the drone: its mean and gusts by the tilt, whatever the nose does, and how much of it the tilt can fly."""
 
 import math
 
@@ -19,7 +19,7 @@ DT = 0.02
 
 
 def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.ndarray) -> Knowledge:
-    """A body that leans against an air's push and accelerates beside it."""
+    """Return a body that tilts against an air's push and accelerates beside it."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     level = np.array([[c, s], [-s, c]])
     forward, right = level @ (against_ned + a_ned)

@@ -75,7 +75,7 @@ def at(w: World, seconds: float) -> World:
 
 
 def both(fault: Fault, seconds: float) -> tuple[Readings, Readings]:
-    """The same instant with the fault and without."""
+    """Return the same instant with the fault and without."""
     return at(world(fault), seconds).readings(), at(world(), seconds).readings()
 
 

@@ -62,7 +62,7 @@ def watched(frames: list[tuple[float, Verdict, bool, float]], heights: list[tupl
 
 
 DOWN = [(0.5 * n, 3.0 - 0.25 * n) for n in range(11)]
-"""From 3 m to 0.5 m in 5 s."""
+"""Descent from 3 m to 0.5 m in 5 s."""
 
 
 def test_a_descent_in_true_sight_is_none_and_on_dead_frames_it_is_one() -> None:

@@ -19,7 +19,7 @@ from estimator.contracts.time import seconds_between
 _SCRIPTS = ("numbers", "clock", "video", "plot", "gestures", "view", "report")
 """The parts of the page's script, in order: they share one scope, since a page opened as a file may import no modules."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; media-src blob:; img-src data:"
-"""The page asks for nothing, and a browser refuses it if it did."""
+"""The page requests nothing, and a browser refuses it if it did."""
 
 
 def document(title: str, body: str, more_style: str = "", head: str = "") -> str:

@@ -1,4 +1,4 @@
-"""Who is the autopilot, over real sockets: several behind one router, ids that are used twice, an id that changes."""
+"""Identity of the autopilot over real sockets: several behind one router, ids that are used twice, an id that changes."""
 
 import asyncio
 import logging
@@ -52,7 +52,7 @@ class Router(asyncio.DatagramProtocol):
 
 @asynccontextmanager
 async def routed(kind: type[Router] = Router, **options: Any) -> AsyncIterator[tuple[Autopilot, Router, str]]:
-    """The service's side, a router in front of it, and the router's address for autopilots."""
+    """Yield the service's side, a router in front of it, and the router's address for autopilots."""
     quick = {"silence_s": 0.6, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     async with open_autopilot(AutopilotOptions(f"udpin://{HOST}:0", **(quick | options)), SystemClock()) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
@@ -102,7 +102,7 @@ def names(autopilot: Autopilot) -> dict[str, bool]:
 
 
 async def test_commands_follow_an_autopilot_whose_port_moves(caplog: pytest.LogCaptureFixture) -> None:
-    """As by a router's new address; a silence of three seconds would be needed to lose it."""
+    """The port moves as by a router's new address; a loss would need a silence of three seconds."""
     flying = MiniatureAutopilot(mode="guided")
     async with routed(Moving, silence_s=3.0) as (autopilot, router, url), flying.talking_to(url):
         assert isinstance(router, Moving)
