@@ -24,6 +24,9 @@ from estimator.ekf import Forecast
 HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Horizons of the forecast that guidance requests, s."""
 
+SWELL_RAD_S = math.tau / 12.0
+"""Circular frequency of a swell that is not known yet: a long one asks for the most height."""
+
 
 class Impact(Struct, frozen=True):
     """A contact with the deck, as an event; no height ever makes one."""
@@ -47,7 +50,7 @@ class AtContact(Struct, frozen=True):
     """Predicted place of the vehicle when its feet meet the deck, without new disturbances."""
 
     error_m: float
-    """Distance from the pad's centre."""
+    """Distance of the pad's centre from where it is wanted."""
     speed_m_s: float
     """Speed along the deck."""
     sigma_m: float
@@ -75,6 +78,12 @@ class Knowledge(Struct, frozen=True):
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
     climb_max_m_s: float | None = None
     """The fastest climb that the controller requests; None if it does not say."""
+    swell_rad_s: float = SWELL_RAD_S
+    """Circular frequency of the deck's heave."""
+    outrun_m: float = 0.0
+    """How far such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
+    aim_level: tuple[float, float] = (0.0, 0.0)
+    """Where the pad's centre is wanted at the contact, forward and right, m: a vehicle that leans comes to stand to lee of it."""
     at_contact: AtContact | None = None
     """None from a controller that does not look ahead, and far from the deck."""
 
@@ -132,7 +141,7 @@ class Controller(Protocol[Memory]):
     def start(self) -> Memory: ...
 
     def ahead(self, memory: Memory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
-        """Return how far from the pad's axis, m, and how fast along the deck, m/s, the vehicle will be after this many seconds.
+        """Return the distance from `knowledge.aim_level`, m, and the speed along the deck, m/s, after so many seconds.
 
         None from a controller that does not know.
         """

@@ -11,6 +11,7 @@ from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChan
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
+from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
@@ -23,6 +24,7 @@ from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
+from companion.guidance.view import FieldOfView
 from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
@@ -168,6 +170,7 @@ class LandingGuidance:
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
         tilt: how the vehicle's tilt answers, by its file.
+        view: the field of a camera that leans with the body; None of another.
     """
 
     def __init__(
@@ -179,6 +182,7 @@ class LandingGuidance:
         over_ground: bool,
         reports: ReportLimits,
         tilt: TiltResponse,
+        view: FieldOfView | None = None,
     ) -> None:
         self._guidance = guidance
         self.mission = Progress.start(automatic=automatic)
@@ -205,9 +209,11 @@ class LandingGuidance:
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
+        self._touch: Impact | None = None
         self._forecast: Forecast | None = None
-        self._wind, self._tilt = WindWatch(), tilt
+        self._wind, self._tilt, self._view = WindWatch(), tilt, view
         self._air: WindOverDrone | None = None
+        self._swell = SwellWatch()
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._vessel_track = VesselTrack(reports)
@@ -269,10 +275,12 @@ class LandingGuidance:
             # By the type itself: hundreds of samples a second, and a match checks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
-                    before, self._contact = self._contact.newest, watched(self._contact, sample)
-                    if self._contact.newest is not None and self._contact.newest is not before:
-                        # By our own clock: a stamp that lies would put the contact before the commit.
+                    before, self._contact = self._contact, watched(self._contact, sample)
+                    # By our own clock: a stamp that lies would put the contact before the commit.
+                    if self._contact.newest is not None and self._contact.newest is not before.newest:
                         self._impact = replace(self._contact.newest, at=received_at)
+                    if self._contact.touch is not None and self._contact.touch is not before.touch:
+                        self._touch = replace(self._contact.touch, at=received_at)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
@@ -306,8 +314,8 @@ class LandingGuidance:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._impact, self._forecast = ContactWatch(), None, None
-            self._held, self._held_by_deck, self._wind = HeldUp(), HeldUp(), WindWatch()
+            self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
+            self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
         self._changes += changes
@@ -349,13 +357,19 @@ class LandingGuidance:
         if self.deck_impossible(now):
             self._forecast = None
             return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
-        seen = Knowledge(now, relative, body, deck)
+        aim = (0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m)
+        self._swell = watched_swell(self._swell, now, deck)
+        climb_m_s = self._law.climb_max_m_s
+        outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
+        # In steps, so that a forecast is carried on once and not in each cycle.
+        swell_rad_s = round(self._swell.rad_s, 1)
+        seen = Knowledge(now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
         return replace(
             seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=self._law.climb_max_m_s, at_contact=self._at_contact(seen),
+            climb_max_m_s=climb_m_s, at_contact=self._at_contact(seen),
         )  # fmt: skip
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:
@@ -375,7 +389,7 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._wind = watched_wind(self._wind, knowledge)
-        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad)
+        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad, self._view)
         self._air = wind
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
@@ -389,7 +403,7 @@ class LandingGuidance:
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, range_m,
+            self._response.late_s, self._touch, range_m,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes

@@ -16,6 +16,7 @@ from companion.guidance.controller import Controller, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
+from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
@@ -66,6 +67,8 @@ class PilotOptions:
     """Limits for the positions that ship and vehicle report."""
     tilt: TiltResponse | None = None
     """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
+    view: FieldOfView | None = None
+    """The field of a camera that leans with the body; None of another."""
     gimballed: bool = False
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
@@ -90,6 +93,7 @@ class Pilot:
             over_ground=given.over_ground,
             reports=given.reports or ReportLimits(),
             tilt=given.tilt or shipped_response("ardrone2").tilt,
+            view=given.view,
         )
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""

@@ -122,7 +122,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
                 p = replace(p, asked_at=change.at)
         case Event.CONTACT:
             felt = change.reason.cause is not ReasonCause.REACHED
-            again = change.source is State.GO_AROUND
+            again = change.source is not State.COMMIT
             p = replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)

@@ -26,6 +26,10 @@ NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
 SILENT_S = 0.3
 """Time without a sample of the vehicle after which it counts as silent, seconds."""
+_PRESS_IN_WIND = 0.5
+"""Share of the time for which it presses on that is left in wind."""
+_TOUCH_S = 0.3
+"""Time for which the push of one foot counts, s."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 _AT_GATE_M = 0.08
@@ -49,6 +53,8 @@ BOUNCES_MOST = 2
 """Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 _TOUCHES_MOST = 4
 """Number of bounces after which a contact in a go-around no longer makes it press on."""
+_MAY_STAY = (State.GO_AROUND, State.GATE, State.HOLD_BLIND)
+"""States that no contact belongs to, in which one near the pad's centre is taken as the landing all the same."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 _TILTS_FAR = 3.0
@@ -58,7 +64,9 @@ _FASTEST_M_S = 1.0
 _REASON_STANDS_S = 2.0
 """Time for which a cause of the shut gate stands before the operator, s."""
 _LEAN_SETTLES_S = 10.0
-"""Time after the way to the ship in which the mean tilt still holds that of the drone's own speed: twice the mean's time."""
+"""Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+_SPENT_WAIT_S = 8.0
+"""Time for which it waits where the lean takes all of the tilt, s: such a gust may pass, and the drone is blown off meanwhile."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -218,13 +226,17 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         felt = None
     feet_m = contact.feet_m(s, o.cone)
     if p.state is State.COMMIT and p.since is not None:
+        if felt is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
+            felt = s.touch
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
+    if p.state in _MAY_STAY and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
-    if p.state is State.PRESS and in_state_s >= o.cone.press_s:
-        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
+    # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
+    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.leans_far else 1.0)
+    if p.state is State.PRESS and in_state_s >= press_s:
+        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 
 
 def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
@@ -258,8 +270,14 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
-    if s.wind is not None and (s.wind.spent or _windy_s(p, s) > o.limits.wind_wait_s) and (windy := _windy(p, s)) is not None:
-        yield Event.NO_CONDITIONS, windy
+    if s.wind is not None and (windy := _windy(p, s)) is not None:
+        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if s.wind.spent else o.limits.wind_wait_s
+        if _windy_s(p, s) > wait_s:
+            yield Event.NO_CONDITIONS, windy
+    outrun_m = s.knowledge.outrun_m
+    if p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
+        # It would wait as high as it goes around.
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
@@ -282,7 +300,11 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     match p.state:
         case State.COMMIT:
-            ends = None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
+            ends = (
+                None
+                if estimate is None
+                else limits.commit(s.at, estimate, s.knowledge, limits.of_try(o.limits, p.go_arounds), o.cone)
+            )
             return ends or _against(p, s)
         case State.DOWN if o.mission == "thesis":
             return _lease(p, s, o)
@@ -422,7 +444,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
     if o.mission == "thesis":
         yield from _way_points(p, s, o, estimate)
         return
-    height_m, error_m = estimate.height_m, estimate.lateral_m
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
     if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and _windy(p, s) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
@@ -463,7 +485,15 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         blocked = (
             _thesis_gate(s.estimate, o)
             if o.mission == "thesis"
-            else limits.gate(s.at, s.estimate, s.knowledge, s.quality, o.limits, o.cone, aligned=o.tries.heading == "align")
+            else limits.gate(
+                s.at,
+                s.estimate,
+                s.knowledge,
+                s.quality,
+                limits.of_try(o.limits, p.go_arounds),
+                o.cone,
+                aligned=o.tries.heading == "align",
+            )
         )
     if blocked is not None:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:

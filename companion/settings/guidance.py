@@ -127,6 +127,13 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
     ] = 6.0
+    refused: Annotated[
+        Literal["hold", "return"],
+        choice(
+            "what a drone does that refused or gave up, once it is as high as it goes around: hold over the pad, or fly back by "
+            "the autopilot's own return; an AR.Drone has none and holds"
+        ),
+    ] = "hold"
     controller: Annotated[
         str,
         name(

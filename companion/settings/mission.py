@@ -159,12 +159,13 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     heading: Annotated[
-        Literal["keep", "align"],
+        Literal["keep", "align", "across"],
         choice(
-            "leave the heading alone, or turn until the nose points along the arrow; an autopilot turns if nothing is set",
+            "leave the heading alone; turn until the nose points along the arrow, as an autopilot does if nothing is set; or "
+            "turn only in wind, until the lean against it is in the wider side of the camera's field",
             public=True,
         ),
-    ] = "keep"
+    ] = "across"
     search_s: Annotated[
         float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0, public=True)
     ] = 300.0

@@ -437,12 +437,14 @@ class Autopilot:
         self._version = VersionRequest()
 
     async def _tick(self) -> None:
+        now = self._clock.now()
         while True:
             await self._clock.sleep(self._o.command_period_s)
-            known, now = self._known, self._clock.now()
+            before, known, now = now, self._known, self._clock.now()
             self._judge(now)
             if known is not None:
-                self._period(known, now)
+                # What came while this process stood still is not read yet: that is no silence of the autopilot.
+                self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
             elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
                 # A listening peer does not know this program's address before it has received something.
                 self._knocked = now
@@ -454,10 +456,10 @@ class Autopilot:
         if len(self._roster.uids) > 1 and self._version.done(now):
             self._version = VersionRequest()  # whether both are still there
 
-    def _period(self, known: _Known, now: MonoNs) -> None:
+    def _period(self, known: _Known, now: MonoNs, *, listened: bool) -> None:
         for message in known.origins.due(now):
             self._on_own_message(known, message, now)
-        if not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
+        if listened and not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)

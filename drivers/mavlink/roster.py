@@ -104,6 +104,8 @@ class Origins:
         """What waits for the autopilot's next message with a time, to be told whose it is."""
         self._beats: tuple[int, int, MonoNs] | None = None
         """Another's HEARTBEATs, each of which continues the count of the one before: how many, the newest count, and when."""
+        self._beaten: MonoNs | None = None
+        """When the newest of enough such HEARTBEATs came; a lost message ends a row, and not what it has shown."""
         self._seen: set[tuple[str, int, int]] = set()
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0
@@ -116,7 +118,7 @@ class Origins:
         main = self._main
         if main is None:
             return False
-        beats = self._beats is not None and self._beats[0] >= _BELIEVED and seconds_between(self._beats[2], now) <= ALIVE_S
+        beats = self._beaten is not None and seconds_between(self._beaten, now) <= ALIVE_S
         return beats or any(_beside(main, one) for one in self._alive(now))
 
     def continues(self, message: Message, at: MonoNs) -> bool:
@@ -163,6 +165,8 @@ class Origins:
             sequence, before = int(message.get_seq()), self._beats
             follows = before is not None and 0 < (sequence - before[1]) % 256 <= _NEXT_WITHIN
             self._beats = before[0] + 1 if before is not None and follows else 1, sequence, now
+            if self._beats[0] >= _BELIEVED:
+                self._beaten = now
 
     def _of_another(self, message: Message, boot: int, at: MonoNs, sequence: int) -> list[Message]:
         main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)

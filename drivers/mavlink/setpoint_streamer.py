@@ -22,7 +22,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, TakingOff, velocity_setpoint
-from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
+from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
@@ -111,6 +111,8 @@ class SetpointStreamer:
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
         self._taking_off: TakingOff | None = None
+        self._returns = False
+        """Whether the vehicle is to fly back by its own mode."""
         self._rest = RestVelocity()
         self._stop: MotorStop | None = None
         self._felt_at: MonoNs | None = None
@@ -182,6 +184,9 @@ class SetpointStreamer:
                 self._request_again(Hand.LANDING)
         elif isinstance(command, Hover):
             self._motion, self._motion_at, self._spent = STILL, now, False
+            if command.returns and not self._returns and self.hand is Hand.OURS:
+                self._request_again(Hand.OURS)
+            self._returns = command.returns
             if v_deck_level is not None:
                 self._v_deck, self._steered_at = v_deck_level, now
             if self.hand is Hand.STANDING and self._condition.armed is not False:
@@ -194,6 +199,7 @@ class SetpointStreamer:
             self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
             self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
+            self._returns = False
             willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
                 self._request_again(Hand.TAKING)
@@ -309,6 +315,10 @@ class SetpointStreamer:
                 out.append(set_mode(self._id.stack, self._id.address, self._mode))
             elif self._asks >= self._o.request_tries and seconds_between(self._asked or now, now) >= self._o.request_period_s:
                 self.hand, self.refused = Hand.RELEASED, True
+        back = RETURN_MODE.get(self._id.stack)
+        if self.hand is Hand.OURS and self._returns and back is not None and self._may_ask(now):
+            # In its own mode it is no longer ours.
+            out.append(set_mode(self._id.stack, self._id.address, back))
         return out
 
     def _held(self, now: MonoNs) -> Velocity:

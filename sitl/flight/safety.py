@@ -138,6 +138,7 @@ class MotionWatch:
         self.stood_s = 0.0
         """Longest time for which it stood with turning motors."""
         self._feet_below_m = feet_below_m
+        self._ground_m: float | None = None
         self._stands_since: MonoNs | None = None
 
     def step(self, truth: Truth, phase: str | None, *, reached: bool) -> None:
@@ -149,8 +150,11 @@ class MotionWatch:
         if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in _IN_THE_AIR:
             self._stands_since = None
             return
-        height_m = float(truth.d_body_pad_level[2])
-        self.highest_m = max(self.highest_m, height_m)
+        height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if self._ground_m is None:
+            self._ground_m = altitude_m - height_m
+        # The smaller of both: a deck that falls away under a vehicle that keeps its altitude does not make it climb.
+        self.highest_m = max(self.highest_m, min(height_m, altitude_m - self._ground_m))
         low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False
         if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
             self._stands_since = None

@@ -119,7 +119,7 @@ def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, reason: objec
     low = seen((0.0, 0.0, 0.1))
     assert figures(of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.2)))) == reason
     assert of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.201))) is None, "before the commit"
-    assert of(Event.CONTACT, memory(State.GATE), cycle(low, impact=struck(by))) is None
+    assert of(Event.CONTACT, memory(State.DESCEND), cycle(low, impact=struck(by))) is None
     assert of(Event.CONTACT, memory(State.COMMIT, since=None), cycle(low, impact=struck(by))) is None
     assert of(Event.CONTACT, memory(State.COMMIT), cycle(low)) is None
 
@@ -155,7 +155,8 @@ STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
 
 @pytest.mark.parametrize(
     ("windy_s", "spent", "up", "refuses"),
-    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, True), (20.0, False, True, False),
+    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, False), (8.01, True, True, True),
+     (20.0, False, True, False),
      (20.01, False, True, True)],
 )  # fmt: skip
 def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, up: bool, refuses: bool) -> None:

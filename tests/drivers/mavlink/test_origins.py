@@ -133,10 +133,12 @@ def test_values_that_are_made_up_are_no_second_autopilot() -> None:
 
 
 def test_heartbeats_alone_tell_a_second_autopilot() -> None:
-    """One without requests sends no times: its HEARTBEATs count on their own."""
-    codec, origins = Codec(1, 1, datagrams=True), Origins()
+    """One without requests sends no times: its HEARTBEATs count on their own, and lost messages clear nothing."""
+    codec, origins, beats = Codec(1, 1, datagrams=True), Origins(), []
     codec._spoken[1] = 77
-    beats = [(2.0 + n, codec.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))) for n in range(6)]
+    for n in range(6):
+        codec._spoken[1] += 20 if n == 5 else 0
+        beats.append((2.0 + n, codec.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))))
     out = passed(origins, Craft(100.0).messages(8.0) + beats, 8.0)
     assert sum(m.system_status == 3 for _, m in out if m.get_type() == "HEARTBEAT") <= 1
     assert origins.several(MonoNs(round(1008.0 * NS_PER_S)))

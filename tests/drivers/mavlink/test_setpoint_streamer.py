@@ -152,6 +152,22 @@ def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again
     assert flight.streamer.hand is Hand.OURS, "handed back by choosing the mode"
 
 
+@pytest.mark.parametrize(("stack", "ours", "back", "number"), [
+    (Stack.ARDUPILOT, "guided", "rtl", (6, 0)), (Stack.PX4, "offboard", "auto.rtl", (4, 5)),
+])  # fmt: skip
+def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
+    stack: Stack, ours: str, back: str, number: tuple[float, float]
+) -> None:
+    flight = Flight(stack, ours)
+    assert flight.periods(1.0, Hover(returns=True)) == [], "not ours yet"
+    flight.periods(3.0, GO)
+    flight.told(ours)
+    assert modes(flight.periods(0.5, Hover(returns=True))) == [number]
+    flight.told(back)
+    assert flight.periods(3.0, Hover(returns=True)) == []
+    assert flight.streamer.hand is Hand.RELEASED
+
+
 def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
     flight = Flight(Stack.ARDUPILOT, "guided")
     flight.periods(0.2, GO)
