@@ -86,7 +86,7 @@ async def _on_port(pieces: list[bytes]) -> None:
 
 
 class _Page:
-    """What a viewer asks of the endpoint, over an empty folder of recordings."""
+    """Interface of the endpoint for a viewer, over an empty folder of recordings."""
 
     def __init__(self, pilot: Pilot, folder: Path) -> None:
         self.pilot = pilot
@@ -179,8 +179,8 @@ def page_port_seeds() -> Iterator[bytes]:
     yield block(b"GET /recordings/abc HTTP/1.1\r\n" + HOST + b"\r\n") + block(b"GET /../token HTTP/1.1\r\n" + HOST + b"\r\n")
     live = upgrade(b"/live", b"Origin: http://127.0.0.1")
     login = _text(LoginRequest(token=_TOKEN))
-    said = (websocket_frame(login), websocket_frame(_text(RecordingsRequest())), websocket_frame(b"", 8))
-    yield block(live) + b"".join(block(one) for one in said)
+    output = (websocket_frame(login), websocket_frame(_text(RecordingsRequest())), websocket_frame(b"", 8))
+    yield block(live) + b"".join(block(one) for one in output)
     yield block(live) + block(websocket_frame(b"", 9)) + block(websocket_frame(b"\xff" * 2000))
     yield block(b"POST /live HTTP/1.1\r\nContent-Length: 99999\r\n" + HOST + b"\r\nabc")
     yield block(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")

@@ -36,22 +36,22 @@ DRAWINGS = {
     "companion/tools/calibrate/figures.py",
     "sitl/gym/environment.py",
 }
-"""What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
+"""Modules that need the extra `report`. The commands that draw call `require_drawing` first and import these late."""
 
 LAB = {
     "companion/cli/progress.py",
     *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
-"""What needs the extra `lab`. It asks `require_lab` first, or does without."""
+"""Modules that need the extra `lab`. They call `require_lab` first, or do without."""
 
 ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typestore")}
-"""What needs the extra `ros2`. It asks `require_rosbags` first."""
+"""Modules that need the extra `ros2`. They call `require_rosbags` first."""
 
 COMPARE = {"estimator/constant_velocity.py"}
-"""What needs the extra `compare`. `pipeline.require_filterpy` is asked first."""
+"""Modules that need the extra `compare`. `pipeline.require_filterpy` is called first."""
 
 TRAINING = {"sitl/gym/environment.py"}
-"""What needs the extra `rl`."""
+"""Modules that need the extra `rl`."""
 
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
@@ -71,7 +71,7 @@ UNFINISHED = re.compile("|".join(["TO" + "DO", "FIX" + "ME", "XX" + "X", "NotImp
 
 @cache
 def files() -> tuple[Path, ...]:
-    """Every file of the project that git knows or would take."""
+    """Return every file of the project that git knows or would take."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=False
     )
@@ -96,7 +96,7 @@ def name_of(path: Path) -> str:
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
-    """Every module that is imported anywhere in the file, functions and type-checking blocks included."""
+    """Yield every module that is imported anywhere in the file, functions and type-checking blocks included."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -110,7 +110,7 @@ def within(module: str, *roots: str) -> bool:
 
 
 def wrong_imports(module: str, source: str) -> list[str]:
-    """Imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
+    """Return imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
     found = set(imports(parsed(source)))
     ours = {name for name in found if within(name, *PACKAGES, "tests")}
     beside = {name for name in found if name.startswith(".")}
@@ -130,7 +130,7 @@ def wrong_imports(module: str, source: str) -> list[str]:
 
 
 def impurities(source: str) -> list[str]:
-    """What reaches out of a module that must be values in, values out."""
+    """List the imports and calls that reach out of a module that must be values in, values out."""
     tree = parsed(source)
     reached = {name for name in imports(tree) if name.partition(".")[0] in IMPURE_MODULES}
     for node in ast.walk(tree):
@@ -213,6 +213,37 @@ def public_classes(source: str) -> list[str]:
     return [node.name for node in parsed(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
+NO_OPENING = {
+    "What", "Whether", "Where", "How", "Why", "Who", "Whose", "Which", "That", "Those", "Of", "In", "From", "By", "When", "As",
+    "At", "For", "With", "Without", "Over", "Against", "Through",
+}  # fmt: skip
+"""First words of docstrings that make a reader start again: functions open with a verb, classes and values with a noun."""
+PROSE = re.compile(r"\b(told|heard|of which|of whom|be it|were it|astray|anew|strangers?|The same (of|for|where|in))\b")
+"""Words and constructions for which plain ones exist (CONTRIBUTING.md)."""
+LONGEST_OPENING = 27
+"""Number of words in a docstring's first sentence."""
+
+
+def docstrings(body: Iterable[ast.stmt]) -> Iterator[tuple[int, str]]:
+    """Yield the line and the text of each docstring in the statements of a module, those after assignments too."""
+    for node in body:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, " ".join(node.value.value.split())
+        elif isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from docstrings(node.body)
+
+
+def hard_to_read(source: str, *, words: bool = True) -> list[tuple[int, str]]:
+    """Return lines of docstrings with a hard opening, a long first sentence or, unless in tests, a word of `PROSE`."""
+    found = []
+    for line, text in docstrings(parsed(source).body):
+        prose = text.partition("Args:")[0]
+        first = re.split(r"(?<=[.:;!?])\s", prose)[0]
+        if re.split(r"\W", text)[0] in NO_OPENING or len(first.split()) > LONGEST_OPENING or (words and PROSE.search(prose)):
+            found.append((line, first[:60]))
+    return found
+
+
 def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
     """Return the class names that more than one module defines, with those modules."""
     homes: dict[str, list[str]] = {}
@@ -275,6 +306,25 @@ async def f(given: asyncio.TaskGroup):
 def test_the_rule_for_names_catches_an_offender() -> None:
     assert public_classes("class A: ...\nclass _B: ...\ndef f():\n    class C: ...") == ["A"]
     assert ambiguous([("x", ["A", "B"]), ("y", ["B"])]) == {"B": ["x", "y"]}
+
+
+def test_the_rule_for_docstrings_catches_an_offender() -> None:
+    assert hard_to_read('"""What is there."""\nX = 1\n"""Of the disc."""\ndef f():\n    """Return what is there."""') == [
+        (1, "What is there."),
+        (3, "Of the disc."),
+    ]
+    assert hard_to_read('"""Time that is told, s."""') == [(1, "Time that is told, s.")]
+    assert hard_to_read('"""Time that is told, s."""', words=False) == []
+    assert len(hard_to_read(f'"""Return {"a long " * LONGEST_OPENING}line."""')) == 1
+
+
+def test_docstrings_are_understood_at_one_reading() -> None:
+    found = {
+        str(p.relative_to(ROOT)): wrong
+        for p in files()
+        if p.suffix == ".py" and (wrong := hard_to_read(p.read_text(), words=p.relative_to(ROOT).parts[0] != "tests"))
+    }
+    assert found == {}
 
 
 def test_one_class_name_means_one_thing() -> None:

@@ -19,7 +19,7 @@ from estimator.ekf import Forecast
 _OLD_S = 0.5
 """A forecast older than this is not used, s."""
 WAITING_SIGMAS = 2.0
-"""Standard deviations of the forecast rate that a drone which waits keeps clear of."""
+"""Standard deviations of the forecast rate that a waiting drone keeps clear of."""
 _MEAN_S, _KNOWN_S = 30.0, 5.0
 """Time constant of the swell's deviations, and the time of watching from which on they count, s."""
 _SLOWEST_RAD_S, _FASTEST_RAD_S = math.tau / 16.0, math.tau / 5.0

@@ -1,4 +1,4 @@
-"""Contact with the deck: an upward push that no rotor gives, and the vote of all that can tell of one.
+"""Contact with the deck: an upward push that no rotor gives, and the vote of all sensors that can notice one.
 
 A deck that is met at v m/s takes away v m/s of velocity within some hundredths of a second; rotors need tenths. So the specific
 force upward beyond its own recent mean is summed over short times, and the sum is the velocity that something took away.
@@ -48,15 +48,15 @@ NEAR_M = 0.12
 _REACHED_M, _BENEATH_M, _WRONG_M = 0.05, -0.08, -0.3
 """Heights of the feet at which the deck is reached, beneath which nothing can be, and beneath which the height is wrong, m."""
 SIGMA_MOST_M = 0.15
-"""Standard deviation of the height beyond which it tells nothing, m."""
+"""Standard deviation of the height beyond which it is not used, m."""
 _FRESH_S = 0.3
 """Age of a sighting up to which it contradicts a push, s."""
 _STILL_M_S = 0.15
-"""Vertical speed against the deck that is none, m/s; the commit asks for more than twice as much."""
+"""Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
-"""Time in the commit, and after a push, before standing still is told from not having begun to move, s."""
+"""Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
-"""Range beyond the feet's own up to which the deck is there, and from which on it is not, m."""
+"""Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
 
 
 class ContactWatch(Struct, frozen=True):
@@ -76,11 +76,11 @@ class ContactWatch(Struct, frozen=True):
     up_m_s2: float = math.nan
     """The newest upward specific force."""
     same_since: MonoNs | None = None
-    """Since when it has been the same to the last bit."""
+    """Time since which the value has been the same to the last bit."""
 
     @property
     def feels(self) -> bool:
-        """Whether the accelerometer is alive: no live one repeats a value for long in flight."""
+        """True if the accelerometer is alive: a live one does not repeat a value for long in flight."""
         if self.at is None or self.same_since is None:
             return True
         return seconds_between(self.same_since, self.at) < FROZEN_S
@@ -117,7 +117,7 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
 
 
 def feet_m(s: GuidanceCycle, cone: ConeOptions) -> float | None:
-    """Return the height of the feet over the deck by sight and what was reckoned since, m; None if it tells nothing."""
+    """Return the height of the feet over the deck by sight and dead reckoning since, m; None if it has no vote."""
     estimate = s.estimate
     if estimate is None or not estimate.consistent or _sigma_m(s) > SIGMA_MOST_M:
         return None

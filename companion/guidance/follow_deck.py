@@ -42,11 +42,11 @@ from estimator.core.library import CORE
 _STIFF_M = 0.01
 """Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""
 _SOFTER = 0.02 / 0.006
-"""By how much less the place weighs while the response is only assumed."""
+"""Factor on the weight of the position while the response is only assumed."""
 SOFTER_LONGER_S = 0.05
-"""By how much later it is taken to answer."""
+"""Further delay that is then assumed, s."""
 _SOFTER_PER_S = 5.0
-"""By how much less the place weighs for each second of further delay."""
+"""Loss of the position's weight for each second of further delay."""
 _LONGEST_S = 0.6
 """Longest delay that a response may have, s."""
 _STEP_S = 0.01
@@ -54,7 +54,7 @@ _STEP_S = 0.01
 
 
 class TuningChoice(NamedTuple):
-    """Which gains to fly by."""
+    """Choice of gains."""
 
     longer_s: float = 0.0
     """Delay beyond the one of the response file."""
@@ -85,7 +85,7 @@ def _at_once(response: TiltResponse) -> TiltResponse:
 
 
 class TiltTuning:
-    """One response with its gains, each solved when it is first asked for.
+    """One response with its gains, each solved when it is first requested.
 
     Args:
         response, weights: of `tuned`.
@@ -142,13 +142,13 @@ class TiltTuning:
 
 
 _GAP_MAX_S = 0.5
-"""A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
+"""A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
 _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
 _SOFT_BEYOND_M, _SOFT_UNTIL_M = 0.1, 0.05
 """Distance beside the wanted place beyond which a vehicle with a velocity loop of its own is flown by soft gains, and up to which
-again. Such a vehicle limits the jerk of what it is asked for, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
-asked for four times as much, and the loop swung wider and wider.
+again. Such a vehicle limits the jerk of its commands, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
+requested four times as much, and the loop swung wider and wider.
 """
 
 
@@ -158,11 +158,11 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     core: Any
     """The core's `dl_law_memory`, whose axes are north and east by the filter's heading."""
     at: MonoNs | None = None
-    """When it was last stepped; None before the first cycle."""
+    """Time of the last step; None before the first cycle."""
     tuning: TuningChoice = AS_GIVEN
     """The gains that are flown by."""
     tuning_before: TuningChoice = AS_GIVEN
-    """Those before them, from which the command goes over."""
+    """The previous gains, from which the command fades over."""
     share: float = 1.0
     """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid.start)
@@ -216,7 +216,7 @@ class FollowDeck:
 
     @property
     def climb_max_m_s(self) -> float:
-        """The fastest climb that it asks for, m/s."""
+        """The fastest climb that it requests, m/s."""
         return self.response.climb.max_m_s
 
     def start(self) -> FollowDeckMemory:

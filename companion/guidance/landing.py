@@ -95,7 +95,7 @@ def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Pr
             return replace(p, stood=True), ()
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
-    # A report from before the order to begin tells of the flight before.
+    # A report from before the order to begin belongs to the flight before.
     if status.taken is not None and (p.asked_at is None or at > p.asked_at):
         return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
     if status.taken is None and p.state is State.TAKEN and not p.stood:
@@ -133,10 +133,10 @@ _NIS_WEIGHT = 0.1
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
 _UNFELT_S = 1.0
-"""Time without the accelerometer after which nobody lands, s: thrust and sightings tell the speed late, and the vehicle swings
+"""Time without the accelerometer after which nobody lands, s: thrust and sightings show the speed late, and the vehicle swings
 about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
-"""Age up to which a range tells of a contact, s."""
+"""Age up to which a range counts for a contact, s."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -153,16 +153,16 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _NEAR = (State.GATE, State.COMMIT)
-"""States in which the contact to come is asked for."""
+"""States in which the contact to come is predicted."""
 _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
 _LATE_VIDEO_S = 0.15
-"""Delay of the camera from which the operator is told what it costs, s."""
+"""Delay of the camera from which the operator sees its cost, s."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
 class LandingGuidance:
-    """Decides on commands by what is sensed and believed.
+    """Decides on commands by samples and estimates.
 
     Args:
         automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for an order.
@@ -198,14 +198,14 @@ class LandingGuidance:
         self._attitude: Attitude | None = None
         """The newest attitude."""
         self._heard: MonoNs | None = None
-        """When the newest sample of the vehicle itself was received."""
+        """Time of receipt of the vehicle's own newest sample."""
         self._contact = ContactWatch()
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
-        """When the deck was last believed to move as none does."""
+        """Time when the deck's estimated motion was last impossible."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
@@ -227,7 +227,7 @@ class LandingGuidance:
 
     @property
     def reason(self) -> str:
-        """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        """Reason why the vehicle does not simply descend, as text for the operator; empty while it does."""
         if self.mission.state is State.GATE:
             return "" if self.mission.waits_for is None else self.mission.waits_for.text
         if isinstance(self._vessel, Reason) and self.mission.state in _BY_REPORTS:
@@ -267,12 +267,12 @@ class LandingGuidance:
         return changes
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        """Note what samples tell beside what the estimator makes of them."""
+        """Note what guidance itself needs of samples, beside the estimator."""
         for sample in samples:
             received_at = sample.stamp.received_at
             if received_at > self._now:
                 self._now = received_at
-            # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+            # By the type itself: hundreds of samples a second, and a match checks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
                     before, self._contact = self._contact, watched(self._contact, sample)
@@ -321,7 +321,7 @@ class LandingGuidance:
         self._changes += changes
 
     def judge(self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False) -> None:
-        """Judge in each guidance cycle how the deck is believed to move, and whether the vehicle can be held still.
+        """Judge in each guidance cycle how the deck is estimated to move, and whether the vehicle can be held still.
 
         Args:
             accelerates_unfelt: the estimate does without the accelerometer.
@@ -341,7 +341,7 @@ class LandingGuidance:
         return IntegrityAlert.UNFELT if unfelt_s > _UNFELT_S else None
 
     def deck_impossible(self, now: MonoNs) -> bool:
-        """Return whether the deck is believed to move as none does, now or within the last second."""
+        """Return whether the deck's estimated motion is impossible, now or within the last second."""
         return self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S
 
     def knowledge(
@@ -456,5 +456,5 @@ class LandingGuidance:
 
 
 def of_ship(sample: Sample) -> bool:
-    """Return whether a sample tells of the ship and not of the vehicle."""
+    """Return whether a sample is about the ship and not the vehicle."""
     return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")

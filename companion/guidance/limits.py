@@ -36,7 +36,7 @@ _COMMIT_SPEED = 1.5
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
 _LATER_TRY, _LATER_MOST = 0.25, 1.5
-"""By how much the limits of place and tilt grow with each go-around, and the most that they grow to."""
+"""Growth of the limits of place and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 ON_PAD = 1.4
@@ -47,7 +47,7 @@ Comparison = tuple[ReasonCause, float | None, float]
 
 
 class InputQuality(Struct, frozen=True):
-    """What the service knows about its inputs beside the estimate."""
+    """Quality of the service's inputs, beside the estimate."""
 
     normalized_nis: float | None = None
     """Recent mean of the sightings' NIS over the number of components; None before the first comparison."""
@@ -113,7 +113,7 @@ def gate(
 
 
 def impossible_deck(deck: DeckMotion | None) -> bool:
-    """Return whether the deck is believed to move as none does, beyond the uncertainty of its motion: something lies."""
+    """Return whether the deck's estimated motion is impossible, beyond the uncertainty of its motion: a sensor is wrong."""
     if deck is None:
         return False
     excess = (
@@ -134,7 +134,7 @@ def stop_m(estimate: RelativeState) -> float:
 
 
 def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
-    """Return whether the sightings are as recent and as consistent as the gate asks."""
+    """Return whether the sightings are as recent and as consistent as the gate requires."""
     return _first(_of_the_sightings(now, estimate, quality, limits)) is None
 
 
@@ -159,7 +159,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
             (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
-            # What was within the limit at the gate may lean a little further until the contact.
+            # What was within the limit at the gate may tilt a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
@@ -182,7 +182,7 @@ def to_contact_s(estimate: RelativeState, cone: ConeOptions) -> float:
 
 
 def gusts_m(gust_m_s2: float, seconds: float) -> float:
-    """Return how far gusts push the vehicle until then that nothing has told of yet: standard deviation on one axis, m.
+    """Return how far gusts not yet measured push the vehicle until then: standard deviation on one axis, m.
 
     A Gauss-Markov push that lasts for `_GUST_S` changes as its square root at first, and acts as its double integral.
     """

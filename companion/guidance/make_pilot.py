@@ -81,7 +81,7 @@ def _over_ground(settings: Settings) -> bool:
 
 
 def _within_driver(response: Response, settings: Settings) -> Response:
-    """Return the response with no more than the driver lets through: the law has to know what is truly flown."""
+    """Return the response with no more than the driver lets through: the law has to know the tilt that is truly flown."""
     vehicle = settings.vehicle
     if not isinstance(vehicle, ArDroneOptions):
         return response

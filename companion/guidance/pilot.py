@@ -49,10 +49,10 @@ def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
 
 @dataclass(frozen=True, slots=True)
 class PilotOptions:
-    """What a pilot needs beside the options of its tracker, its estimator and its guidance."""
+    """Options of a pilot, beside those of its tracker, its estimator and its guidance."""
 
     automatic: bool = True
-    """Whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
+    """True if the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
     shadows: Sequence[PathName] = ()
     """Estimator paths that run for comparison only and never steer."""
     law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
@@ -62,15 +62,15 @@ class PilotOptions:
     limits: LimitOptions | None = None
     """The limits of every command."""
     over_ground: bool = False
-    """Whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
+    """True if the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
     reports: ReportLimits | None = None
-    """What is believed of the places that ship and vehicle report."""
+    """Limits for the positions that ship and vehicle report."""
     tilt: TiltResponse | None = None
-    """How the vehicle's tilt answers, by its file; by default an AR.Drone's."""
+    """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
     view: FieldOfView | None = None
     """The field of a camera that leans with the body; None of another."""
     gimballed: bool = False
-    """Whether a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
+    """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
 
 class Pilot:
@@ -131,12 +131,12 @@ class Pilot:
 
     @property
     def paused(self) -> bool:
-        """Whether a person paused guidance."""
+        """True if a person paused guidance."""
         return self.state is State.PAUSED
 
     @property
     def may_try_again(self) -> bool:
-        """Whether `begin` resumes the flight although it has an outcome."""
+        """True if `begin` resumes the flight although it has an outcome."""
         return self.outcome in AGAIN
 
     def begin(self) -> None:
@@ -176,15 +176,15 @@ class Pilot:
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
-        That is while nobody has agreed to land on the pad it refers to, and while the deck is believed to move as none does.
+        That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
         """
         believed = self.believed(now)
         if believed is None:
             return None
         if self.state is State.ANOTHER_PAD:
             believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
-        doubt = self.landing.doubted(now)
-        return believed if doubt is None else _alerted(believed, doubt)
+        objection = self.landing.doubted(now)
+        return believed if objection is None else _alerted(believed, objection)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -195,7 +195,7 @@ class Pilot:
         return self.estimation.all_believed(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         return self.estimation.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
@@ -211,8 +211,8 @@ class Pilot:
     def take_samples(self, samples: Sequence[Sample]) -> int:
         """Take samples in the order in which they were received; return how many wait for `fused`.
 
-        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
-        same as one by one, and what surrounds each step costs once.
+        The estimator processes them when the next answer is needed, those of several datagrams together: beliefs and results are
+        the same as one by one, and what surrounds each step costs once.
         """
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
@@ -301,10 +301,10 @@ class Pilot:
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
         self.landing.judge(now, deck, accelerates_unfelt=self.estimation.memory.guard.inertial.accel_lost)
-        doubt = self.landing.doubted(now)
-        if doubt is not None and relative is not None:
-            relative = _alerted(relative, doubt)
-        if doubt is IntegrityAlert.DECK:
+        objection = self.landing.doubted(now)
+        if objection is not None and relative is not None:
+            relative = _alerted(relative, objection)
+        if objection is IntegrityAlert.DECK:
             deck = None
         return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 

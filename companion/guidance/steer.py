@@ -49,7 +49,7 @@ def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_gro
     """Return how fast the drone climbs before a deck that comes up to it out of sight.
 
     It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
-    further than to the safe height, where no deck reaches it. A deck of which nothing is known may rise.
+    further than to the safe height, where no deck reaches it. An unknown deck may rise.
     """
     if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
@@ -82,7 +82,7 @@ def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_groun
 
 
 def climbing(command: Command, climb_m_s: float) -> Command:
-    """Return the command with at least this climb: without sight an estimate that has risen by itself asks for none."""
+    """Return the command with at least this climb: without sight an estimate that has risen by itself requests none."""
     if not isinstance(command, Velocity | Lean) or command.v_level[2] <= -climb_m_s:
         return command
     v = np.array(command.v_level)
@@ -91,7 +91,7 @@ def climbing(command: Command, climb_m_s: float) -> Command:
 
 
 Aim = Target | Command | None
-"""Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
+"""Target, finished command, or None: guidance leaves the vehicle alone."""
 
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
@@ -145,7 +145,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
 
 
 def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the deck was felt and no sight tells otherwise: only then do the motors stop by force."""
+    """Return whether the deck was felt and no sight contradicts it: only then do the motors stop by force."""
     felt = s.knowledge.impact
     if p.reckoned is not None and (felt is None or felt.at < p.reckoned):
         return False
@@ -227,7 +227,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
-    # A drone that was lifted stays up: without sight nothing asks it to come down again.
+    # A drone that was lifted stays up: without sight nothing commands it down again.
     least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS))
     if p.state in _REFUSED:
         least_m = o.tries.safe_height_m + s.knowledge.outrun_m
@@ -274,12 +274,12 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
 
 
 def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the sightings are as recent and as consistent as the gate asks; by others no deck is followed down."""
+    """Return whether the sightings are as recent and as consistent as the gate requires; by others no deck is followed down."""
     return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
 
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
+    """Return whether this cycle may request a way nearer to the deck: its state does, and its estimate is fit for it."""
     # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
     lower = p.state in (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
     if not (lower or (p.state is State.INTERCEPT and o.mission == "thesis")):

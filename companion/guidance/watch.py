@@ -42,9 +42,9 @@ _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
 _BLIND_MARGIN_M = 0.1
 _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
-"""A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
+"""A height this far over the gate's, by this many standard deviations, is too high for a vehicle that stands on the deck."""
 _FRESH_S = 0.2
-"""Age of a sighting up to which it tells that the drone has left the deck, s."""
+"""Age of a sighting up to which it shows that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
 """Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
@@ -52,13 +52,13 @@ _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 BOUNCES_MOST = 2
 """Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 _TOUCHES_MOST = 4
-"""Number of bounces after which a contact in a go-around is none to press on."""
+"""Number of bounces after which a contact in a go-around no longer makes it press on."""
 _MAY_STAY = (State.GO_AROUND, State.GATE, State.HOLD_BLIND)
 """States that no contact belongs to, in which one near the pad's centre is taken as the landing all the same."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 _TILTS_FAR = 3.0
-"""Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
+"""Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
 _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
@@ -78,7 +78,7 @@ def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 
 def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Charge the guidance cycle to the try, and note what was seen."""
+    """Charge the guidance cycle to the attempt, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if s.silent_s > SILENT_S:
@@ -130,7 +130,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
-    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is none."""
+    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is no wind."""
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
     if s.wind is None or not slow or not s.wind.too_strong:
         return p if p.windy_since is None else replace(p, windy_since=None)
@@ -333,7 +333,7 @@ def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
 
 
 def _against(p: Progress, s: GuidanceCycle) -> Reason | None:
-    """Return that the height goes against what is ordered, or None."""
+    """Return the reason if the height moves against the order, or None."""
     if not p.in_sight or s.estimate is None or (against_m := p.course.against_m(s.at, s.estimate.height_m)) is None:
         return None
     return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
@@ -349,7 +349,7 @@ def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
 
 
 def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
+    """Return the reason if it is in the air again after the contact; only a fresh sight of the pad shows it."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
@@ -426,7 +426,7 @@ _CHARGED: Mapping[State, Callable[[Attempt, float], Attempt]] = {
     State.DESCEND: Attempt.in_descent,
     State.GATE: Attempt.at_gate,
 }
-"""What adds a guidance cycle to the try, where all visits to a state share its time."""
+"""Functions that charge a guidance cycle to the attempt, for states whose visits share one time budget."""
 _SPENT: Mapping[State, Callable[[Attempt], float]] = {
     State.INTERCEPT: lambda attempt: attempt.over_pad_s,
     State.DESCEND: lambda attempt: attempt.in_descent_s,
@@ -499,7 +499,7 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)
         tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
-        # A deck that leans this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+        # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
         refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
         return replace(p, blocked=blocked, good_since=None, refusing=refusing)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)
@@ -541,6 +541,6 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 
 
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
-    """Return whether the drone is still on its way up to the safe height while the operator is asked."""
+    """Return whether the drone is still on its way up to the safe height while the operator decides."""
     climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
     return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

@@ -1,7 +1,7 @@
-"""The wind over the drone, by the lean that holds it in place, and how much of it the vehicle's tilt can fly.
+"""The wind over the drone, by the tilt that holds it in place, and how much of it the vehicle's tilt can fly.
 
-What the drone leans beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
-is gusts. A vehicle can fly a steady lean up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
+What the drone tilts beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
+is gusts. A vehicle can fly a steady tilt up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
 the tilt is for them.
 """
 
@@ -22,13 +22,13 @@ MEAN_S = 5.0
 """Time constant of mean and gusts, and the time before either counts, s."""
 GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
-"""Time constant that takes the accelerometer's noise from the lean, s: gusts last longer."""
+"""Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _GAP_MAX_S = 0.5
 _DRAGGED_M = 0.06
-"""How far a vehicle is dragged over the deck, by the tangent of its lean, m; by simulated landings (docs/decisions/108)."""
+"""Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
 _FAR_RAD = math.radians(8.0)
 _SPENT = 0.95
-"""Share of the tilt limit beyond which a steady lean leaves nothing to hold the place with."""
+"""Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 
 
 class WindOverDrone(NamedTuple):
@@ -43,9 +43,9 @@ class WindOverDrone(NamedTuple):
     into_level: tuple[float, float]
     """Unit vector into the wind, forward and right; zero in a calm."""
     lean_rad: float
-    """The mean lean against it."""
+    """The mean tilt against it."""
     spent: bool
-    """Whether it takes all of the tilt."""
+    """True if it takes all of the tilt."""
     across_rad: float = 0.0
     """The turn that brings the wider side of the camera's field into the wind, clockwise positive."""
 
@@ -60,7 +60,7 @@ class WindOverDrone(NamedTuple):
 
     @property
     def leans_far(self) -> bool:
-        """Whether the lean moves the pad so far towards the picture's edge that the nose turns for it."""
+        """True if the lean moves the pad so far towards the picture's edge that the nose turns for it."""
         return self.lean_rad > _FAR_RAD
 
     @property
@@ -98,7 +98,7 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
     off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
     mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
-    # Of what is off, the part that has gone into the mean is none of the gusts (Welford's update of a variance).
+    # The part of the difference that has gone into the mean does not belong to the gusts (Welford's update of a variance).
     var = watch.var + slow * (0.5 * (1.0 - slow) * (off[0] ** 2 + off[1] ** 2) - watch.var)
     return WindWatch(now, known_s, smooth, mean, max(0.0, var))
 

@@ -1,4 +1,4 @@
-"""The mission's options: the cone, the limits of gate and commit, the tries, and the way points of the thesis."""
+"""The mission's options: the cone, the limits of gate and commit, the attempts, and the way points of the thesis."""
 
 import math
 from typing import Annotated, Literal
@@ -63,7 +63,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
-    """What must hold for a landing. The gate waits for it; in the commit a breach ends the try.
+    """Limits for a landing. The gate waits for them; a breach during the commit ends the attempt.
 
     Raises:
         ValueError: a number outside its range.
@@ -152,7 +152,7 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The tries: how long each may take, how often the drone goes around, and what it does without sight.
+    """Landing attempts: the time of each, the number of go-arounds, and the behaviour without sight.
 
     Raises:
         ValueError: a number outside its range, or two that do not go together.

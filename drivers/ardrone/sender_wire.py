@@ -39,7 +39,7 @@ class SenderOptions:
     on_service_back: tuple[TextCommand, ...] = ()
     """The commands that undo `on_service_lost`; they are sent when the service is back, or the drone is on the ground."""
     replaces: bool = False
-    """Whether an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
+    """True if an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
 
     def as_json(self) -> str:
         """Return the text that `of_json` reads."""
@@ -124,13 +124,13 @@ def pack_status(status: SenderStatus) -> bytes:
 
 def order_of(line: bytes) -> SenderOrder:
     """Parse a line of the service."""
-    said = json.loads(line)
-    if isinstance(said, list):
-        return SenderOrder(latest=_timed_command(said))
-    if "send" in said:
-        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in said["send"]), until=MonoNs(said["until"]))
-    if "end" in said:
-        return SenderOrder(end=_timed_command(said["end"]))
+    output = json.loads(line)
+    if isinstance(output, list):
+        return SenderOrder(latest=_timed_command(output))
+    if "send" in output:
+        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in output["send"]), until=MonoNs(output["until"]))
+    if "end" in output:
+        return SenderOrder(end=_timed_command(output["end"]))
     return SenderOrder(reopen=True)
 
 

@@ -1,6 +1,6 @@
 """Choose what an autopilot is sent in each period, from the newest command and the state that it reports. No I/O.
 
-It steers only after it was asked to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
+It steers only after the order to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
 OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint. A person who chooses
 another mode takes the vehicle over: nothing is sent until the mode is chosen again, the operator starts again, or the vehicle
 has landed.
@@ -9,7 +9,7 @@ becomes a hold at the deck's own velocity, then one over the ground, then the au
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
 and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
 A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`MotorStop`); a vehicle that
-reports itself on the ground after a landing, still armed, is asked to disarm. None is left armed on a deck.
+reports itself on the ground after a landing, still armed, is commanded to disarm. None is left armed on a deck.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
@@ -34,7 +34,7 @@ OUTLIVE_S = 0.5
 """Time for which setpoints go on after the report that the motors stand, s."""
 _EACH_S, _SLOW_S = 0.2, 1.0
 _QUICK_S = 5.0
-"""Time after which it is asked less often, s."""
+"""Time after which requests are rarer, s."""
 
 
 def disarm(target: tuple[int, int], *, forced: bool) -> Message:
@@ -83,7 +83,7 @@ class Hand(Enum):
     """The party that controls the vehicle, and how far a change of control has come."""
 
     IDLE = "idle"
-    """This program has not been asked to fly the vehicle."""
+    """This program has no order to fly the vehicle."""
     TAKING = "taking"
     """This program has requested the velocity mode."""
     OURS = "ours"
@@ -91,7 +91,7 @@ class Hand(Enum):
     STANDING = "standing"
     """The vehicle stands on the deck: its motors are being stopped."""
     HOLDING = "holding"
-    """Guidance is silent: the autopilot is in its own hold mode, or was asked to be."""
+    """Guidance is silent: the autopilot is in its own hold mode, or on its way there."""
     RELEASED = "released"
     """A person chose another mode, or the mode was refused."""
 
@@ -112,13 +112,13 @@ class SetpointStreamer:
         self._streaming_since: MonoNs | None = None
         self._taking_off: TakingOff | None = None
         self._returns = False
-        """Whether the vehicle is to fly back by its own mode."""
+        """True if the vehicle is to fly back by its own mode."""
         self._rest = RestVelocity()
         self._stop: MotorStop | None = None
         self._felt_at: MonoNs | None = None
-        """When guidance said last that it has felt the deck."""
+        """Time when guidance last reported contact with the deck."""
         self._cut_at: MonoNs | None = None
-        """When a person asked to cut the motors; None while nobody does."""
+        """Time of a person's order to cut the motors; None without one."""
         self._asked: MonoNs | None = None
         self._asks = 0
         self._landed_from = ""
@@ -128,14 +128,14 @@ class SetpointStreamer:
         self._down_m: float | None = None
         self._land_from_m: float | None = None
         self._paused = False
-        """Whether the landing is paused because it is not renewed; it continues when it is renewed."""
+        """True while the landing is paused because it is not renewed; it continues when it is renewed."""
         self._spent = False
-        """Whether the landing under way has used up its time or its height."""
+        """True if the landing under way has used up its time or its height."""
         self._condition = Condition()
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
         self.refused = False
-        """Whether the hand was released because the velocity mode was refused, and not because another was chosen."""
+        """True if the hand was released because the velocity mode was refused, and not because another was chosen."""
         self.blind_periods = 0
         """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0

@@ -42,7 +42,7 @@ class ViewWatch(NamedTuple):
     moments: F64 | None = None
     """Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less."""
     reversed: bool = False
-    """Whether the pad moves in the image against the rotation of the body, along some axis."""
+    """True if the pad moves in the image against the rotation of the body, along some axis."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:

@@ -261,7 +261,7 @@ _OUTLINE_STEP = 4
 _STROKES_MARGIN_M = 0.035
 """Width of the disc around the H that counts."""
 _LEAST_SPAN = 0.05
-"""Least difference of H and disc in a channel, in linear light, that the ring is placed between."""
+"""Least difference of H and disc in a channel, linear light, for measuring the ring's place between them."""
 _OF_THREAD = threading.local()
 
 
@@ -348,7 +348,7 @@ class EdgePoints(NamedTuple):
     of: NDArray[np.int32]
     """Kind and piece, (M, 2)."""
     shown: tuple[slice, ...]
-    """Where the outline of each kind is among the points that the core returns."""
+    """Places of each kind's outline among the points that the core returns."""
 
 
 @lru_cache(maxsize=8)

@@ -15,7 +15,7 @@ from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
 
 Flight = dict[str, Any]
-"""What `decklander simulate --json` prints, with `perception`, `varied` where something is, and `hash`."""
+"""Output of `decklander simulate --json`, with `perception`, `varied` where something is, and `hash`."""
 Flyer = Callable[[str, Scenario, int, Settings, Perception, str | None], Flight]
 """Flies a scenario once: name, scenario, seed, settings, perception, its error model's file.
 
@@ -68,8 +68,8 @@ def fly_order(order: Order) -> Flight:
         flight = order.flyer(name, scenario, job.seed, settings, perception, model)
     except Exception as why:
         place = traceback.extract_tb(why.__traceback__)[-1]
-        said = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-        flight = failed(name, job, said, _cpu_s() - began_s)
+        output = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+        flight = failed(name, job, output, _cpu_s() - began_s)
     return finished(flight, job, perception)
 
 
@@ -118,7 +118,7 @@ def flight_hash(flight: Flight) -> str:
 
 
 def job_of(flight: Flight) -> Job:
-    """Return the job of which this is the result."""
+    """Return the job of this result."""
     return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
 
 

@@ -106,7 +106,7 @@ class Timing:
     vision_s: float = 0.01
     """Time that vision takes for a frame."""
     overtime_s: float = 0.0
-    """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
+    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
 
 
 class _VirtualClock:
@@ -158,7 +158,7 @@ class Flight:
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
         self.contained = False
-        """Whether a bug of the service ends the flight and is part of the result, instead of being raised."""
+        """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
         self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
         self._person = SimulatedPerson(self.world.faults)
         self._reporter = VesselReporter(self.world)
@@ -285,7 +285,7 @@ class Flight:
         return self.result()
 
     def _killed(self) -> bool:
-        """Whether the service's process is gone; after a restart it is a new process."""
+        """Return whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
                 self._count(self._pilot.fused())

@@ -28,11 +28,11 @@ BLIND_DESCENT_MAX_M = 0.5
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 MET_AFTER_S = 0.5
-"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
+"""Time after a command at which the vehicle has the speed that it requests, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
-"""How far above the highest height that a flight calls for is unsafe: waves and gusts do not carry a vehicle there."""
+"""Unsafe height above the highest height that a flight calls for: waves and gusts do not carry a vehicle there."""
 RECEIVERS_M = 10.0
 """Error of a height over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 SLIDE_MAX_M_S = 0.5
@@ -48,7 +48,7 @@ COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
 """The phases in which a person commands; a contact is then the person's."""
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
-"""The phases of guidance that end a try by climbing."""
+"""The phases of guidance that end an attempt by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
 either lands or refuses."""
@@ -165,7 +165,7 @@ class MotionWatch:
 
     @property
     def unsafe(self) -> tuple[str, ...]:
-        """What of it is unsafe, one line each."""
+        """Unsafe events, one line each."""
         out = []
         if self.highest_m > self.called_for_m + TOO_HIGH_M:
             out.append(f"flew {self.highest_m:.1f} m high, where {self.called_for_m:.1f} m are the most that is called for")
@@ -320,7 +320,7 @@ class AtEnd(NamedTuple):
     held: bool = False
     """A person held it, flew it, or had ended the landing."""
     go_arounds: int = 0
-    """How often it went around."""
+    """Number of go-arounds."""
     refusal: tuple[str, str] = ("", "")
     """Words that the reason of a refusal must hold, and the reason that it gave."""
     put_down: bool = False
@@ -357,12 +357,12 @@ def grade(
     if end.put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
         return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
     if outcome in REFUSALS or (outcome is None and (end.left_alone or end.asks)):
-        said = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
+        output = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
         if outcome is not None:
-            said = outcome.value
+            output = outcome.value
         if expect in ("land", "go_around"):
-            return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+            return Grade.FAILED, f"{output}, though nothing was wrong enough for that"
         if outcome in REFUSALS and end.refusal[0].lower() not in end.refusal[1].lower():
-            return Grade.FAILED, f"{said} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
-        return Grade.REFUSED_RIGHTLY, said
+            return Grade.FAILED, f"{output} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
+        return Grade.REFUSED_RIGHTLY, output
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

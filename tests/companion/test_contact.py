@@ -73,7 +73,7 @@ def test_samples_after_a_gap_begin_again() -> None:
 
 
 def felt(watch: ContactWatch, ms: float, up: float) -> ContactWatch:
-    """The memory after an upward specific force, m/s^2, at an instant in ms."""
+    """Return the memory after an upward specific force, m/s^2, at an instant in ms."""
     at = MonoNs(round(ms * 1e6))
     return watched(watch, Imu(Stamp(at, at, 0.001, "sim"), np.zeros(3), np.array([0.0, 0.0, -up])))
 

@@ -20,7 +20,7 @@ ALONG = Target(np.array([0.0, 0.0, 1.0]), yaw_rad=0.0)
 
 
 def flown(turn_deg_s: float, off_deg: float, seconds: float, lag_s: float = 0.3, noise_deg: float = 0.0) -> list[float]:
-    """The heading against the arrow, degrees, of a vehicle that takes up a turn rate with a lag."""
+    """Return the heading against the arrow, degrees, of a vehicle that takes up a turn rate with a lag."""
     law, rng = FollowDeck(shipped_response("ardrone2"), T), np.random.default_rng(4)
     memory, off, rate, out = law.start(), math.radians(off_deg), 0.0, []
     for k in range(round(seconds / T)):
@@ -50,7 +50,7 @@ def test_coming_round_to_the_arrow_hardly_overshoots() -> None:
     assert abs(course[-1]) < 0.3
 
 
-def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
+def test_a_heading_that_is_not_known_requests_no_turn() -> None:
     law, now = FollowDeck(shipped_response("ardrone2"), T), MonoNs(0)
     body = BodyMotion(now, 0.0, np.zeros(3), 1e-4 * np.eye(3), np.zeros(3), Rotation.identity(), 1e-4 * np.eye(3))
     known = RelativeState(now, "ekf", ALONG.d_body_pad_level, np.zeros(3), 0.5, 1e-4 * np.eye(7), now, True)

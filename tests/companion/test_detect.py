@@ -24,7 +24,7 @@ SCENE = PadPlacement((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), 
 
 @pytest.fixture(scope="module")
 def album(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two images of the pad, one of nothing, and a note that is no image."""
+    """Return a folder with two images of the pad, one of nothing, and a note that is no image."""
     folder = tmp_path_factory.mktemp("album")
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     cv2.imwrite(str(folder / "a.png"), image(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)
@@ -109,9 +109,9 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
     common = (album / "a.png", "--camera", "sim", "--json")
     assert detect(*common, "--attitude", table, "--attitude-sigma-deg", "0.1") == 0
     assert detect(*common) == 0
-    told, assumed = records(capsys)
+    reported, assumed = records(capsys)
     true = np.array(SCENE.d_body_pad_level)
-    d_told, d_assumed = np.array(told["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
+    d_told, d_assumed = np.array(reported["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
     assert np.linalg.norm(d_told - true) < 0.006
     assert np.linalg.norm(d_told - true) < np.linalg.norm(d_assumed - true) < 0.09
     cov = np.reshape(assumed["cov"], (4, 4))[:3, :3]  # type: ignore[call-overload]
@@ -236,7 +236,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
     assert named in err
 
 
-def test_both_opinions_are_printed_where_a_second_one_is_asked(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0
     alone, both = records(capsys)

@@ -45,7 +45,7 @@ class Unspeakable(Exception):
 
 
 def deep() -> BaseException:
-    """A RecursionError as Python makes it."""
+    """Return a RecursionError as Python makes it."""
 
     def down() -> None:
         down()
@@ -143,7 +143,7 @@ class Failing:
 async def flown(
     role: str | None = None, error: str = "value", at: int = 0, for_: int = 10**9, seconds: float = FLOWN_S
 ) -> tuple[list[tuple[int, str]], Health, int]:
-    """The commands of a flight with a failing part in one role; its health; how often it failed."""
+    """Return the commands of a flight with a failing part in one role; its health; how often it failed."""
     clock = VirtualClock()
     vehicle = FakeFlight(clock)
     health = Health(clock)
@@ -206,7 +206,7 @@ def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tupl
     assert raised or role in ("ending", "counters")
 
 
-def test_what_fails_again_and_again_is_set_aside_and_said_so() -> None:
+def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:
     _, health, raised = event_loop.run(flown("on_sample", "value", seconds=SHORT_S))
     assert raised == 20
     assert not health.parts["failing.on_sample"].up

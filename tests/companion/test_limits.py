@@ -29,7 +29,7 @@ def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, down_m_s: float = 0.0)
 
 
 def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
-    """A deck that is level now and has this tilt when the drone comes down."""
+    """Return a deck that is level now and has this tilt when the drone comes down."""
     to_come = np.radians(np.array(HORIZONS_S)[:, None] / TO_CONTACT_S * [roll_deg, pitch_deg])
     level = forecast(np.zeros(len(HORIZONS_S)), NOW)
     fields = {name: getattr(level, name) for name in Forecast.__dataclass_fields__}
@@ -37,7 +37,7 @@ def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
 
 
 def falling(m_s: float, at_s: tuple[float, ...] = HORIZONS_S, ago_s: float = 0.0) -> Forecast:
-    """A deck that falls at some horizons of a forecast made some time ago, and is still at the others."""
+    """Return a deck that falls at some horizons of a forecast made some time ago, and is still at the others."""
     return forecast(np.where(np.isin(HORIZONS_S, at_s), -m_s, 0.0), NOW - ago_s)
 
 
@@ -185,7 +185,7 @@ def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotio
 
 
 def test_feet_that_slide_come_to_stand_farther_on() -> None:
-    """From v they slide v^2 / (2 0.5 g): the body goes against the pad's velocity relative to it."""
+    """Feet at a speed v slide v^2 / (2 0.5 g). The body goes against the pad's velocity relative to it."""
     assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (1.0, 0.0, 0.0))) == pytest.approx(0.1 + 1.0 / G_M_S2)
     assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (-1.0, 0.0, 0.0))) == pytest.approx(abs(0.1 - 1.0 / G_M_S2))
     assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))

@@ -1,4 +1,4 @@
-"""What a guidance cycle leaves in the machine's memory before it is asked what happens."""
+"""Accounts in the machine's memory after a guidance cycle, before the events are determined."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ SAFE_M = 2.0 - 0.25
 
 
 def memory(state: State, **more: Any) -> Progress:
-    """The cycle before was 20 ms ago, and saw pad 1 at a metre."""
+    """Return a memory whose last cycle was 20 ms ago and saw pad 1 at a metre."""
     fields: dict[str, Any] = {
         "automatic": True, "since": ns(NOW - 1.0), "last": ns(NOW - 0.02), "seen": ns(NOW - 0.02), "seen_height_m": 1.0,
         "in_sight": True, "track": 1,
@@ -184,7 +184,7 @@ def test_what_keeps_the_gate_shut_is_noted_and_since_when_nothing_does() -> None
 
 
 @pytest.mark.parametrize(("stood_s", "stands"), [(1.999, True), (2.0, False)])
-def test_the_operator_is_told_one_cause_for_two_seconds(stood_s: float, stands: bool) -> None:
+def test_the_operator_sees_one_cause_for_two_seconds(stood_s: float, stands: bool) -> None:
     old = Reason(ReasonCause.SIGMA, 0.2, 0.15)
     p = after(memory(State.GATE, waits_for=old, waits_since=ns(NOW - stood_s)), seen(0.3, aside_m=0.09))
     assert (p.waits_for == old) is stands

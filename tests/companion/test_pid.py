@@ -122,7 +122,7 @@ def test_what_is_not_fit_to_steer_by_means_hover_with_frozen_integrals(seen):
     assert after is state
 
 
-def test_after_long_silence_the_integrals_start_anew():
+def test_after_long_silence_the_integrals_start_again():
     state = Pid(integral=np.ones(4), last=ns(0))
     after, _ = pid_step(state, PidOptions(), ns(3), None, above(2.0), STALE_S)
     np.testing.assert_array_equal(after.integral, 0.0)
@@ -131,7 +131,7 @@ def test_after_long_silence_the_integrals_start_anew():
 
 
 def fly(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.0, lag_s=0.3, delay_s=0.15):
-    """A vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
+    """Return a vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
     gains = gains or PidOptions()
     dt, state, v, d = 0.02, Pid.start(), np.zeros(3), np.array(d0, float)
     seen = [(d.copy(), np.array(pad_v) - v)] * (round(delay_s / dt) + 1)

@@ -54,7 +54,7 @@ def ns(seconds: float) -> MonoNs:
 
 
 def truth_at(t):
-    """A descent from 3 m along a curve, turning through the limit of the heading's range."""
+    """Return a descent from 3 m along a curve, turning through the limit of the heading's range."""
     return np.array([0.6 * math.cos(t), 0.5 - 0.1 * t, 3.0 - 0.6 * t]), math.remainder(3.0 + 0.2 * t, math.tau)
 
 
@@ -163,7 +163,7 @@ def test_position_over_the_pad_is_turned_by_the_heading():
 
 
 class _Parts(HTMLParser):
-    """What a page refers to, its ids, and the text of its elements by id."""
+    """References of a page, its ids, and the text of its elements by id."""
 
     def __init__(self):
         super().__init__()
@@ -211,8 +211,8 @@ def test_the_page_is_one_file_and_says_what_happened(tmp_path):
     assert "A test &lt;flight&gt; &amp; more" in text
     assert "calm &amp; &lt;b&gt;" in text
     assert "&lt;settings&gt;" in text
-    for said in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
-        assert said in text
+    for output in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
+        assert output in text
     assert "0.38 m over the deck" in text, "the cause of a transition"
     assert "contact with the deck" in text
     assert text.count("<canvas") == text.count('role="img"') == len(re.findall(r'<canvas[^>]*aria-label="[^"]{20,}"', text))
@@ -292,8 +292,16 @@ def test_the_path_that_steered_has_the_band():
 def test_an_empty_flight_still_has_a_page(tmp_path):
     page = write_report(FlightLog("nothing", ns(0), PAD, CAMERA), tmp_path)
     text = page.read_text("utf-8")
-    for said in ("No touchdown", "No frames", "Neither truth", "Nothing was estimated", "No commands", "No times", "No results"):
-        assert said in text
+    for output in (
+        "No touchdown",
+        "No frames",
+        "Neither truth",
+        "Nothing was estimated",
+        "No commands",
+        "No times",
+        "No results",
+    ):
+        assert output in text
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
 
 
@@ -410,7 +418,7 @@ def near_ink(canvas, uv, ink, reach=2):
 @pytest.mark.parametrize("expected", [False, True])
 @pytest.mark.parametrize("rpy", [(0.0, 0.0), (0.08, -0.12)])
 def test_the_pad_is_drawn_where_the_estimate_has_it(rpy, expected):
-    """Against cv2.projectPoints with the same pose composed by hand; where the frame has its own expectation, by that."""
+    """The place equals cv2.projectPoints of the same pose composed by hand, or the frame's own expectation if it has one."""
     yaw, d = 0.7, np.array([0.2, -0.1, 2.0])
     R_level_body = Rotation.from_rpy(rpy[0], rpy[1], 0.0)
     believed = d + np.array([0.15, 0.1, 0.0]) if expected else d

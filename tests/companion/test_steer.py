@@ -1,4 +1,4 @@
-"""Where to be in each state, asked of one guidance cycle."""
+"""Target in each state, for one guidance cycle."""
 
 import math
 from typing import Any
@@ -44,7 +44,7 @@ def target(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None,
 
 
 def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
-    """Where the body is over the pad, m along and beside its arrow."""
+    """Return the place of the body over the pad, m along and beside its arrow."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return -(c * d[0] - s * d[1]), -(s * d[0] + c * d[1])
 
@@ -54,7 +54,7 @@ def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
 
-def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
+def test_before_a_landing_is_requested_nothing_but_a_hover_is_commanded() -> None:
     p, found = aim(Progress(State.READY, automatic=False), GuidanceCycle(ns(NOW), known()), guided(), over_ground=True)
     assert (p.state, found) == (State.READY, Hover())
 
@@ -103,7 +103,7 @@ def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
     assert target(State.COMMIT, known()).descent_rate_m_s == guided().cone.commit_rate_m_s
 
 
-def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
+def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     found = target(State.PRESS, known())
     assert (found.lean_max_rad, found.descent_rate_m_s) == (0.0, guided().cone.commit_rate_m_s)
     assert found.d_body_pad_level.tolist() == list(ABOVE)
@@ -161,7 +161,7 @@ def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
 @pytest.mark.parametrize("over_ground", [True, False])
 @pytest.mark.parametrize("rises_m_s", [0.4, -0.4])
 def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_ground: bool, rises_m_s: float) -> None:
-    """At 0.5 m/s over the ground it would be overtaken. A driver that adds the deck's velocity has it in already."""
+    """A climb at 0.5 m/s over the ground would be overtaken. A driver that adds the deck's velocity includes it already."""
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
     p = Progress(State.GO_AROUND, automatic=True, begun=True)
@@ -249,7 +249,7 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
 
 
 @pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
-def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
+def test_a_question_about_another_pad_waits_higher_up(entered_m: float, rate_m_s: float | None) -> None:
     found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
     assert found.descent_rate_m_s == rate_m_s
 

@@ -1,4 +1,4 @@
-"""The wind over the drone: its mean and gusts by the lean, whatever the nose does, and how much of it the tilt can fly."""
+"""The wind over the drone: its mean and gusts by the tilt, whatever the nose does, and how much of it the tilt can fly."""
 
 import math
 
@@ -20,7 +20,7 @@ DT = 0.02
 
 
 def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.ndarray) -> Knowledge:
-    """A body that leans against an air's push and accelerates beside it."""
+    """Return a body that tilts against an air's push and accelerates beside it."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     level = np.array([[c, s], [-s, c]])
     forward, right = level @ (against_ned + a_ned)
@@ -33,7 +33,7 @@ def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.nda
 
 @given(st.floats(0.0, 12.0), st.floats(-3.1, 3.1), st.floats(-0.3, 0.3), st.floats(0.0, 2.0))
 @settings(max_examples=15, deadline=None)
-def test_wind_is_what_the_lean_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
+def test_wind_is_what_the_tilt_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
     into = np.array([math.cos(bearing), math.sin(bearing)])
     watch, heading = WindWatch(), 0.0
     for n in range(1500):

@@ -89,7 +89,7 @@ class FakeFlight:
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(1000)
         self.commands: list[tuple[int, str]] = []
-        """When, and what, as text: equal text is an equal command to the bit."""
+        """Time and command as text: equal text is an equal command to the bit."""
         self.left = 0
 
     def command(self, command: Command) -> None:
@@ -123,7 +123,7 @@ class FakeFlight:
 
 @patch("companion.service.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
 async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
-    """The commands of that much flight. The daemon must still be alive at the end, and end well."""
+    """Return the commands of that much flight. The daemon must still be alive at the end, and end well."""
     task = asyncio.create_task(daemon.run())
     await settled()
     for n in range(round(seconds / TICK_S)):

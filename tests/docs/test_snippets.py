@@ -1,4 +1,4 @@
-"""What the docs say to type works: blocks marked `run` are run, settings are loaded, and every command line parses.
+"""Commands of the docs work: blocks marked `run` are run, settings are loaded, and every command line parses.
 
 `sh run` (with `exit=N`), `python run`, `toml rig`, `toml pad`. Every other line that
 begins with `decklander` is parsed, not run.
@@ -52,13 +52,13 @@ def of_kind(start: str) -> list[Snippet]:
 
 
 def command_lines() -> list[tuple[str, list[str]]]:
-    """Every line of any page that begins with the command, in a block or indented by four."""
+    """Return every line of any page that begins with the command, in a block or indented by four."""
     found = []
     for page in PAGES:
         for number, line in enumerate(page.read_text().splitlines(), 1):
-            said = re.match(r"^(?: {3,}|)(?:\.venv/bin/)?(decklander [^|>&#;`]*)", line)
-            if said is not None and "SOURCE..." not in line:
-                typed = re.sub(r"\[[^\]]*\]", "", re.split(r" {2,}", said[1])[0]).strip(" \\")
+            output = re.match(r"^(?: {3,}|)(?:\.venv/bin/)?(decklander [^|>&#;`]*)", line)
+            if output is not None and "SOURCE..." not in line:
+                typed = re.sub(r"\[[^\]]*\]", "", re.split(r" {2,}", output[1])[0]).strip(" \\")
                 words = [word for word in shlex.split(typed)[1:] if word != "..."]
                 if words:
                     found.append((f"{page.name}:{number}", words))

@@ -1,4 +1,4 @@
-"""Who began a landing, and whether it is called off, at each edge: gaps, ages, heights, and what a report does not carry."""
+"""Cause of a landing and its cancellation at each edge: gaps, ages, heights, and fields missing from a report."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def landing(altitude_m: float | None = 1.0, *, state: int = UNHEARD) -> DroneRep
 
 
 def for_silence() -> LandingWatch:
-    """The first thing that was heard of the drone is that it lands because nobody spoke to it."""
+    """Return a watch whose first navdata reports a landing for lack of commands."""
     watch = LandingWatch()
     watch.on_report(landing(), ms(0), ordered=False)
     return watch
@@ -35,9 +35,7 @@ def test_only_a_gap_longer_than_a_second_can_have_been_our_silence(gap_ms: int, 
 @pytest.mark.parametrize(
     ("since_ms", "heard_ms", "cause"), [(0, 0, Cause.OTHERS), (-10, 0, Cause.SILENCE), (-10, 500, Cause.OTHERS)]
 )
-def test_a_drone_that_said_for_a_second_that_nobody_speaks_lands_for_our_silence(
-    since_ms: int, heard_ms: int, cause: Cause
-) -> None:
+def test_a_drone_that_reported_no_commands_for_a_second_lands_for_our_silence(since_ms: int, heard_ms: int, cause: Cause) -> None:
     """Its reports come all the time, as they do while our own sender stands still."""
     watch = LandingWatch()
     for t in range(since_ms, 1000, 10):

@@ -80,7 +80,7 @@ async def test_a_file_that_is_repeated_goes_on(tmp_path: Path) -> None:
             pass
 
 
-async def test_what_is_no_video_is_said_at_once(tmp_path: Path) -> None:
+async def test_what_is_no_video_is_reported_at_once(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("not a film")
     for name, words in (("none.mp4", "no such file"), ("text.mp4", "not a video")):
         with pytest.raises(BadInput, match=words):
@@ -118,7 +118,7 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
 
 
 def numbered(n: int) -> np.ndarray:
-    """An image whose blocks hold the number `n` in binary."""
+    """Return an image whose blocks hold the number `n` in binary."""
     return np.repeat(np.repeat(np.array([[(n >> b & 1) * 255 for b in range(8)]], np.uint8), H, 0), W // 8, 1)
 
 
@@ -128,7 +128,7 @@ def number_in(frame: Frame) -> int:
 
 
 def parts(kind: str, n: int) -> list[bytes]:
-    """The bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
+    """Return the bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
     if kind == "mjpeg":
         jpegs = [cv2.imencode(".jpg", numbered(i))[1].tobytes() for i in range(n)]
         return [b"--f\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(j), j) for j in jpegs]

@@ -91,14 +91,14 @@ class Guest:
         """Run a command, hold it to its exit code and to what it must say, and print both."""
         began = time.monotonic()
         done = self.run(command)
-        said = done.stdout + done.stderr
-        missing = [text for text in told if not re.search(text, said)]
+        output = done.stdout + done.stderr
+        missing = [text for text in told if not re.search(text, output)]
         print(f"{time.monotonic() - began:7.1f} s  {command} -> {done.returncode}", flush=True)
-        for line in said.strip().splitlines()[-3:]:
+        for line in output.strip().splitlines()[-3:]:
             print(f"           {line[:180]}", flush=True)
         if done.returncode != code or missing:
-            raise Failed(f"{command}: ended with {done.returncode}, not {code}; not told: {missing}\n{said}")
-        return said
+            raise Failed(f"{command}: ended with {done.returncode}, not {code}; not told: {missing}\n{output}")
+        return output
 
     def stop(self) -> None:
         self._unshare.kill()
@@ -115,7 +115,7 @@ def until(what: str, condition: Callable[[], object], seconds: float) -> None:
 
 
 def another(wheel: Path, version: str, folder: Path, broken: str = "") -> Path:
-    """The wheel under another version; `broken` goes in front of the code of `decklander run`."""
+    """Return the wheel under another version; `broken` goes in front of the code of `decklander run`."""
     old = wheel.name.split("-")[1]
     made = folder / wheel.name.replace(f"-{old}-", f"-{version}-")
     with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(made, "w") as target:

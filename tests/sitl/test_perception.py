@@ -137,14 +137,14 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
 @pytest.mark.parametrize("level", ["model", "pixels"])
 def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> None:
     """The picture reaches 1.7 m to the right from 2 m over the deck, but only 1 m ahead: there the shifted pad is cut off."""
-    told = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
-    seen = told.index(Verdict.ELSEWHERE)
+    reports = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
+    seen = reports.index(Verdict.ELSEWHERE)
     # Once they agree with one another they come as far as the filter, which refuses them.
-    assert len(told[seen:]) >= 15
-    assert set(told[:seen]) == {Verdict.FUSED}
-    assert set(told[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
+    assert len(reports[seen:]) >= 15
+    assert set(reports[:seen]) == {Verdict.FUSED}
+    assert set(reports[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
     cut = fly(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
-    assert cut.count(Verdict.FUSED) == told.count(Verdict.FUSED), "nothing beside the pad is taken for it"
+    assert cut.count(Verdict.FUSED) == reports.count(Verdict.FUSED), "nothing beside the pad is taken for it"
     assert set(cut) <= {Verdict.FUSED, Verdict.NO_PAD, Verdict.LOW_CONFIDENCE}
 
 
@@ -159,7 +159,7 @@ def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_a_level_that_c
 
 
 def test_the_true_pose_comes_through_vision_and_back() -> None:
-    """What registration measured in the camera is recovered from a sighting and the attitude, tilted deck included."""
+    """The sighting and the attitude give back the pose that registration measured, tilted deck included."""
     pilot = perceive("pixels").pilot(SIM)
     viewer = Viewer(pilot.camera, pilot.pad)
     body, deck = Rotation.from_rpy(0.06, -0.09, 0.7), Rotation.from_rpy(0.03, 0.02, 0.4)
@@ -250,7 +250,7 @@ def test_a_method_without_a_model_is_refused() -> None:
         perceive("model").pilot(other)
 
 
-def test_wrong_use_is_told_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_use_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["simulate", "calm", "--perception-model", "fused"]) == 2
     assert "--perception-model" in capsys.readouterr().err
     assert main(["simulate", "calm", "--perception", "model", "--perception-model", str(tmp_path / "none.toml")]) == 2
@@ -270,7 +270,7 @@ def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
 def flown_samples(
     rng: np.random.Generator, n: int, p: float, root: np.ndarray, bias: np.ndarray
 ) -> list[samples_module.DetectionSample]:
-    """Detection samples from 2.5 m of the whole pad, found with probability p, with errors of a known bias and covariance."""
+    """Return detections of the whole pad from 2.5 m, found with probability p, with errors of a known bias and covariance."""
     view, out = a_view(2.5), []
     for i in range(n):
         error = bias + root @ rng.standard_normal(6)

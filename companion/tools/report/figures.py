@@ -18,7 +18,7 @@ class Series:
 
     name: str
     is_path: bool
-    """Whether the series is an estimator's path, drawn as a line, and not a vision method, drawn as dots."""
+    """True if the series is an estimator's path, drawn as a line, and not a vision method, drawn as dots."""
     t_s: F64
     """The (n,) times since the flight's start, s."""
     d: F64
@@ -63,10 +63,10 @@ class DeckRow:
     """One line of the table of the deck's forecast tilt against truth."""
 
     ahead_s: float
-    """How far ahead the deck was forecast; 0 is the deck as the filter has it."""
+    """Horizon of the deck's forecast; 0 is the deck as the filter has it."""
     count: int
     tilt_median_rad: float
-    """Of the angle between the forecast and the true deck."""
+    """Median angle between the forecast and the true deck."""
     tilt_p95_rad: float
     nees: float
     """The mean of the squares of the errors of roll and pitch over their variances: 1 is right."""
@@ -195,9 +195,9 @@ def deck_rows(log: FlightLog) -> list[DeckRow]:
         samples = [s for s in log.decks if round(seconds_between(s.made_at, s.at), 3) == ahead_s]
         if not samples:
             continue
-        said = np.array([(s.roll_rad, s.pitch_rad, s.sigma_roll_rad, s.sigma_pitch_rad) for s in samples])
-        error = said[:, :2] - _interpolated(at, tilts, [s.at for s in samples])
-        tilt, normalized = np.hypot(error[:, 0], error[:, 1]), ((error / said[:, 2:]) ** 2).mean(axis=1)
+        output = np.array([(s.roll_rad, s.pitch_rad, s.sigma_roll_rad, s.sigma_pitch_rad) for s in samples])
+        error = output[:, :2] - _interpolated(at, tilts, [s.at for s in samples])
+        tilt, normalized = np.hypot(error[:, 0], error[:, 1]), ((error / output[:, 2:]) ** 2).mean(axis=1)
         count = int(np.isfinite(tilt).sum())
         rows.append(DeckRow(ahead_s, count, _quantile(tilt, 0.5), _quantile(tilt, 0.95), _mean(normalized)))
     return rows

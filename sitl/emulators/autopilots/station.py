@@ -29,7 +29,7 @@ _HEAVE_M = 2.0
 _CLIMB_M_S = 1.0
 _ON_DECK_M = 0.15
 _REST_S = 4.0
-"""How far ahead of the start a vehicle stops that is to begin at rest: the way of the start in this time, s."""
+"""Distance ahead of the start at which a vehicle stops that is to begin at rest: the way of the start in this time, s."""
 
 
 class Task(Enum):
@@ -76,7 +76,7 @@ class OperatorView:
     v_deck_level: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) velocity of the deck, m/s."""
     rests: bool = False
-    """Whether the landing begins at rest over the ground instead of with the velocity of the start."""
+    """True if the landing begins at rest over the ground instead of with the velocity of the start."""
 
 
 class GroundStation:
@@ -260,8 +260,8 @@ class GroundStation:
 
     @property
     def _last_status_text(self) -> str:
-        said = [text for _, component, text in self.texts if component == _AUTOPILOT]
-        return said[-1] if said else "it said nothing"
+        output = [text for _, component, text in self.texts if component == _AUTOPILOT]
+        return output[-1] if output else "it said nothing"
 
     def _next(self, task: Task, now: MonoNs) -> None:
         self.task, self._since = task, now

@@ -36,7 +36,7 @@ def stamp(at: MonoNs) -> Stamp:
 
 
 class Station:
-    """What a ground station hears of a drone, and tells it."""
+    """Ground station that receives from a drone and sends to it."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []
@@ -57,7 +57,7 @@ class Station:
         return None
 
     def drone(self, *, flying: bool, mode: str, seconds: float = 1.0, yaw_deg: float = 90.0) -> None:
-        """The drone flies forward at half a metre a second at 1.2 m."""
+        """Fly forward at half a metre a second at 1.2 m."""
         for n in range(round(seconds * 50)):
             self.now = MonoNs(self.now + S // 50)
             if n % 10 == 0:
@@ -108,7 +108,7 @@ def test_landed_state(mode: str, flying: bool, state: int) -> None:
     assert station.newest("EXTENDED_SYS_STATE").landed_state == state
 
 
-def test_no_heartbeat_of_a_drone_that_is_not_heard() -> None:
+def test_no_heartbeat_of_a_drone_that_is_not_received() -> None:
     station = Station()
     station.bridge.tick(station.now)
     station.bridge.on_sample(VehicleStatus(stamp(station.now), None, "unknown", None, False, False))
@@ -139,7 +139,7 @@ def test_arm_take_off_hold_and_land() -> None:
 
 @asynccontextmanager
 async def bridged(operators: str = "", **options: Any) -> AsyncIterator[tuple[BridgePart, Links, list[OperatorOrder]]]:
-    """The bridge listening on a port of its own, with a drone that stands."""
+    """Yield the bridge listening on a port of its own, with a drone that stands."""
     clock, orders = SystemClock(), list[OperatorOrder]()
     links = [LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))]
     part = BridgePart(BridgeOptions(system_id=7, operators=operators), links, clock, order=orders.append, **options)
@@ -197,7 +197,7 @@ async def test_it_is_closed_to_whoever_is_not_named(operators: str) -> None:
         wire.close()
 
 
-async def test_a_named_station_is_told_and_obeyed() -> None:
+async def test_a_named_station_is_reported_and_obeyed() -> None:
     async with bridged(operators="255") as (_part, links, orders):
         wire = Wire(links, (255, 190))
         answers = await wire.say(LAND)

@@ -1,4 +1,4 @@
-"""What a running service says of its links within seconds: by the doctor's rules, in the log and in health."""
+"""Link faults that a running service reports within seconds: by the doctor's rules, in the log and in health."""
 
 import asyncio
 import logging
@@ -31,7 +31,7 @@ KEY = SigningKey(bytes(range(32)))
 
 @asynccontextmanager
 async def watched(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) -> AsyncIterator[tuple[Health, tuple[str, int]]]:
-    """A watch ten times as fast as in flight, beside the links."""
+    """Yield a watch ten times as fast as in flight, beside the links."""
     for name in ("_EACH_S", "_WINDOW_S", "_FIRST_S"):
         monkeypatch.setattr(make, name, 0.1 * getattr(make, name))
     clock = SystemClock()
@@ -76,7 +76,7 @@ def old() -> Callable[[], bytes]:
     ],
     ids=["time", "key", "speed", "one way", "MAVLink 1", "silent"],
 )
-async def test_a_fault_is_said_once(
+async def test_a_fault_is_reported_once(
     data: Callable[[], bytes], signed: bool, said: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with watched(monkeypatch, signed=signed) as (health, address):
@@ -96,7 +96,7 @@ async def test_a_fault_is_said_once(
     assert health.parts[PART].up
 
 
-async def test_a_good_link_says_nothing_and_a_fault_that_is_over_no_more(
+async def test_a_good_link_reports_nothing_and_a_fault_that_is_over_no_more(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

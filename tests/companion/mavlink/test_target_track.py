@@ -33,7 +33,7 @@ def rpy(t: float) -> Euler:
 
 
 def d_ned(t: float) -> F64:
-    """The pad from a body at 5 m that swings as its roll makes it."""
+    """Return the pad from a body at 5 m that swings as its roll makes it."""
     return np.array([0.4 + 0.2 * math.sin(1.1 * t), -0.3 + 0.18 * math.sin(2 * math.pi * 0.7 * t), 5.0])
 
 
@@ -146,7 +146,7 @@ def test_between_beliefs_and_a_little_beyond() -> None:
         assert seen.R_ned_pad.rpy_rad[2] == pytest.approx(rpy(t)[2] - 0.3, abs=0.01)
 
 
-def test_nothing_is_said_where_nothing_is_known() -> None:
+def test_nothing_is_reported_where_nothing_is_known() -> None:
     track = filled()
     assert track.at(instant(1.5)) is None, "too far ahead"
     assert track.at(instant(-0.1)) is None, "before the first"

@@ -27,7 +27,7 @@ def baro(measured_at: int, received_at: int | None = None) -> Baro:
 
 
 def after(*events: Event) -> tuple[History, list[Verdict]]:
-    """Nothing has told which way is down, so the filter itself makes nothing of these and the past alone is seen."""
+    """The filter ignores these events without a known vertical, so only the history is seen."""
     history, verdicts = History(), []
     for event in events:
         history, outcome = put(history, event, TOOLS)
@@ -46,7 +46,7 @@ def test_a_new_past_is_empty_and_answers_nothing() -> None:
 
 
 @pytest.mark.parametrize(("ahead", "too_new"), [(50 * MS, False), (50 * MS + 1, True)])
-def test_a_measurement_may_lie_a_little_ahead_of_everything_heard(ahead: int, too_new: bool) -> None:
+def test_a_measurement_may_lie_a_little_ahead_of_everything_received(ahead: int, too_new: bool) -> None:
     history, verdicts = after(baro(T), baro(T + ahead, T))
     assert (verdicts[1] is Verdict.TOO_NEW) is too_new
     assert (len(history.nodes), history.received_at) == (1 if too_new else 2, T)
@@ -99,7 +99,7 @@ def test_what_is_no_measurement_is_named() -> None:
 
 
 def test_a_late_one_is_taken_into_the_belief_before_it() -> None:
-    """By the belief two before, the attitude would be missing and nothing be made of it."""
+    """The attitude is missing in the state two before, so the event would be ignored there."""
     level = Attitude(stamp(T), Rotation.identity(), 1e-4 * np.eye(3))
     late = Sighting(stamp(T + 5), 0, "fused", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
     history, verdicts = after(baro(T - 1), level, baro(T + 9), late)
@@ -107,7 +107,7 @@ def test_a_late_one_is_taken_into_the_belief_before_it() -> None:
     assert [node.after and node.after.sighted for node in history.nodes] == [None, -1, T + 5, T + 5]
 
 
-def test_a_sample_heard_in_the_first_instant_counts_as_heard() -> None:
+def test_a_sample_received_in_the_first_instant_counts_as_received() -> None:
     assert after(baro(0), baro(LEAP + 1))[1][1] is Verdict.TOO_NEW
 
 

@@ -51,7 +51,7 @@ def belief_at(place: PadPlacement) -> RelativeState:
 
 
 def said(network: SecondOpinion, name: str, shown: str, turned_rad: float = 0.0) -> float:
-    """The network's confidence that the pad `name` is where the pad `shown` was rendered, turned by an angle."""
+    """Return the network's confidence that the pad `name` is where the pad `shown` was rendered, turned by an angle."""
     scene = pad_scene(np.random.default_rng(4), CAMERA, shipped_pad(shown), 2.0, "plain", 0.1)
     assert scene.truth is not None
     log_odds = network.log_odds(Pyramid(scene.px), CAMERA, shipped_pad(name), scene.truth.turned(turned_rad))
@@ -94,7 +94,7 @@ def test_the_patch_is_the_drawing_where_the_pad_is() -> None:
     assert patch_of(Pyramid(px), CAMERA, pad, pose_of(PadPlacement((5.0, 0.0, 2.0)))) is None
 
 
-def test_it_can_only_lower_a_confidence_and_is_asked_of_a_search_alone() -> None:
+def test_it_can_only_lower_a_confidence_and_is_used_in_a_search_alone() -> None:
     pad = shipped_pad("thesis")
     frame, attitude = Frame(STAMP, 0, image(PLACE, CAMERA, pad, blur_px=0.6, noise=1.5).px), PLACE.attitude()
 

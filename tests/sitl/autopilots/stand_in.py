@@ -26,7 +26,7 @@ STEP_S = 0.00125
 
 
 def state_of(said: dict[str, Any]) -> BodyState:
-    """The state in a line of JSON."""
+    """Return the state in a line of JSON."""
     imu = said["imu"]
     p, v, w, f = (np.array(x) for x in (said["position"], said["velocity"], imu["gyro"], imu["accel_body"]))
     return BodyState(said["timestamp"], p, v, Rotation.from_quat(said["quaternion"]), w, f, said.get("rng_1"))
@@ -53,10 +53,10 @@ async def run(args: argparse.Namespace, parameters: dict[str, float]) -> None:
             pwm = [round(1000 + 1000 * m) for m in motors] + [1500] * 12
             await loop.sock_sendall(physics, struct.pack("<HHI16H", 18458, round(1 / STEP_S), frame, *pwm))
             async with asyncio.timeout(20):
-                said = json.loads(await loop.sock_recv(physics, 4096))
-            clock.advance(said["timestamp"] - t_s)
-            t_s = said["timestamp"]
-            motors = standin.step(state_of(said))
+                output = json.loads(await loop.sock_recv(physics, 4096))
+            clock.advance(output["timestamp"] - t_s)
+            t_s = output["timestamp"]
+            motors = standin.step(state_of(output))
             await clock.settle()
 
 

@@ -54,12 +54,12 @@ class Deck:
         raise AssertionError("nothing sleeps here")
 
     def tell(self, message: Message) -> None:
-        """As from a companion."""
+        """Send a message as a companion would."""
         received: Any = SimpleNamespace(message=message, system=1, component=191, link=0)
         getattr(self.pilot, f"_on_{message.get_type().lower()}")(message, received)
 
     def order(self, command: int, *params: float) -> int:
-        """The result of a command."""
+        """Return the result of a command."""
         self.tell(mav.MAVLink_command_long_message(1, 1, command, 0, *[*params, *[0.0] * (7 - len(params))]))
         return next(int(m.result) for m in reversed(self.said) if m.get_type() == "COMMAND_ACK")
 
@@ -288,7 +288,7 @@ def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_le
         assert deck.height_m > 1.0
 
 
-def test_arducopter_follows_a_target_with_the_ship_only_where_it_is_told_that_it_moves() -> None:
+def test_arducopter_follows_a_target_with_the_ship_only_if_its_setting_says_that_it_moves() -> None:
     aside = {}
     for options in (0.0, 1.0):
         deck = Deck("calm", Stack.ARDUPILOT, {"PLND_OPTIONS": options}, 1.5)

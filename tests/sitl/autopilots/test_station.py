@@ -17,7 +17,7 @@ FAR = OperatorView(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.arra
 
 
 def spoken(message: Message, component: int = 1, system: int = 1) -> Message:
-    """As heard from that component."""
+    """Return a message as received from that component."""
     sender = mav.MAVLink(None, srcSystem=system, srcComponent=component)
     return mav.MAVLink(None).decode(bytearray(message.pack(sender)))
 
@@ -47,7 +47,7 @@ class CommandHandler:
         return out
 
     def arm(self) -> None:
-        """As the autopilot tells it."""
+        """Send the armed state as the autopilot does."""
         for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
             self.on_message(beat(mode, armed))
             self.wait(1.0)
@@ -104,9 +104,9 @@ def test_where_the_landing_begins_at_rest_the_start_comes_up_to_a_vehicle_that_s
     for _ in range(600):
         d, v_rel = np.array([*(start - body), 0.0]), np.array([*(v_ship - v), 0.0])
         command_handler.view = OperatorView(d, np.array([*v_ship, 0.0]), v_rel, 0.0, 0.0, 4.0, rests=True)
-        said = command_handler.wait(0.1)
-        v = next((np.array([m.vx, m.vy]) for m in said if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
-        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(said):
+        output = command_handler.wait(0.1)
+        v = next((np.array([m.vx, m.vy]) for m in output if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
+        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(output):
             break
         start, body = start + 0.1 * v_ship, body + 0.1 * v
     assert ordered

@@ -1,4 +1,4 @@
-"""What a soak makes of its flights: failed ones fail it, a machine that is too slow is named and not the product."""
+"""Result of a soak's flights: failed ones fail it; a machine that is too slow is reported, not the product."""
 
 from collections import Counter
 from pathlib import Path
@@ -139,7 +139,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(
     monkeypatch.setattr(Pilot, "detect", broken)
     words = ["--virtual", "--runs", "2", "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
-    said = capsys.readouterr().out
-    assert "FAULT: 2 of 2 flights failed" in said
-    assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in said
+    output = capsys.readouterr().out
+    assert "FAULT: 2 of 2 flights failed" in output
+    assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in output
     assert (tmp_path / "p.png").exists()
