@@ -36,7 +36,7 @@ _COMMIT_SPEED = 1.5
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
 _LATER_TRY, _LATER_MOST = 0.25, 1.5
-"""Growth of the limits of place, speed and tilt with each go-around, and the largest growth."""
+"""Growth of the limits of place and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 ON_PAD = 1.4
@@ -61,7 +61,7 @@ class InputQuality(Struct, frozen=True):
 def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
     """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
     looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
-    names = ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
+    names = ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
     return replace(limits, **{name: looser * getattr(limits, name) for name in names})
 
 
