@@ -124,6 +124,7 @@ def held(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float 
     return out
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("tilt_deg", [0.6, 30.0])
 def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt_deg: float) -> None:
     views = held(BENT, CHARUCO, tilt_deg, 5)
@@ -135,6 +136,7 @@ def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt
     assert (assess.assess(one, (480, 320)).grade == "poor") == (tilt_deg < 1.0)
 
 
+@pytest.mark.hazard("H12")
 def test_a_flat_set_is_written_by_force_alone_and_its_cost_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     studio, out = Studio(STRAIGHT, CHESSBOARD), tmp_path / "camera.toml"
     for i in range(4):

@@ -80,6 +80,7 @@ def sinks(command: Command | None) -> bool:
     return isinstance(command, Velocity) and command.v_level[2] > 1e-9
 
 
+@pytest.mark.hazard("H1")
 @settings(max_examples=12)
 @given(
     spells=st.lists(
@@ -117,6 +118,7 @@ def test_it_waits_for_the_start_when_ordered() -> None:
     assert any(isinstance(cockpit.tick(sighted=True), Velocity) for _ in range(50))
 
 
+@pytest.mark.hazard("H6")
 @pytest.mark.parametrize("word", ["pause", "abort"])
 def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
     cockpit = Cockpit()
@@ -197,6 +199,7 @@ def fly_until(cockpit: Cockpit, done: Callable[[], bool], seconds: float = 30.0)
     raise AssertionError(f"not within {seconds} s; phase {cockpit.pilot.phase}")
 
 
+@pytest.mark.hazard("H2")
 def test_a_pad_elsewhere_is_for_the_guard_to_judge_with_the_tracked_one_and_without() -> None:
     cockpit = Cockpit()
     for _ in range(60):

@@ -77,6 +77,7 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
 
 
+@pytest.mark.hazard("H11")
 def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -137,6 +137,7 @@ def below(height_m: float, loop: Loop):
     return lambda decision: loop.d[2] < height_m
 
 
+@pytest.mark.hazard("H1")
 @settings(max_examples=12)
 @given(
     spells=st.lists(st.tuples(st.integers(2, 80), st.sampled_from(FAULTS)), min_size=1, max_size=5),
@@ -194,6 +195,7 @@ def test_a_camera_that_freezes_is_refused_reported_and_not_descended_by() -> Non
     assert loop.d[2] == pytest.approx(TRIES.safe_height_m, abs=0.4)
 
 
+@pytest.mark.hazard("H2")
 @pytest.mark.parametrize("path", ["dead_reckoning", "median_mean", "ekf"])
 def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: PathName) -> None:
     loop = Loop(path)
@@ -212,6 +214,7 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
     assert loop.d[1] == pytest.approx(-1.2, abs=0.2), "the operator took the other pad"
 
 
+@pytest.mark.hazard("H1")
 @pytest.mark.parametrize(
     ("fault", "alert"),
     [
@@ -235,6 +238,7 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_reported(fault: st
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
+@pytest.mark.hazard("H1")
 def test_half_an_imu_that_is_dead_is_reported_and_after_a_second_nobody_descends_until_it_lives() -> None:
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
@@ -256,6 +260,7 @@ def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> 
     assert np.hypot(*loop.d[:2]) < 0.2
 
 
+@pytest.mark.hazard("H1", "H7")
 def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lying accelerometer makes the filter estimate a deck that rises ever faster; the drone followed it up at 1 m/s."""
     loop = Loop("ekf")

@@ -48,6 +48,7 @@ def read_until(reading: int, wanted: str) -> str:
     return output
 
 
+@pytest.mark.hazard("H11")
 def test_a_reader_that_stands_still_costs_lines_and_no_time() -> None:
     with log_into_pipe() as (reported, reading):
         began = time.monotonic()

@@ -241,6 +241,26 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
     assert found.d_body_pad_level.tolist() == [*ABOVE[:2], 1.4]
 
 
+@pytest.mark.parametrize(
+    ("state", "age_s", "over_m", "climbs_m_s"),
+    [
+        (State.REFUSED, 0.0, 0.0, 0.6), (State.ABORTED, 0.0, 0.5, 0.3), (State.HOLD_BLIND, 0.0, 1.5, 0.0),
+        (State.REFUSED, 0.9, 1.5, 0.6), (State.ANOTHER_PAD, 0.0, 1.5, 0.6), (State.COMMIT, 0.9, 1.5, 0.6),
+    ],
+)  # fmt: skip
+def test_what_was_lifted_over_its_held_height_lets_a_rising_deck_come_up(
+    state: State, age_s: float, over_m: float, climbs_m_s: float
+) -> None:
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 5.0 + over_m), age=age_s))
+    p = Progress(state, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
+    found = allowed(up, p, s, guided(), over_ground=True)
+    assert isinstance(found, Lean)
+    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+    by_driver = Velocity(np.array([0.0, 0.0, -0.6]), 0.0)
+    assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
+
+
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
 def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, over: bool) -> None:
     found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))

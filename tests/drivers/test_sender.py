@@ -126,6 +126,7 @@ def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
     assert json.loads(options.as_json())["host"] == HOST
 
 
+@pytest.mark.hazard("H5")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
     fake = FakeArDrone()
@@ -267,6 +268,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
             client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
+@pytest.mark.hazard("H5")
 async def test_a_blocked_event_loop_means_hover() -> None:
     fake = FakeArDrone()
     async with fake.on_loopback(command_timeout_s=0.12) as options, open_ardrone(options, CLOCK) as drone:

@@ -280,6 +280,7 @@ def test_nothing_is_reported_of_a_good_set_up_or_of_what_is_not_known(snapshot: 
     assert diagnose(snapshot) == ()
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("name", BROKEN)
 def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
     rule, snapshot, word = BROKEN[name]

@@ -49,6 +49,7 @@ def setting(border: Border) -> float:
     return border.component._parameters._store.get("PID_H_KP")
 
 
+@pytest.mark.hazard("H8")
 async def test_an_unknown_peer_s_commands_and_parameters_are_not_obeyed(stranger: socket.socket) -> None:
     async with bordered() as border:
         before = setting(border)

@@ -55,6 +55,7 @@ def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
 
 
+@pytest.mark.hazard("H7")
 @settings(max_examples=40)
 @given(
     st.sampled_from([(), L_SHAPE]),
@@ -83,6 +84,7 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
         assert within(back, p, 12.0, corners, 2.0) == pytest.approx(back)
 
 
+@pytest.mark.hazard("H7")
 @given(
     st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
     st.tuples(st.floats(-80, 80), st.floats(-80, 80)),
@@ -160,6 +162,7 @@ def test_the_fence_around_a_ship_sails_with_it() -> None:
     assert limited(flown((-1.0, 0.0, 0.0)), options, place(), unknown, NOW, manual=False)[1] == ()
 
 
+@pytest.mark.hazard("H7", "H10")
 def test_heights_and_battery() -> None:
     options = LimitOptions(height_max_m=20.0, manual_height_min_m=0.5)
     up, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=19.5), None, NOW, manual=False)

@@ -99,6 +99,7 @@ def test_commands_of_others_are_not_the_drones_words() -> None:
     assert model.drones["deck"].malformed == 1
 
 
+@pytest.mark.hazard("H9")
 def test_a_drone_that_falls_silent_does_not_look_alive() -> None:
     model = full()
     text = "\n".join(screen(model, 20.0, 150, 45, colour=False))

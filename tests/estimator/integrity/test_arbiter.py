@@ -50,6 +50,7 @@ def test_it_follows_a_swaying_deck_and_leaves_a_right_filter_alone() -> None:
     assert np.abs([a.v for a in state.axes] - np.array([0.5 * math.cos(20.0), -0.3, -0.52 * math.sin(26.0)])).max() < 0.4
 
 
+@pytest.mark.hazard("H1")
 def test_a_filter_five_sigma_apart_is_reported_after_half_a_second_and_overruled_after_two() -> None:
     def away(t: float) -> tuple[float, float, float]:
         x, y, z = swaying(t)

@@ -60,6 +60,7 @@ def test_a_still_body_reports_nothing() -> None:
     assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("axis_deg", [0.0, 90.0, 35.0])
 def test_a_mirrored_view_is_known_within_two_seconds_of_a_flight_that_sways(seed: int, axis_deg: float) -> None:
