@@ -51,6 +51,8 @@ _TOUCHES_MOST = 4
 """Number of bounces after which a contact in a go-around is none to press on."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
+_TOUCHES_M = 0.04
+"""Height of the feet up to which a push in a go-around is the deck and not the climb's own thrust, m."""
 _TILTS_FAR = 3.0
 """Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
 _FASTEST_M_S = 1.0
@@ -221,7 +223,8 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
+    touches = feet_m is not None and feet_m <= _TOUCHES_M
+    if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and touches and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
     if p.state is State.PRESS and in_state_s >= o.cone.press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)

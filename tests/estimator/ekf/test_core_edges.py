@@ -67,7 +67,7 @@ def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: floa
     """Return the belief after a sighting that followed others of these ages and ratios, off down by so many sigmas."""
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
-    values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)),) for ratio in ratios)
+    values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)), 0.0, 0.0, 0.0) for ratio in ratios)
     x = under()
     x[SWAY_PER_HEAVE] = 0.3, -0.2
     b = belief(x=x, P=P, excesses=InnovationExcesses(tuple(T - age for age in ages_ns), values))
