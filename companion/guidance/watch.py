@@ -265,6 +265,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         yield Event.NO_CONDITIONS, windy
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
+    if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:
