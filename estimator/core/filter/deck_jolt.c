@@ -23,6 +23,8 @@ static const double ACTED_S = 0.3, STEERED_S = 0.15;
 /* A ship manoeuvres where so many sightings in a row show it to the same side, each with a likelihood ratio above this, a chi-square
  * of one. By chance that happens once in some minutes, and costs a few cm/s of certainty. */
 enum { RUN_NEEDED = 2 };
+/* A place, m, or heading, rad, that is further off is not that of a ship that steers. */
+static const double STEERED_MOST = 0.25;
 static const double RUN_LIKELIHOOD = 5.0;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
@@ -113,7 +115,7 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
             square += by[i] * by[i];
             along += by[i] * y[i];
         }
-        if (square > 0.0) {
+        if (square > 0.0 && fabs(along) < STEERED_MOST * square) {
             out->likelihood[k] = along * fabs(along) / square;
             out->var[k] = fmax(along * along / square - 1.0, 0.0) / square;
         }

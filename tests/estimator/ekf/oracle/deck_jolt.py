@@ -44,6 +44,8 @@ _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
 _RUN_NEEDED, _RUN_LIKELIHOOD = 2, 5.0
 """So many sightings in a row that show the ship's acceleration to one side with such a likelihood ratio make a manoeuvre."""
+_STEERED_MOST = 0.25
+"""A place, m, or heading, rad, that is further off is not that of a ship that steers."""
 _STEERED = ((POS_NORTH, VESSEL_NORTH), (POS_EAST, VESSEL_EAST), (PAD_YAW, TURN_RATE))
 
 
@@ -63,8 +65,9 @@ def steering(innov: F64, S: F64, H: F64) -> Steering:
         by = H[:, place] + 2.0 / _STEERED_S * H[:, rate]
         weighed = np.linalg.solve(S, by)
         square, along = float(by @ weighed), float(innov @ weighed)
-        likelihood.append(along * abs(along) / square if square > 0.0 else 0.0)
-        var.append(max(along * along / square - 1.0, 0.0) / square if square > 0.0 else 0.0)
+        counts = square > 0.0 and abs(along) < _STEERED_MOST * square
+        likelihood.append(along * abs(along) / square if counts else 0.0)
+        var.append(max(along * along / square - 1.0, 0.0) / square if counts else 0.0)
     return Steering(tuple(likelihood), tuple(var))
 
 
