@@ -2,7 +2,7 @@
 
 A camera looks at a printed board from views as a person takes them, set after set. The corners have a tenth of a pixel of noise
 that half is common to a view's neighbours; with `--images` the board is rendered and its corners are found. The output is how
-often the true distances lie within "Distances are right to" (95 % is said), how large that is, and the same of a flat set.
+often the true distances lie within "Distances are right to" (95 % is claimed), how large that error is, and both for a flat set.
 """
 
 import argparse

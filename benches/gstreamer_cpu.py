@@ -64,7 +64,7 @@ def record_raw(path: Path, rate_hz: int) -> None:
 
 
 class Reading(NamedTuple):
-    """What one process takes."""
+    """Resource usage of one process."""
 
     process: str
     cores: float

@@ -34,9 +34,9 @@ CASES = {
     "commit": ServiceKilled(in_phase="commit"),
     "press": ServiceKilled(in_phase="press"),
 }
-"""Where it is killed. At the order to land the pad is in sight, so that `search` lasts for no cycle of guidance."""
+"""Phases in which it is killed. At the order to land the pad is in sight, so that `search` lasts for no guidance cycle."""
 _BESIDE_M = 3.0
-"""How far to starboard of it the pad is at the start, so that there is an intercept."""
+"""Distance of the pad to starboard at the start, m, so that there is an intercept."""
 
 
 def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
@@ -48,7 +48,7 @@ def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
 
 
 def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
-    """Fly once, and return what is told of it."""
+    """Fly once, and return the result."""
     scenario = scenario_of(args.scenario, phase, args.for_s)
     binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
     program = AutopilotProgram(args.autopilot, binary)

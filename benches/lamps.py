@@ -35,7 +35,7 @@ SURE = 0.5
 
 @dataclass
 class Row:
-    """What was found at one height."""
+    """Result at one height."""
 
     height_m: float
     range_m: list[float] = field(default_factory=list)

@@ -36,7 +36,7 @@ MAD = 1.4826
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What was clicked on one photograph."""
+    """Clicked points of one photograph."""
 
     corners_px: F64
     """(13, 2): the corners of the H and the arrow's tip."""
@@ -48,7 +48,7 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What the labels are off, alike in all photographs and at one sigma."""
+    """Label errors that are the same in all photographs, one sigma."""
 
     ring_px: F64
     """(3,) of the ring's centre against the H, and of its radius."""

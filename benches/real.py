@@ -118,7 +118,7 @@ def spread(off: list[float]) -> str:
 
 
 def photographs(every: int) -> list[Row]:
-    """The thesis' pad, printed, indoors; truth by hand labels, whose own error is 0.4 to 1.8 % of the range."""
+    """Show the thesis' printed pad indoors; the truth is labelled by hand, with an error of 0.4 to 1.8 % of the range."""
     folder, camera, pad = needed("pad_photos"), load_camera("photos"), load_pad("printed")
     with (folder / "pose.csv").open() as file:
         rows = list(csv.DictReader(file))[::every]
@@ -138,7 +138,7 @@ def photographs(every: int) -> list[Row]:
         off += [e] if good else []
         by = by_contours(px)
         if by is not None:
-            # The ring's outer edge is what it takes for the pad: the rim of the disc hardly shows.
+            # It takes the ring's outer edge for the pad: the rim of the disc hardly shows.
             e = 100.0 * (camera.fx * pad.markings.ring_outer_m / by[1] / float(t_cam[2]) - 1.0)
             theirs += abs(e) < 100 * RIGHT_RANGE
             their_off += [e] if abs(e) < 100 * RIGHT_RANGE else []
@@ -156,7 +156,7 @@ def photographs(every: int) -> list[Row]:
 
 
 def agh(every: int) -> list[Row]:
-    """A pad of rings and panels on grass; the camera is not calibrated, so place and size in the image are judged."""
+    """Show a pad of rings and panels on grass; the camera is not calibrated, so only place and size in the image count."""
     folder = needed("real_pads", "agh")
     with tempfile.TemporaryDirectory() as made:
         out = Path(made) / "agh.toml"
@@ -234,7 +234,7 @@ def marker() -> Pad:
 
 
 def aruco(every: int) -> list[Row]:
-    """A marker of 18 cm beside a pad, a finger over a part of the lens; the truth is OpenCV's, so only differences show."""
+    """Show a marker of 18 cm beside a pad, a finger over a part of the lens; truth is OpenCV's, so only differences count."""
     folder = needed("real_pads", "octagon")
     with (folder / "attitude.csv").open() as file:
         tilts = {row["image"]: (float(row["roll_deg"]), float(row["pitch_deg"])) for row in csv.DictReader(file)}
@@ -295,7 +295,7 @@ def boats(every: int) -> list[Row]:
 
 
 def mocap(_: int) -> list[Row]:
-    """A real AR.Drone flight with motion capture; sightings are synthesised from the capture and levelled by its own attitude."""
+    """Replay a real AR.Drone flight with motion capture; sightings are synthesised from it and levelled by the own attitude."""
     flight, cells = load(needed("flight_with_mocap")), []
     t, e, nees = run(flight, MocapFilter(), sightings(flight, 10.0, []), FLYING_S[1])
     for title, part in (("undisturbed", (t > 18.0) & (t < PULLED_S)), ("pulled", t > PULLED_S)):

@@ -47,14 +47,14 @@ _HEIGHTS_M = (0.25, 30.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A candidate, what is true of it, and what it was drawn from."""
+    """A candidate with its truth and its source."""
 
     patch: Patch
     right: bool
     kind: int
     """Index into `KINDS`."""
     confidence: float
-    """That of the verification without learning; nan for a pose that no search proposed."""
+    """Confidence of the verification without learning; nan for a pose that no search proposed."""
     target: int
     """Index into `PADS` of the pad that was looked for."""
     height_m: float

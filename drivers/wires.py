@@ -48,13 +48,13 @@ _CONNECT_TIMEOUT_S = 3.0
 SILENT_S = 10.0
 """Silence after which a TCP peer is connected to again, and the name of a UDP peer looked up again: ten heartbeats."""
 _REFUSED_S = 2.0
-"""The same for a UDP peer that refuses."""
+"""Time after which the name of a UDP peer that refuses is looked up again, s."""
 _WATCH_S = 0.5
 
 
 @dataclass(slots=True)
 class WireCounts:
-    """What happened to the messages of one endpoint over all its openings, and which of its addresses were tried in vain."""
+    """Message counts of one endpoint over all its openings, and the addresses that were tried in vain."""
 
     refused: int = 0
     """Datagrams that the other computer refused, because nobody listens there."""

@@ -1,4 +1,4 @@
-"""How the camera moves against the pad while a frame is read out, by the gyro, the history of the attitude and the belief."""
+"""Motion of the camera against the pad while a frame is read out, by the gyro, the attitude's history and the estimate."""
 
 import numpy as np
 from msgspec import structs

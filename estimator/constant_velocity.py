@@ -45,7 +45,7 @@ class _Belief:
     """(6,) position, m, and velocity, m/s, in `ned`."""
     P: F64
     agreed: tuple[bool, ...] = ()
-    """Whether each of the newest innovations lay inside the gate."""
+    """True for each of the newest innovations that lay inside the gate."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,7 +136,7 @@ class DeadReckoning:
     anchor: _Anchor | None = None
     arrow: ArrowHeading | None = None
     agreed: tuple[bool, ...] = ()
-    """Whether each of the last innovations lay inside the claimed covariance."""
+    """True for each of the last innovations that lay inside the claimed covariance."""
     rest: RestCalibration | None = None
 
     @staticmethod

@@ -2,7 +2,7 @@
 
 Valid ones are made record by record, then cut, doubled, reordered, re-defined and filled with numbers that no sensor gives. Three
 things hold: a reader raises nothing but the project's own errors, no file is taken for one of another kind, and what is read of
-records that are only missing, doubled or in another order is what they say, or something is told.
+records that are only missing, doubled or in another order is what they say, or a fault is reported.
 """
 
 import math
@@ -44,7 +44,7 @@ class Grammar:
     """One format."""
 
     kind: FileKind | None
-    """What it is as a file; None for what comes over a wire or is no file of its own."""
+    """Kind of file; None for data of a wire, or for no file of its own."""
     records: tuple[bytes, ...]
     read: Callable[[Path, Tell], set[float]]
     """Returns the figures that a file gives."""

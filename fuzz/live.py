@@ -135,7 +135,7 @@ def _numbers(text: bytes) -> set[int]:
 
 
 def run_viewer(data: bytes) -> None:
-    """Send messages while a flight goes by: each is carried out or refused in words; only what was asked for comes."""
+    """Send messages while a flight goes by: each is carried out or refused in words; only what was requested comes."""
     choices = Choices(data)
     messages = []
     while choices:

@@ -86,7 +86,7 @@ async def _on_port(pieces: list[bytes]) -> None:
 
 
 class _Page:
-    """What a viewer asks of the endpoint, over an empty folder of recordings."""
+    """Interface of the endpoint for a viewer, over an empty folder of recordings."""
 
     def __init__(self, pilot: Pilot, folder: Path) -> None:
         self.pilot = pilot

@@ -17,9 +17,9 @@ _OPERATORS = {
 }  # fmt: skip
 _NAMES = {"fmin": "fmax", "fmax": "fmin", "sin": "cos", "cos": "sin"}
 _DECLARED = re.compile(r"\s*(static )?(const )?(double|int|int32_t|int64_t)\b[^=;]*\[")
-"""What stands before the size of a declared array: one more element changes nothing."""
+"""Code before the size of a declared array: one more element changes nothing."""
 _FILLED = re.compile(r"\](\[\w+\])* = \{")
-"""What stands behind the size of a declared array that is filled at once."""
+"""Code behind the size of a declared array that is initialized at once."""
 _FUNCTION = re.compile(r"^\w[\w *]*?(\w+)\(", re.MULTILINE)
 _PLACES = re.compile(
     r"(?<= )(?P<operator>[<>=!]=|[-+*/]=|&&|\|\||[-+*/<>])(?= )"

@@ -1,4 +1,4 @@
-"""What a changed source changes: the bodies of some functions alone, which can be replaced in a running process, or more."""
+"""Scope of a source change: function bodies alone, which can be replaced in a running process, or more."""
 
 import gc
 from collections import defaultdict

@@ -20,12 +20,14 @@ from mutants.tally import Tally, chosen
 from supply import core
 
 _QUICK = ("-O1",)
-"""How the tests' library is compiled."""
+"""Compiler options of the tests' library."""
 _THOROUGH = ("-O2",)
-"""How a survivor is compiled once more and compared with the original."""
+"""Compiler options for comparing a survivor once more with the original."""
 _TRAPPED = (*_THOROUGH, "-fsanitize=bounds-strict,object-size", "-fsanitize-undefined-trap-on-error", "-fstack-protector-all")
-"""How the changed file is compiled: an index beyond the end of an array ends the test, whatever lies there. Only the optimizer
-follows an array into a called function."""
+"""Compiler options of the changed file: an index beyond the end of an array ends the test.
+
+Only the optimizer follows an array into a called function.
+"""
 
 
 class Workshop:

@@ -1,1 +1,1 @@
-"""How the native core is built, and what is shipped: wheels, a Debian package, licences, known weaknesses."""
+"""Build of the native core and of the releases: wheels, a Debian package, licences, known weaknesses."""

@@ -74,8 +74,10 @@ FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Werror", "-Wmissing-prototypes",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
-"""Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the
-flags of floating-point exceptions, so roots and choices are instructions and not calls and branches.
+"""Compiler options.
+
+Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the flags
+of floating-point exceptions, so roots and choices are instructions and not calls and branches.
 """
 NO_COMPILER = (
     "the native core needs a C compiler, and there is neither `cc` (on Debian: apt install gcc libc6-dev) "
@@ -84,13 +86,13 @@ NO_COMPILER = (
 
 
 ARCHITECTURE = "DECKLANDER_WHEEL_FOR"
-"""Name of the environment variable that tells a wheel's build hook for which architecture to build."""
+"""Name of the environment variable with the architecture for a wheel's build hook."""
 GLIBC = (2, 17)
 """The oldest glibc on which a cross-built library runs."""
 
 
 class BuildError(Exception):
-    """The library could not be built; the text says why and what helps."""
+    """The library could not be built; the text gives the reason and the cure."""
 
 
 def compiler() -> list[str]:

@@ -36,22 +36,22 @@ DRAWINGS = {
     "companion/tools/calibrate/figures.py",
     "sitl/gym/environment.py",
 }
-"""What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
+"""Modules that need the extra `report`. The commands that draw call `require_drawing` first and import these late."""
 
 LAB = {
     "companion/cli/progress.py",
     *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
 }
-"""What needs the extra `lab`. It asks `require_lab` first, or does without."""
+"""Modules that need the extra `lab`. They call `require_lab` first, or do without."""
 
 ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typestore")}
-"""What needs the extra `ros2`. It asks `require_rosbags` first."""
+"""Modules that need the extra `ros2`. They call `require_rosbags` first."""
 
 COMPARE = {"estimator/constant_velocity.py"}
-"""What needs the extra `compare`. `pipeline.require_filterpy` is asked first."""
+"""Modules that need the extra `compare`. `pipeline.require_filterpy` is called first."""
 
 TRAINING = {"sitl/gym/environment.py"}
-"""What needs the extra `rl`."""
+"""Modules that need the extra `rl`."""
 
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
@@ -71,7 +71,7 @@ UNFINISHED = re.compile("|".join(["TO" + "DO", "FIX" + "ME", "XX" + "X", "NotImp
 
 @cache
 def files() -> tuple[Path, ...]:
-    """Every file of the project that git knows or would take."""
+    """Return every file of the project that git knows or would take."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=False
     )
@@ -96,7 +96,7 @@ def name_of(path: Path) -> str:
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
-    """Every module that is imported anywhere in the file, functions and type-checking blocks included."""
+    """Yield every module that is imported anywhere in the file, functions and type-checking blocks included."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -110,7 +110,7 @@ def within(module: str, *roots: str) -> bool:
 
 
 def wrong_imports(module: str, source: str) -> list[str]:
-    """Imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
+    """Return imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
     found = set(imports(parsed(source)))
     ours = {name for name in found if within(name, *PACKAGES, "tests")}
     beside = {name for name in found if name.startswith(".")}
@@ -130,7 +130,7 @@ def wrong_imports(module: str, source: str) -> list[str]:
 
 
 def impurities(source: str) -> list[str]:
-    """What reaches out of a module that must be values in, values out."""
+    """List the imports and calls that reach out of a module that must be values in, values out."""
     tree = parsed(source)
     reached = {name for name in imports(tree) if name.partition(".")[0] in IMPURE_MODULES}
     for node in ast.walk(tree):

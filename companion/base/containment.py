@@ -94,7 +94,7 @@ class Audience:
 
     @property
     def takes_fusion(self) -> bool:
-        """Whether an observer takes the results of measurements."""
+        """True if an observer takes the results of measurements."""
         return bool(self._results)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:

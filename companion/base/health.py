@@ -30,7 +30,7 @@ class PartHealth:
     """One supervised part."""
 
     vital: bool = False
-    """Whether the flight needs it."""
+    """True if the flight needs it."""
     up: bool = False
     since: MonoNs | None = None
     restarts: int = 0
@@ -97,7 +97,7 @@ class PartState:
     restarts: int
     last_error: str
     vital: bool = False
-    """Whether the flight needs it."""
+    """True if the flight needs it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class MissionHealth:
     flights: Mapping[str, int] = field(default_factory=dict)
     """Number of ended flights by outcome."""
     response: ResponseInUse | None = None
-    """The vehicle's response, once a flight has said something of it."""
+    """The vehicle's response, once a flight has identified it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,9 +165,9 @@ class HealthSnapshot:
 
     at: MonoNs
     all_up: bool
-    """Whether every part of the service is up."""
+    """True if every part of the service is up."""
     flight_up: bool
-    """Whether the parts that the flight needs are up; heartbeats report this."""
+    """True if the parts that the flight needs are up; heartbeats report this."""
     parts: Mapping[str, PartState]
     flows: Mapping[str, FlowState]
     frames: Mapping[str, int]
@@ -181,7 +181,7 @@ class HealthSnapshot:
     """Results of the estimator's measurements, by path and source."""
     mission: MissionHealth = field(default_factory=MissionHealth)
     awaited: frozenset[str] = frozenset()
-    """Flows that the settings ask for beside those of every flight."""
+    """Flows that the settings request beside those of every flight."""
 
 
 class Health:

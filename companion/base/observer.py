@@ -21,15 +21,15 @@ from estimator.vision.detection import Detection
 
 
 class FrameTimes(Struct, frozen=True):
-    """How long each stage of one frame took, from the arrival of its last byte until the estimate knew it."""
+    """Duration of each stage of one frame, from the arrival of its last byte until the estimate knew it."""
 
     decode_s: float
-    """Until the decoded frame reached the service."""
+    """Time until the decoded frame reached the service."""
     wait_s: float
     """Waiting for an attitude and for the thread of vision, before and after the look."""
     look_s: float
     filter_s: float
-    """From the detection to the estimate of every path."""
+    """Time from the detection to the estimate of every path."""
 
     def by_stage(self) -> tuple[tuple[str, float], ...]:
         """Return each stage's name and duration, in order."""
@@ -62,13 +62,13 @@ class DeckOutlook(Struct, frozen=True):
     at: MonoNs
     horizons_s: tuple[float, ...]
     height_m: tuple[float, ...]
-    """Of the pad's centre above its mean level, positive up."""
+    """Height of the pad's centre above its mean level, positive up."""
     sigma_height_m: tuple[float, ...]
     roll_rad: tuple[float, ...]
-    """Of the deck about the arrow, starboard down positive."""
+    """Roll of the deck about the arrow, starboard down positive."""
     sigma_roll_rad: tuple[float, ...]
     pitch_rad: tuple[float, ...]
-    """Of the deck, arrow up positive."""
+    """Pitch of the deck, arrow up positive."""
     sigma_pitch_rad: tuple[float, ...]
 
     @staticmethod
@@ -99,11 +99,11 @@ class Decision(Struct, frozen=True, eq=False):
     shadows: tuple[RelativeState, ...] = ()
     """Beliefs of the paths that do not steer."""
     reason: str = ""
-    """Why the vehicle is not simply descending, as text for the operator."""
+    """Reason why the vehicle does not simply descend, as text for the operator."""
     limit: str = ""
     """The limits that changed the command, or why they ended the landing; empty while there are none."""
     transitions: tuple[StateChange, ...] = ()
-    """What changed since the previous decision, in order."""
+    """State changes since the previous decision, in order."""
     response: ResponseInUse | None = None
     """The vehicle's response, where this cycle has come to know it otherwise than before."""
     ahead: DeckOutlook | None = None

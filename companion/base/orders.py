@@ -69,7 +69,7 @@ class HandledOrder:
     refusal: str | None
     """The reason why it was refused; None if it was carried out."""
     detail: str = ""
-    """What the order names (a path, on or off), or the reason why it was given."""
+    """Argument of the order (a path, on or off), or the reason why it was given."""
 
     @property
     def accepted(self) -> bool:
@@ -102,7 +102,7 @@ class StickPositions:
 
     @property
     def centred(self) -> bool:
-        """Whether every stick is in its centre."""
+        """True if every stick is centred."""
         return self.forward == self.right == self.climb == self.turn == 0.0
 
 

@@ -8,7 +8,7 @@ from estimator.contracts.estimates import IntegrityAlert, Verdict
 
 
 class ReasonCause(Enum):
-    """Why the machine changed its state; the value is the text for the operator, with places for the numbers."""
+    """Reason for a change of state; the value is the text for the operator, with places for the numbers."""
 
     VEHICLE_FLIES = "the vehicle flies"
     VEHICLE_STANDS = "the vehicle stands on the ground"
@@ -131,7 +131,7 @@ class Reason(Struct, frozen=True):
 
     cause: ReasonCause
     measured: float | None = None
-    """In the unit that the cause's text names."""
+    """Measured value in the unit that the cause's text names."""
     limit: float | None = None
     detail: IntegrityAlert | Verdict | str | None = None
     """The alert, the verdict on most of the frames, or the vehicle's own words, where the cause is about one."""

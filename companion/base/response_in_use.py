@@ -8,7 +8,7 @@ class ResponseState(Enum):
     """Source of the vehicle's response."""
 
     ASSUMED = "assumed"
-    """Neither its file nor the flight says how well the delay is known."""
+    """Neither the file nor the flight gives the uncertainty of the delay."""
     KNOWN = "known"
     """The delay of its file holds, by the file's own word or by the flight's."""
     IDENTIFIED = "identified"
@@ -25,7 +25,7 @@ class ResponseInUse:
     sigma_s: float | None
     """Standard deviation of the delay; None if nothing states it."""
     longer_s: float = 0.0
-    """By how much it is longer than its file says."""
+    """Excess of the delay over its file, s."""
 
     @property
     def text(self) -> str:

@@ -34,10 +34,10 @@ _CLOSE_S = 0.3
 _LINE_MAX = 2000
 """The most characters of one message; peers choose the length of some."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
-"""What would begin a new line or speak to a terminal, in texts that a peer chose."""
+"""Control characters and line separators in texts from a peer: they could begin a new line or control a terminal."""
 _OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"pymavlink": logging.CRITICAL, "paho": logging.CRITICAL, "mqtt": logging.CRITICAL, "libav": logging.ERROR}
-"""From which level other people's loggers are shown; WARNING if not named. What these say, our drivers count and say."""
+"""Log levels of other people's loggers; WARNING if not named. Our drivers count and log what these report."""
 
 
 def _admits(record: logging.LogRecord) -> bool:
@@ -90,7 +90,7 @@ class KindLimit:
         return False
 
     def due(self, now_s: float) -> Iterator[tuple[str, str]]:
-        """Yield logger and words for each kind whose minute is over and of which some were held back."""
+        """Yield logger and words for each kind whose minute is over and that had lines held back."""
         for kind in self._kinds.values():
             if kind.held and now_s - kind.since_s >= _MINUTE_S:
                 yield kind.name, f"{kind.held} more lines like this in {now_s - kind.since_s:.0f} s: {kind.last}"

@@ -57,7 +57,7 @@ class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="stat
     hand: str | None
     """The sender that flies by hand."""
     yours: bool = False
-    """Whether the receiver of this message has the hand."""
+    """True if the receiver of this message has the hand."""
     flying: bool | None
     mode: str | None
     battery_fraction: float | None

@@ -33,7 +33,7 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether somebody awaits the result of a call."""
+        """True if somebody awaits the result of a call."""
         return self._awaited > 0
 
     async def run(self, function: Callable[..., T], *args: Any) -> T:

@@ -442,7 +442,7 @@ def _cases(plan: CampaignPlan, store: ResultStore, tally: FaultTally) -> list[st
 
 
 def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
-    """Return the kept flights that this command asked for: the place may hold more of the same campaign."""
+    """Return the kept flights that this command requested: the place may hold more of the same campaign."""
     return (flight for flight in store.flights() if job_of(flight).key in asked)
 
 

@@ -80,7 +80,7 @@ class KeyMotion:
     fraction: float = 0.5
     """Deflection of a stick while its key is held."""
     until_s: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """By stick: the direction, and the time at which it ends, s."""
+    """Direction of each stick, and the time at which it ends, s."""
 
     def pressed(self, key: str, now_s: float) -> KeyMotion:
         """Return the motion after a key of `MOTIONS`, + or -."""

@@ -1,4 +1,4 @@
-"""What `--report` and `--record` keep of a simulated flight."""
+"""Files of a simulated flight that `--report` and `--record` keep."""
 
 import argparse
 import math
@@ -84,15 +84,15 @@ def compared_paths() -> tuple[PathName, ...]:
 
 @dataclass(slots=True)
 class KeptFlight:
-    """What is kept of one flight while it is flown."""
+    """Kept records of one flight, while it is flown."""
 
     args: argparse.Namespace
     recorder: Recorder | None
     log: FlightLog | None
     observers: tuple[Observer, ...]
-    """Observers of the service, to be told of the flight."""
+    """Observers of the service that receive the flight."""
     held_back: tuple[HeldBack, ...] = ()
-    """Those of them that hear nothing before the first truth."""
+    """The observers among them that start with the first truth."""
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -144,7 +144,7 @@ def keeping(
     *,
     from_truth: bool = False,
 ) -> Iterator[KeptFlight]:
-    """Keep what `--report` and `--record` ask for.
+    """Keep what `--report` and `--record` request.
 
     Args:
         settings: those that the service flies with.

@@ -1,4 +1,4 @@
-"""Where the fault of a refused settings file stands: its line with a caret, and the page that helps."""
+"""Place of a fault in a refused settings file: its line with a caret, and the page that helps."""
 
 import re
 from pathlib import Path

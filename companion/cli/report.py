@@ -9,6 +9,7 @@ from pathlib import Path
 from companion.cli import report_option
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
+from companion.tools.report.animation import write_animation
 from companion.tools.report.page import render, render_comparison, write_page
 from companion.tools.report.video import film_of
 
@@ -28,6 +29,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--output", type=Path, metavar="FILE", help="file to write (default: the recording's name with .html, in this folder)"
     )
     parser.add_argument("--no-video", action="store_true", help="leave the video out, which is most of the file")
+    parser.add_argument(
+        "--animation", type=Path, metavar="FILE", help="write an animated GIF of the landing instead (camera, track and height)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,6 +43,10 @@ def run(args: argparse.Namespace) -> int:
     for recording in recordings:
         for path, why in recording.cut.items():
             sys.stderr.write(f"{path} is cut short ({why}): reported up to there\n")
+    if args.animation is not None:
+        size = write_animation(logs[0], args.animation)
+        sys.stdout.write(f"animation: {args.animation} ({size / 1e6:.1f} MB)\n")
+        return 0
     films = [film_of(log) for log in logs]
     page = render(logs[0], films[0]) if args.other is None else render_comparison(logs, films)
     sys.stdout.write(report_option.written(write_page(output, page)))

@@ -28,7 +28,7 @@ FROM_TERMINAL = (
     "started from a terminal: when it hangs up the service flies on, and nobody reads its log; for a flight: "
     "sudo systemd-run --unit decklander-flight --same-dir $(command -v decklander) run --config FILE"
 )
-"""What is said at the start to whoever runs the service by hand."""
+"""Hint at the start for a person who runs the service by hand."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -99,7 +99,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
 
 
 def _calibrate_pad(settings: Settings) -> None:
-    """Search clutter for a pad that was never priced, and keep what that tells for later starts."""
+    """Search clutter for a pad that was never priced, and keep the result for later starts."""
     pad = with_known_calibration(pad_of_file(find_file(settings.pad.file, "pads", Path(), "pad.file")))
     if pad.is_calibrated or pad.lamps or pad.has_known_parts:
         return

@@ -217,7 +217,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
 
 
 def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
-    """Return what is printed of an autopilot's flight besides."""
+    """Return the further lines about an autopilot's flight."""
     armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
     return {
         "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),

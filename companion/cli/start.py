@@ -40,7 +40,7 @@ _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What the settings file is made from."""
+    """Answers from which the settings file is made."""
 
     vehicle: str
     link: str
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     """Make the settings file and return the exit code.
 
     Raises:
-        BadInput: the file exists, an answer is wrong, or nothing can be asked.
+        BadInput: the file exists, an answer is wrong, or no terminal can answer.
     """
     if args.out.exists():
         raise BadInput(f"{args.out}: it exists and is not overwritten; give --out FILE")

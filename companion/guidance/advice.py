@@ -1,4 +1,4 @@
-"""What a person can do about a cause that interrupts or ends a landing. One sentence each, for the page and docs/mission.md."""
+"""Advice for each cause that interrupts or ends a landing: one sentence each, for the page and docs/mission.md."""
 
 from companion.base.mission import State
 from companion.base.reason import Reason, ReasonCause
@@ -67,7 +67,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.WIND: "Wait for less wind, or let the ship run with it.",
     _C.BATTERY: "Land by hand where it is safest, and charge.",
 }
-"""By cause; one that is no fault has no advice, and neither has one that carries its own detail."""
+"""Advice by cause. Causes that are no faults have none, and neither have those that carry their own detail."""
 
 _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.CAMERA_FROZEN: "Restart the camera: its picture is dead.",

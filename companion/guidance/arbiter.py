@@ -25,20 +25,20 @@ from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 _STATUS_FRESH_S = 3.0
-"""A status older than this is none; an autopilot sends one with each heartbeat, every second."""
+"""A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
 _REPEAT_S = 0.5
 """The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing is repeated; sticks count after it."""
 _LIMIT_GAP_S = 1.0
 _SAMPLES_MOST = 64
-"""Number of samples from which on they are processed though no command needs the place."""
+"""Number of samples from which they are processed though no command needs the place."""
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 """The phases in which a person commands."""
 
 
 class Guided(Protocol):
-    """What the arbiter asks of guidance."""
+    """Interface of guidance that the arbiter needs."""
 
     @property
     def vehicle(self) -> VehicleStatus | None: ...
@@ -67,19 +67,19 @@ class Given(Struct, frozen=True):
 
 
 class Control(Struct, frozen=True):
-    """Who commands the vehicle."""
+    """Holder of the command over the vehicle."""
 
     hand: OrderSender | None = None
     """The sender that flies by hand."""
     sticks: StickPositions = CENTRED
     sticks_at: MonoNs | None = None
     moved_at: MonoNs | None = None
-    """When a stick was last out of its centre, or the hand was taken."""
+    """Time when a stick was last out of its centre, or the hand was taken."""
     landing: Given | None = None
     take_off: Given | None = None
     """A take-off that is not sent yet."""
     called_off: Given | None = None
-    """The order that called off a person's landing, while the vehicle is told so."""
+    """The order that called off a person's landing, while it is passed to the vehicle."""
     cut: Given | None = None
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None
@@ -90,11 +90,11 @@ class Limited(Struct, frozen=True):
     """The limits that changed commands lately."""
 
     at: tuple[tuple[Limit, MonoNs], ...] = ()
-    """When each limit changed a command last."""
+    """Time when each limit last changed a command."""
     fenced_since: MonoNs | None = None
-    """Since when the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
+    """Time since which the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
     ended: str = ""
-    """Why the limits ended the landing, while guidance is held for it."""
+    """Reason why the limits ended the landing, while guidance is held for it."""
 
     def step(self, hit: tuple[Limit, ...], now: MonoNs) -> Limited:
         """Return the memory after a cycle in which these limits changed the command."""

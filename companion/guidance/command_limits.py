@@ -103,7 +103,7 @@ class Limit(Enum):
 
 
 class PlaceMemory(Struct, frozen=True, eq=False):
-    """Where the vehicle is from its start, by its own velocity, and how high."""
+    """Position of the vehicle from its start, by its own velocity, and its height."""
 
     p_start_ned: tuple[float, float] = (0.0, 0.0)
     """m north and east of the place where it was first seen to fly."""
@@ -123,7 +123,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
-        # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+        # By the type itself: hundreds of samples a second, and a match checks one class after the other.
         if type(sample) is Attitude:
             attitude = sample
         elif type(sample) is BodyVelocity:
@@ -150,7 +150,7 @@ def limited(
 ) -> tuple[Command, tuple[Limit, ...]]:
     """Return the command within the limits, and the limits that changed it.
 
-    Only velocities and leans are changed. A lean that would cross the fence becomes a velocity.
+    Only velocities and tilts are changed. A tilt that would cross the fence becomes a velocity.
 
     Args:
         belief: the steering estimate of the pad, None while there is none.
@@ -190,7 +190,7 @@ def _braking(v: F64, change: F64) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """Where the vehicle is from a fence's centre."""
+    """Position of the vehicle from a fence's centre."""
 
     p: F64
     """(2,) m in the fence's axes."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # what looks at frames loads OpenCV, and the first guidance c
 
 
 class Estimation:
-    """Keeps the estimator's memory, and lets it process samples when somebody asks it for an answer.
+    """Keeps the estimator's memory, and lets it process samples when an answer is needed.
 
     Args:
         shadows: estimator paths that run for comparison only and never steer.
@@ -116,7 +116,7 @@ class Estimation:
         return pipeline.beliefs(self._memory, now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         self._settle()
         return pipeline.motion(self._memory, now)
 

@@ -1,7 +1,7 @@
-"""The height against what is ordered: a drone that is ordered down and rises for two seconds flies by something that lies.
+"""The height against what is ordered: a drone that is ordered down and rises for two seconds flies by a wrong sensor.
 
-An accelerometer that reads 30 % too much makes the filter believe in a deck that rises ever faster, and the law follows that deck
-up while the machine says "descend". Time and sight do not tell; the height over the pad does, whatever is to blame.
+An accelerometer that reads 30 % too much makes the filter estimate a deck that rises ever faster, and the law follows that deck
+up while the machine says "descend". Time and sight do not show it; the height over the pad does, whatever the cause.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 LASTS_S = 2.0
 """Time for which it goes the other way, s: longer than any vehicle answers."""
 LEAST_M = 0.3
-"""How far it has then gone, m: ground effect and gusts make less."""
+"""Least distance flown by then, m: ground effect and gusts make less."""
 _ORDERED_M_S = 0.1
 """Rate against the deck that is an order to change the height, m/s."""
 

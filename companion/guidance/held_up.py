@@ -1,8 +1,8 @@
 """Contact with a deck that is met softly: something holds the vehicle up against every velocity that was commanded lately.
 
-A vehicle that leans against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
-tenths of a second, and no step of the accelerometer tells of it. A real PX4 stood on a deck like this for two seconds, with its
-thrust falling and its lean growing. What it does then no flight does: it goes up faster than any of the newest commands asks for,
+A vehicle that tilts against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
+tenths of a second, and no step of the accelerometer shows it. A real PX4 stood on a deck like this for two seconds, with its
+thrust falling and its tilt growing. What it does then no flight does: it goes up faster than any of the newest commands requests,
 and goes on doing so. Commands are remembered for longer than a vehicle takes to answer them, and the least of them counts, so
 that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's, and for the
 same ones to the deck (`to_deck`): a deck that falls faster and faster carries a vehicle down past the least one over the ground.
@@ -19,18 +19,18 @@ ANSWERED_S = 0.7
 ANSWERS_S = 0.3
 """Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
 LEAST_M_S = 0.3
-"""How much faster upward than commanded, m/s. Ground effect close to a deck makes 0.15."""
+"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
 HELD_S = 0.25
-"""For how long, s."""
+"""Duration of the excess, s."""
 
 
 class HeldUp(Struct, frozen=True):
     """The detector's memory."""
 
     commands: tuple[tuple[MonoNs, float], ...] = ()
-    """When each vertical speed was commanded, m/s down, oldest first."""
+    """Commanded vertical speeds with their times, m/s down, oldest first."""
     since: MonoNs | None = None
-    """Since when it is held up."""
+    """Time since which the vehicle is held up."""
     newest: Impact | None = None
 
 

@@ -1,4 +1,4 @@
-"""What the law that follows the deck gives to the native core and reads from it (estimator/core/law/law.c).
+"""Records that the deck-following law exchanges with the native core (estimator/core/law/law.c).
 
 The core has the mathematics of a cycle, and the law's memory. Here are the law as it is flown, made once, and the numbers of each
 cycle.

@@ -45,7 +45,7 @@ class GaussMarkov(NamedTuple):
 
 
 class AxisDisturbances(NamedTuple):
-    """What disturbs one axis at sea state 4, near the deck (levels of perception `model` and `truth`)."""
+    """Disturbances of one axis at sea state 4, near the deck (levels of perception `model` and `truth`)."""
 
     gust_m_s2: GaussMarkov = GaussMarkov(0.21, 2.0)
     """Gusts of 0.6 m/s on a drag of 0.35 1/s."""

@@ -16,6 +16,7 @@ from companion.guidance.controller import Controller, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
+from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
@@ -48,10 +49,10 @@ def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
 
 @dataclass(frozen=True, slots=True)
 class PilotOptions:
-    """What a pilot needs beside the options of its tracker, its estimator and its guidance."""
+    """Options of a pilot, beside those of its tracker, its estimator and its guidance."""
 
     automatic: bool = True
-    """Whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
+    """True if the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
     shadows: Sequence[PathName] = ()
     """Estimator paths that run for comparison only and never steer."""
     law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
@@ -61,13 +62,15 @@ class PilotOptions:
     limits: LimitOptions | None = None
     """The limits of every command."""
     over_ground: bool = False
-    """Whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
+    """True if the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
     reports: ReportLimits | None = None
-    """What is believed of the places that ship and vehicle report."""
+    """Limits for the positions that ship and vehicle report."""
     tilt: TiltResponse | None = None
-    """How the vehicle's tilt answers, by its file; by default an AR.Drone's."""
+    """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
+    view: FieldOfView | None = None
+    """The field of a camera that leans with the body; None of another."""
     gimballed: bool = False
-    """Whether a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
+    """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
 
 class Pilot:
@@ -90,6 +93,7 @@ class Pilot:
             over_ground=given.over_ground,
             reports=given.reports or ReportLimits(),
             tilt=given.tilt or shipped_response("ardrone2").tilt,
+            view=given.view,
         )
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
@@ -127,12 +131,12 @@ class Pilot:
 
     @property
     def paused(self) -> bool:
-        """Whether a person paused guidance."""
+        """True if a person paused guidance."""
         return self.state is State.PAUSED
 
     @property
     def may_try_again(self) -> bool:
-        """Whether `begin` resumes the flight although it has an outcome."""
+        """True if `begin` resumes the flight although it has an outcome."""
         return self.outcome in AGAIN
 
     def begin(self) -> None:
@@ -172,7 +176,7 @@ class Pilot:
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
-        That is while nobody has agreed to land on the pad it refers to, and while the deck is believed to move as none does.
+        That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
         """
         believed = self.believed(now)
         if believed is None:
@@ -191,7 +195,7 @@ class Pilot:
         return self.estimation.all_believed(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         return self.estimation.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
@@ -207,8 +211,8 @@ class Pilot:
     def take_samples(self, samples: Sequence[Sample]) -> int:
         """Take samples in the order in which they were received; return how many wait for `fused`.
 
-        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
-        same as one by one, and what surrounds each step costs once.
+        The estimator processes them when the next answer is needed, those of several datagrams together: beliefs and results are
+        the same as one by one, and what surrounds each step costs once.
         """
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)

@@ -1,4 +1,4 @@
-"""What the machine looks at in one guidance cycle, beside what guidance knows about pad and deck."""
+"""Inputs of the mission machine in one guidance cycle, beside what guidance knows about pad and deck."""
 
 import math
 from collections import Counter
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.controller import Knowledge
+from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.limits import InputQuality
 from companion.guidance.wind import WindOverDrone
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -22,7 +22,7 @@ class VesselPosition(Struct, frozen=True, eq=False):
 
     at: MonoNs
     d_body_pad_level: F64
-    """From the body to the pad, (2,) m forward and right."""
+    """Vector from the body to the pad, (2,) m forward and right."""
     sigma_m: float
     """Horizontal standard deviation."""
     v_level: F64
@@ -56,9 +56,11 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     silent_s: float = 0.0
     """Time since the newest sample of the vehicle: while it is silent, nobody knows that it obeys."""
     feels: bool = True
-    """Whether the accelerometer is alive, so that its silence tells that nothing was touched."""
+    """True if the accelerometer is alive, so that its silence means no contact."""
     late_s: float | None = None
-    """How late the vehicle answers, where that is too late to be flown; None otherwise."""
+    """Delay of the vehicle's answer, if that is too late to fly; None otherwise."""
+    touch: Impact | None = None
+    """The newest push that one foot alone may have made; None before one."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
 

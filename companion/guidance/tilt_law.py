@@ -1,4 +1,4 @@
-"""From where the pad is to the tilt that gets over it: a linear-quadratic regulator that knows the commands still under way.
+"""Tilt law that brings the vehicle over the pad: a linear-quadratic regulator that knows the commands still under way.
 
 The state of one axis is [p, w, a, a', f, u1 .. un]: place and speed of the pad against the body, tilt and its rate less the tilt
 that holds the body over the deck (the reference), the rotors' lag, and the commands that have not reached the vehicle. With the
@@ -20,7 +20,7 @@ from companion.settings.response import TiltResponse
 
 
 class TiltWeights(NamedTuple):
-    """The regulator's weights: each is what costs as much as the others."""
+    """The regulator's weights: amounts of each quantity that cost the same."""
 
     p_m: float = 0.006
     w_m_s: float = 4.1
@@ -36,7 +36,7 @@ class TiltGains(NamedTuple):
     rate: float
     lag: float
     under_way: tuple[float, ...]
-    """Of the commands under way, newest first."""
+    """Gains of the commands under way, newest first."""
 
 
 @lru_cache(maxsize=256)

@@ -16,7 +16,7 @@ _IDR, _SEQUENCE = 5, 7
 
 
 class VideoQuality(Struct, frozen=True):
-    """What an encoder is asked for."""
+    """Quality settings of an encoder."""
 
     crf: int
     """x264's quality, 0 to 51: a higher number is fewer bytes."""

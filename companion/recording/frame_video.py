@@ -18,8 +18,11 @@ U8 = NDArray[np.uint8]
 KEY_EACH = 30
 """Frames from one key frame to the next: what a viewer decodes for a seek, and what a damaged frame spoils at most."""
 _CRF = 26
-"""At 20 most of the bytes are the sensor's noise: five times as many, for a heading that a replay measures 0.1
-degrees better at 95 %."""
+"""Quality of the codec.
+
+At 20 most of the bytes are the sensor's noise: five times as many, for a heading that a replay measures 0.1 degrees better at 95
+%.
+"""
 _PIXELS_MAX = 1 << 24
 """A file that claims larger frames than any camera here gets no memory for them."""
 RECORDED = VideoQuality(_CRF, KEY_EACH)
@@ -45,7 +48,7 @@ class _Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoImage:
-    """One recorded frame of a video, decoded when it is asked for."""
+    """One recorded frame of a video, decoded when it is requested."""
 
     _group: _Group
     _number: int

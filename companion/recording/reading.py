@@ -32,7 +32,7 @@ from estimator.vision.pad import Pad
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
 NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
-"""What a message raises that this version does not understand."""
+"""Errors that mean that this version does not understand a message."""
 _APART_NS = 24 * 3600 * NS_PER_S
 """The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
 
@@ -75,7 +75,7 @@ class RecordedFrame:
 
     @property
     def times(self) -> FrameTimes | None:
-        """How long the stages of the frame took; None if the recording does not say."""
+        """Durations of the frame's stages; None if the recording has none."""
         return decode.frame_times(self.record)
 
     def frame(self, size: tuple[int, int]) -> Frame | None:

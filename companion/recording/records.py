@@ -108,7 +108,7 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     flying: bool | None = None
     battery_fraction: float | None = None
     taken: str | None = None
-    """Who has taken the vehicle from the service."""
+    """Holder of the vehicle, if it was taken from the service."""
 
 
 class Pose6Record(Struct, frozen=True):
@@ -132,7 +132,7 @@ class SightingRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class FrameTimesRecord(Struct, frozen=True):
-    """How long each stage of one frame took, s."""
+    """Duration of each stage of one frame, s."""
 
     decode_s: float
     wait_s: float
@@ -164,7 +164,7 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     lamps: SightingRecord | None = None
     fused: SightingRecord | None = None
     elsewhere: SightingRecord | None = None
-    """What is surer than the selected one in a place that the belief excluded; left out if there is none."""
+    """Detection that is surer than the selected one, at a place that the estimate excluded; left out if there is none."""
     times: FrameTimesRecord | None = None
     """Left out if vision did not search the frame, and in virtual time."""
     R_body_cam: list[float] | None = None
@@ -172,7 +172,7 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     gain: float = 0.0
     """Amplification of a camera whose exposure is driven; left out if unknown."""
     coded: bool = False
-    """Whether a codec predicted the frame from others before it came; left out if none did."""
+    """True if a codec predicted the frame from others before it came; left out if none did."""
 
 
 class NamedNumber(Struct, frozen=True):
@@ -247,7 +247,7 @@ class ResponseRecord(Struct, frozen=True, omit_defaults=True):
     delay_s: float
     sigma_s: float | None = None
     longer_s: float = 0.0
-    """By how much the delay is longer than the response file says."""
+    """Excess of the delay over the response file, s."""
 
 
 class DeckRecord(Struct, frozen=True):
@@ -270,17 +270,17 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     steering: str | None = None
     """Path of the estimate that steered; left out if there was none."""
     command: str | None = None
-    """velocity, lean, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
+    """velocity, tilt, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
     v_level: list[float] | None = None
     yaw_rate_rad_s: float | None = None
     reason: str = ""
     """Reason for anything other than a plain descent."""
     a_level: list[float] | None = None
-    """Acceleration of a lean, m/s^2 forward and right."""
+    """Acceleration of a tilt, m/s^2 forward and right."""
     trim_level: list[float] | None = None
-    """What a lean adds against wind and drag, m/s^2 forward and right."""
+    """Acceleration that a tilt adds against wind and drag, m/s^2 forward and right."""
     transitions: list[TransitionRecord] = []
-    """What changed since the previous decision, in order."""
+    """State changes since the previous decision, in order."""
     response: ResponseRecord | None = None
     """The vehicle's response, where this cycle has come to know it otherwise than before."""
     deck: DeckRecord | None = None

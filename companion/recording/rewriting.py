@@ -109,7 +109,7 @@ class Cut:
     to_s: float | None = None
     """The end of the part; start and end are times after the recording's first event, s."""
     inputs: bool = False
-    """Whether only samples, frames and truth are kept; of each detection only the selected sighting is kept."""
+    """True if only samples, frames and truth are kept; of each detection only the selected sighting is kept."""
     samples_each: int = 1
     """The step n that keeps each n-th sample of a kind; the vehicle's status is always kept."""
     frames_each: int = 1

@@ -45,7 +45,7 @@ from estimator.vision.detection import Detection
 # each sighting older; half of the frames, seen in time, land a drone better than all of them, seen late.
 
 _WEIGHT = 0.2
-"""Weight of the newest look in the mean: five frames tell a slow machine from one slow look."""
+"""Weight of the newest look in the mean: five frames distinguish a slow machine from one slow look."""
 _PAUSE_MAX_S = 0.2
 """Longest time without a look: a sighting at least each 0.2 s keeps an estimate fresh, whatever a look costs."""
 
@@ -101,7 +101,7 @@ OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 @dataclass(frozen=True, slots=True)
 class DaemonSetup:
-    """How the daemon runs."""
+    """Mode of the daemon: its options beside the settings."""
 
     restart: RestartOptions
     guidance_rate_hz: float
@@ -113,7 +113,7 @@ class DaemonSetup:
     core_fraction: float = 1.0
     """The largest share of the time that looking at frames may take; 1 skips none."""
     once: bool = False
-    """Whether `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
+    """True if `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
     prepare: Callable[[], None] | None = None
     """Called by the thread of vision before its first frame."""
 
@@ -189,7 +189,7 @@ class Daemon:
 
     @property
     def looking(self) -> bool:
-        """Whether vision is at work on its thread."""
+        """True if vision is at work on its thread."""
         return self._tracker is not None and self._tracker.busy
 
     def stop(self) -> None:
@@ -209,7 +209,7 @@ class Daemon:
                 self._link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
-        """Take the samples that nobody asked for: guidance and vision take what waits just before they need it.
+        """Take the samples that nobody requested: guidance and vision take what waits just before they need it.
 
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
@@ -244,7 +244,7 @@ class Daemon:
     def _report_fused(self) -> None:
         """Tell health and observers of the samples that the estimator has processed.
 
-        Where no observer takes them, health counts many at once: when so many have come, and before it is read.
+        Where no observer takes them, health counts many at once: when this many have come, and before it is read.
         """
         if self._audience.takes_fusion:
             self._count(self._pilot.fused())

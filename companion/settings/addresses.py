@@ -1,4 +1,4 @@
-"""What a host in the settings can be reached from."""
+"""Reach of the hosts in the settings: this computer, a private network or everywhere."""
 
 import ipaddress
 

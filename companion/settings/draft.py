@@ -170,11 +170,11 @@ class DraftChange:
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What is to be said of a text."""
+    """Result of checking a settings text."""
 
     faults: tuple[DraftFault, ...]
     changes: tuple[DraftChange, ...] = ()
-    """What differs from the settings in force."""
+    """Differences from the settings in force."""
     remarks: tuple[str, ...] = ()
     """Keys without effect, and what hardly is meant."""
 

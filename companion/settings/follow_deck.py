@@ -54,5 +54,5 @@ class FollowDeckOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def response_by_vehicle(self) -> bool:
-        """Whether the kind of vehicle decides on the response."""
+        """True if the kind of vehicle decides on the response."""
         return self.response == _AUTO

@@ -1,4 +1,4 @@
-"""The options of the rendezvous: what is believed of the ship's reports, and how the drone flies to her."""
+"""The options of the rendezvous: limits of the ship's reports, and the flight to her."""
 
 import math
 from typing import Annotated
@@ -9,7 +9,7 @@ from estimator.contracts.keys import check_ranges, choice, number
 
 
 class ReportLimits(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is believed of the places that ship and vehicle report.
+    """Limits for the positions that ship and vehicle report.
 
     Raises:
         ValueError: a number outside its range, or two that do not go together.

@@ -1,4 +1,4 @@
-"""How a vehicle answers commands: delay and course of its tilt, delay and lag of its climb, and its limits.
+"""Response of a vehicle to commands: delay and course of its tilt, delay and lag of its climb, and its limits.
 
 A tilt command acts after `delay_s` through a lag (rotors) on a damped oscillator (the attitude loop):
     lag f' = u - f,   a'' = frequency^2 (f - a) - 2 damping frequency a'
@@ -19,7 +19,7 @@ from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.motion import G_M_S2
 
 _AGREE = 0.02
-"""A standard deviation may differ from the covariance's by so much of itself: files round."""
+"""A standard deviation may differ from the covariance's by this much of itself: files round."""
 _SYMMETRIC = 1e-3
 _LEAST_SIZE = 1e-6
 """Least eigenvalue of the correlation matrix."""
@@ -29,7 +29,7 @@ Row3 = tuple[float, float, float]
 
 
 class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How roll and pitch follow their commands.
+    """Response of roll and pitch to their commands.
 
     Raises:
         ValueError: a number outside its range.
@@ -64,12 +64,12 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def slowness_s(self) -> float:
-        """How late a slowly changing tilt is behind its command: delay, lag and course together."""
+        """Lag of a slowly changing tilt behind its command: delay, lag and course together."""
         return self.delay_s + self.lag_s + 2.0 * self.damping / self.frequency_rad_s
 
 
 class ClimbResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the vertical speed follows its command.
+    """Response of the vertical speed to its command.
 
     Raises:
         ValueError: a number outside its range.
@@ -98,7 +98,7 @@ def _take_sigmas(of: TiltResponse | ClimbResponse, key: str, names: tuple[str, .
 
 
 class Response(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How one kind of vehicle answers commands."""
+    """Response of one kind of vehicle to commands."""
 
     tilt: TiltResponse
     climb: ClimbResponse

@@ -12,7 +12,7 @@ from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput, in_words, unusable
 
 BEFORE = ".before"
-"""What is added to the name of the file before."""
+"""Suffix of the backup of the previous settings file."""
 
 
 @dataclass(frozen=True, slots=True)

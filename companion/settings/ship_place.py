@@ -1,4 +1,4 @@
-"""Which settings tell where the ship is, and what does not go together with them."""
+"""Settings that give the ship's place, and their contradictions."""
 
 from msgspec import Struct
 
@@ -15,7 +15,7 @@ class Contradiction(Struct, frozen=True):
     what: str
     fix: str
     refuses: bool
-    """Whether the drone refuses every landing that begins out of sight of the pad; otherwise something is only unused."""
+    """True if the drone refuses every landing that begins out of sight of the pad; otherwise something is only unused."""
 
 
 def sources(settings: Settings) -> tuple[str, ...]:

@@ -46,12 +46,12 @@ class Ref(Struct, frozen=True):
 
     @property
     def take_off(self) -> bool:
-        """Whether the command asks the drone to fly, as opposed to land."""
+        """True if the command orders the drone to fly, as opposed to land."""
         return bool(self.bits & REF_TAKE_OFF)
 
     @property
     def emergency(self) -> bool:
-        """Whether the emergency bit is set; its rising edge toggles the emergency state."""
+        """True if the emergency bit is set; its rising edge toggles the emergency state."""
         return bool(self.bits & REF_EMERGENCY)
 
 
@@ -332,7 +332,7 @@ class SequenceGate:
         self._last = 0
 
     def accepts(self, sequence: int) -> bool:
-        """Whether a command of this number is to be obeyed; remembers it if so."""
+        """Return whether a command of this number is to be obeyed, and remember it if so."""
         if sequence != 1 and sequence <= self._last:
             return False
         self._last = sequence

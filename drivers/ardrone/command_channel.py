@@ -44,7 +44,7 @@ _READY_S = 5.0
 _SILENT_S = 0.1
 """A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
 _SILENT_PERIODS = 3.5
-"""The same limit in command periods, which applies if commands are sent more slowly."""
+"""Longest silence of the sender in command periods, for commands that are sent more slowly."""
 _STUCK_S = 0.5
 """A sender that has not sent its status for this long is replaced."""
 _END_S = 2.0
@@ -111,17 +111,17 @@ class SenderClient:
 
     @property
     def up(self) -> bool:
-        """Whether the sender has reported that it runs."""
+        """True if the sender has reported that it runs."""
         return self._received_at is not None
 
     @property
     def busy(self) -> bool:
-        """Whether the sender has ended because another service, which is alive, flies this drone."""
+        """True if the sender has ended because another service, which is alive, flies this drone."""
         return self._busy
 
     @property
     def _flew(self) -> bool:
-        """Whether the drone was flown by this sender or by one that it replaces; otherwise another service may be flying it."""
+        """True if the drone was flown by this sender or by one that it replaces; otherwise another service may be flying it."""
         return self.up or self._o.replaces
 
     def update(self, command: TimedCommand) -> None:
@@ -284,7 +284,7 @@ class CommandChannel:
 
     @property
     def up(self) -> bool:
-        """Whether commands reach the drone's port now."""
+        """True if commands reach the drone's port now."""
         return self._sender is not None and self._sender.up
 
     def send(self, commands: Sequence[AtCommand]) -> None:

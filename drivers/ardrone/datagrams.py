@@ -22,7 +22,7 @@ _SO_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@ll")
 _ANCILLARY_MAX = socket.CMSG_SPACE(_TIMESPEC.size)
 _TRIES, _APART_NS = 3, 100_000
-"""How often the two clocks are read, until the thread has not stood still between them."""
+"""Most readings of the two clocks, until the thread was not interrupted between them."""
 _WALL_STEP_NS = 1_000_000
 """A wall clock that moved by more than this against the monotonic one between two looks was set meanwhile."""
 
@@ -138,7 +138,7 @@ class WaitingDatagrams:
 
     @property
     def taken_at(self) -> MonoNs:
-        """When somebody last took what waits."""
+        """Time when a waiting datagram was last taken."""
         return self._taken_at
 
     def check(self) -> None:

@@ -1,7 +1,7 @@
 """A link to one AR.Drone: navdata, video, commands and configuration, each on its own socket, each restarted alone.
 
 Of video only the newest frame is kept, and one worker thread decodes in order. A 2.0 sends H.264 by TCP. A 1.0 sends one UVLC
-picture a datagram to whoever asked with a datagram last; a picture carries the drone's count of pictures and no time, so its
+picture a datagram to the last peer that sent a datagram; a picture carries the drone's count of pictures and no time, so its
 frame is stamped by its arrival.
 """
 
@@ -43,7 +43,7 @@ P264 = (
 )
 _NUMBERS = 1 << 32
 _LATE = 64
-"""A picture that is up to so many counts older than the newest one arrived late; one that is older comes from a drone that has
+"""A picture that is up to this many counts older than the newest one arrived late; one that is older comes from a drone that has
 restarted."""
 
 
@@ -291,7 +291,7 @@ class ArDrone:
 
     @property
     def ready(self) -> bool:
-        """Whether the drone has acknowledged its whole configuration, the bottom camera among it."""
+        """True if the drone has acknowledged its whole configuration, the bottom camera among it."""
         return self._setup.done.is_set()
 
     @property

@@ -391,7 +391,7 @@ class Navdata(Struct, frozen=True):
 
 
 class _Outline(NamedTuple):
-    """Which options a datagram holds and where. A drone that flies sends datagrams of few outlines."""
+    """Options of a datagram and their offsets. A flying drone sends datagrams of few outlines."""
 
     headers: struct.Struct
     """The headers of all options, each as four bytes, and the checksum, without what lies between them."""

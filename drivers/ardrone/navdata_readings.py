@@ -58,7 +58,7 @@ _DEMO, _RAW, _MEASURES, _ALTITUDE, _PRESSURE, _GPS = (
 _NONE = (None, None, None)
 _NO_DEMO: Any = NavdataReadings(*[None] * 22)
 _NO_RAW = _NO_PRESSURE = _NO_DEMO
-"""In place of an option that a datagram does not hold."""
+"""Placeholders for options that a datagram does not hold."""
 
 
 def readings_of(options: Mapping[int, Any]) -> NavdataReadings:

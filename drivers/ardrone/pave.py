@@ -79,7 +79,7 @@ class PaveHeader:
 
     @property
     def advertisement(self) -> bool:
-        """Whether the header announces a frame; no payload follows it then."""
+        """True if the header announces a frame; no payload follows it then."""
         return bool(self.control & CONTROL_ADVERTISEMENT)
 
     @property
@@ -163,7 +163,7 @@ class PaveFrame:
     header: PaveHeader
     payload: bytes
     discontinuity: bool
-    """Whether data before this frame is missing or damaged, or another stream begins: only an IDR may be decoded then."""
+    """True if data before this frame is missing or damaged, or another stream begins: only an IDR may be decoded then."""
 
 
 class PaveParser:

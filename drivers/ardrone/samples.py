@@ -55,7 +55,7 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 
 
 def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
-    """Return the samples whose sensors are read anew for every datagram."""
+    """Return the samples whose sensors are read again for every datagram."""
     out: list[Sample] = []
     imu = _imu(r, stamp)
     if imu is not None:

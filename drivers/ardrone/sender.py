@@ -3,7 +3,7 @@
 It is a process of its own so that no command outlives the service that sent it. It owns the AT socket and its sequence, takes
 commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has expired:
 the service may be killed, stopped, swapped out or stuck. When the service is gone it holds a flying drone in hover for `hold_s`,
-receiving navdata itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
+receiving navdata itself, until a new service's sender requests the sequence and takes over. It imports nothing large.
 """
 
 import select
@@ -57,7 +57,7 @@ class Sender:
 
     Args:
         service: stream to the service that started it.
-        listener: the socket on which a successor asks to take over; None if there is none.
+        listener: the socket on which a successor requests to take over; None if there is none.
         sequence: number of the last command that a predecessor sent to the drone; 0 if it is not known.
     """
 
@@ -257,7 +257,7 @@ class Sender:
 
 
 def _connected(host: str, port: int) -> socket.socket:
-    """A UDP socket that talks to one peer only and never blocks."""
+    """Open a UDP socket that talks to one peer only and never blocks."""
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     end = socket.socket(family, kind, protocol)
     try:

@@ -39,7 +39,7 @@ class SenderOptions:
     on_service_back: tuple[TextCommand, ...] = ()
     """The commands that undo `on_service_lost`; they are sent when the service is back, or the drone is on the ground."""
     replaces: bool = False
-    """Whether an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
+    """True if an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
 
     def as_json(self) -> str:
         """Return the text that `of_json` reads."""

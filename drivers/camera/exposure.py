@@ -7,7 +7,7 @@ A camera shows a change only some frames later. Whoever calls the law waits for 
 then cannot swing, though neither the camera's tone curve nor its gain is known: both make the measured error wrong by a factor,
 and a step is `_DAMPING` of it.
 
-`ExposureDrive` holds what is asked of a camera, what it has, and from which frame on it shows that.
+`ExposureDrive` holds the requested setting of a camera, its present one, and the first frame that shows it.
 """
 
 import math
@@ -20,14 +20,16 @@ clipping."""
 _DAMPING = 0.6
 """Part of the measured error that one step corrects."""
 _ENTER_EV, _LEAVE_EV = 0.4, 0.15
-"""Errors, stops, from which on the law corrects, and below which it rests again."""
+"""Errors, stops, from which the law corrects, and below which it rests again."""
 _CUT_EV = 1.5
-"""The same as `_ENTER_EV` while the pad is cut by the frame's edge: what is left of it in view changes with every frame, and each
-change of the exposure would cost frames in the very last part."""
+"""Error, stops, from which the law corrects while the frame's edge cuts the pad.
+
+The visible part changes with every frame, and each change of the exposure would cost frames in the very last part.
+"""
 _STEP_EV = 3.0
 """Largest step, stops."""
 _DARKEST = 2.0**-13
-"""Light below which eight bits tell nothing."""
+"""Light below which eight bits carry no information."""
 _LENGTHEN = 1.9
 """The time is made longer at the gain's cost only where the limit has grown by this factor: each change costs pictures."""
 _RUNGS = 2.0
@@ -35,7 +37,7 @@ _RUNGS = 2.0
 
 
 class ExposureSetting(Struct, frozen=True):
-    """What a camera holds, or is to hold."""
+    """Exposure values of a camera, present or wanted."""
 
     exposure_s: float
     gain: float
@@ -48,7 +50,7 @@ class ExposureSetting(Struct, frozen=True):
 
 
 class ExposureRange(Struct, frozen=True):
-    """What a camera can hold."""
+    """Exposure limits of a camera."""
 
     shortest_s: float
     longest_s: float
@@ -67,13 +69,13 @@ class Metered(Struct, frozen=True):
     level: float
     """Light by the sRGB curve, full scale is 1."""
     saturated: float = 0.0
-    """Share of its pixels of which a channel is clipped."""
+    """Share of its pixels with a clipped channel."""
     clipped: bool = False
-    """Whether the level itself is clipped: it is only known to be too bright."""
+    """True if the level itself is clipped: it is only known to be too bright."""
     target: float = TARGET
     """The level at which that part is rightly exposed."""
     cut: bool = False
-    """Whether the frame shows only a smaller part of what is metered."""
+    """True if the frame shows only a smaller part of what is metered."""
 
     @property
     def error_ev(self) -> float:
@@ -84,7 +86,7 @@ class Metered(Struct, frozen=True):
 
 
 class LawMemory(Struct, frozen=True):
-    """What the law remembers from picture to picture."""
+    """Memory of the exposure law from frame to frame."""
 
     correcting: bool = False
     short_of_ev: float = 0.0
@@ -199,7 +201,7 @@ class ExposureDrive:
         self.why_refused, self._busy = why, False
 
     def settled(self, number: int) -> bool:
-        """Return whether the frame of this number shows what the camera holds, and nothing else is asked."""
+        """Return whether the frame of this number shows the camera's setting, and no other is requested."""
         return self._wanted is None and not self._busy and number >= self._new_from
 
     def of(self, number: int) -> tuple[ExposureSetting, float] | None:

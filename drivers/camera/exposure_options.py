@@ -11,7 +11,7 @@ DRIVEN_SOURCES = ("v4l2",)
 
 
 class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who sets exposure time, gain and white balance of the camera, and within which limits.
+    """Exposure time, gain and white balance of the camera: who sets them, and their limits.
 
     Raises:
         ValueError: a number outside its range.
@@ -55,5 +55,5 @@ class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     @property
     def driven(self) -> bool:
-        """Whether the service sets the exposure."""
+        """True if the service sets the exposure."""
         return self.mode == "pad"

@@ -31,7 +31,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs
 
 PYTHONS = (sys.executable, "/usr/bin/python3")
-"""The Pythons that may have GStreamer's bindings, the first of which that has them is taken."""
+"""The Pythons that may have GStreamer's bindings, the first that has them is used."""
 _PROGRAM = Path(wire.__file__)
 _FIRST_S = 10.0
 """Longest time from the start to the first frame: GStreamer lists its plug-ins, and a sensor starts."""
@@ -39,7 +39,7 @@ _BEHIND_MOST = 8
 """Number of frames that may be skipped at a time to reach the newest."""
 _PIPE_BYTES = 1 << 20
 _PREDICTING = re.compile(r"h26[345]|x26[45]|hevc|vp[89]|av1|mpeg[24]|decodebin")
-"""What names the elements of codecs that predict frames from one another, or of any codec."""
+"""Names of codec elements that predict frames from one another, or of any codec."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -115,7 +115,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def is_address(self) -> bool:
-        """Whether the device is a live stream, as opposed to a file."""
+        """True if the device is a live stream, as opposed to a file."""
         return "://" in self.device
 
     def control_values(self) -> dict[str, int | bool | str]:
@@ -137,7 +137,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def check_size(size: Size) -> Size:
-    """Return the size of frames that a camera is asked for.
+    """Return the size of frames that is requested from a camera.
 
     Raises:
         ValueError: the width or height is out of range.

@@ -12,7 +12,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _DAMAGE_OVER_S, _DAMAGE_AGAIN_S = 5.0, 60.0
 """The time over which damaged frames are counted before they are reported, and that until they are reported again."""
 _DAMAGE_SHARE = 0.02
-"""The share of damaged frames from which on they are reported."""
+"""The share of damaged frames from which they are reported."""
 
 log = logging.getLogger(__name__)
 

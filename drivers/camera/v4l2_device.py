@@ -139,11 +139,11 @@ class Buffer:
     """The device's own count of frames."""
     stamp_ns: int
     monotonic: bool
-    """Whether `stamp_ns` is of CLOCK_MONOTONIC; otherwise its clock is not known."""
+    """True if `stamp_ns` is by CLOCK_MONOTONIC; otherwise its clock is not known."""
     at_start: bool
-    """Whether `stamp_ns` is of the start of the exposure; otherwise it is of the end of the transfer."""
+    """True if `stamp_ns` is the start of the exposure; otherwise it is the end of the transfer."""
     error: bool
-    """Whether the kernel reports damaged content."""
+    """True if the kernel reports damaged content."""
 
 
 class DrivenExposure(Protocol):
@@ -188,7 +188,7 @@ class KernelDevice:
 
     Raises:
         OSError: it cannot be opened, is busy or went away.
-        BadInput: it cannot do what the options ask; the text lists what it can.
+        BadInput: it cannot do what the options request; the text lists what it can.
         SetupImpossible: permission is missing, or the device is not a camera.
     """
 

@@ -82,16 +82,16 @@ class GamepadMapping(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class GamepadMemory:
-    """What the mapping remembers of one gamepad."""
+    """Memory of the mapping for one gamepad."""
 
     deflections: Mapping[str, float]
     """The deflection of each stick, -1 to 1, before dead zone and curve."""
     live: frozenset[str] = frozenset()
     """The sticks that were near their centre since the gamepad was plugged in."""
     pressed_at: Mapping[int, MonoNs] = field(default_factory=dict)
-    """When each button was pressed last."""
+    """Time of the last press of each button."""
     given_at: tuple[MonoNs, ...] = ()
-    """When the orders of the last second were given."""
+    """Times of the orders of the last second."""
     dropped: bool = False
     """The kernel has dropped events; those up to the next report are incomplete."""
     stale: bool = False

@@ -89,7 +89,7 @@ def _unwrapped(navdata: Sequence[Navdata]) -> list[int]:
 
 
 def datagrams(data: bytes) -> Iterator[bytes]:
-    """Split concatenated datagrams, each of which ends with its checksum option. Bytes between them are skipped."""
+    """Split concatenated datagrams, each ends with its checksum option. Bytes between them are skipped."""
     begin = 0
     while True:
         begin = data.find(NAVDATA_MAGIC, begin)

@@ -1,4 +1,4 @@
-"""What a file of somebody else is, by its content: suffixes say what people hoped."""
+"""Kind of a foreign file by its content, not by its suffix."""
 
 import re
 from enum import Enum

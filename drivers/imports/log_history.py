@@ -1,4 +1,4 @@
-"""What a flight log of an autopilot says besides its samples: parameters, texts, and events that can spoil a landing."""
+"""History of an autopilot's flight log beside its samples: parameters, texts, and events that can spoil a landing."""
 
 import math
 import re
@@ -26,7 +26,7 @@ class LoggedMoment(Struct, frozen=True):
 
 
 class Excess(Struct, frozen=True):
-    """How far and how long a value was above its limit while the vehicle was armed."""
+    """Excess of a value over its limit while the vehicle was armed, and its duration."""
 
     worst: float
     at_s: float
@@ -40,7 +40,7 @@ class LoggedLanding(Struct, frozen=True):
 
     at_s: float
     lost: int
-    """How often the detector took it back."""
+    """Number of times that the detector took it back."""
     armed_s: float
     """Time from the last detection until the motors were off, or the log ended, seconds."""
 
@@ -57,11 +57,11 @@ class LogHistory(Struct, frozen=True):
     """Number of accelerometer readings at the end of the range, while armed."""
     landings: tuple[LoggedLanding, ...] = ()
     targets_lost: int = 0
-    """How often the autopilot's precision landing lost its target while armed."""
+    """Number of times that the autopilot's precision landing lost its target while armed."""
     dropouts_s: float = 0.0
     """Time that the log lost, seconds."""
     notes: tuple[str, ...] = ()
-    """What its reader left out, and where its clock stepped."""
+    """Notes on data that the reader left out, and on steps of the clock."""
 
 
 class AutopilotLog(Struct, frozen=True):
@@ -69,7 +69,7 @@ class AutopilotLog(Struct, frozen=True):
 
     stack: str
     vehicle: str | None
-    """Name of the firmware, such as "ArduCopter", if the log tells it."""
+    """Name of the firmware, such as "ArduCopter", if the log has it."""
     firmware: tuple[int, int, int] | None
     parameters: dict[str, float]
     """The last value of each."""
@@ -78,11 +78,11 @@ class AutopilotLog(Struct, frozen=True):
     """Numbers of PX4's EVENTs."""
     history: LogHistory
     text_times_s: tuple[float, ...] = ()
-    """When each text was said, since the log began, seconds."""
+    """Times of the texts since the log began, s."""
     defaults: dict[str, float] = field(default_factory=dict)
     """The firmware's own default of each parameter that has one in the log."""
     precision_landing: bool = False
-    """Whether PX4 flew AUTO.PRECLAND."""
+    """True if PX4 flew AUTO.PRECLAND."""
 
 
 class ExcessMeter:
@@ -166,7 +166,7 @@ _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PL
 def parameters_of(path: Path) -> AutopilotLog:
     """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME VALUE`, or QGroundControl's table with tabs.
 
-    Return a log that holds nothing else; the stack is what the file says, or its names tell.
+    Return a log that holds nothing else; the stack is given by the file, or by its names.
 
     Raises:
         BadInput: the file cannot be read, or no line of it is a parameter.

@@ -61,7 +61,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
 
 
 def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
-    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and told.
+    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and reported.
 
     Raises:
         BadInput: the file cannot be read or is no ULog.
@@ -69,7 +69,7 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
     try:
         data = path.read_bytes()
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
-        # pyulog prints what it meets to standard output, which belongs to results.
+        # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
             return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
     except OSError as why:
@@ -81,7 +81,7 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
 _KINDS = frozenset(b"BFIMPQARDLCSO")
 _HEAD, _MESSAGE = 16, struct.Struct("<HB")
 _IN_ORDER = 3
-"""So many messages in a row, as they have to be, end the search for the next one behind damage."""
+"""Number of correct messages in a row that ends the search for the next one behind damage."""
 
 
 def without_damage(data: bytes, tell: Tell) -> bytes:
@@ -280,7 +280,7 @@ _REASONS = {
 }  # fmt: skip
 """Flags of failsafe_flags; those that rose with the failsafe are its reason."""
 _WITH_S = 3.0
-"""How long before a failsafe its reason may have begun, seconds; PX4 waits with most for a moment."""
+"""Longest time before a failsafe at which its reason may have begun, s; PX4 waits with most for a moment."""
 Topic = dict[str, Any]
 
 
@@ -356,7 +356,7 @@ def _history(log: Any, topics: dict[str, Topic]) -> LogHistory:
 
 
 class _Armed:
-    """Whether the vehicle was armed at an instant; taken for true where the log does not say."""
+    """Armed state of the vehicle at an instant; armed if the log has no such state."""
 
     def __init__(self, status: Topic | None) -> None:
         self._at = None if status is None else np.asarray(status["timestamp"], dtype=np.int64)

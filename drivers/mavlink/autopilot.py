@@ -76,9 +76,9 @@ class _Known:
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
     version: Version | None = None
-    """Its firmware and hardware, once it told them."""
+    """Its firmware and hardware, once it reported them."""
     released_at: MonoNs | None = None
-    """When the vehicle was taken from this program; None while nobody has it."""
+    """Time when the vehicle was taken from this program; None while nobody has it."""
 
 
 class Autopilot:
@@ -134,17 +134,17 @@ class Autopilot:
 
     @property
     def connected(self) -> bool:
-        """Whether the autopilot sent a message lately."""
+        """True if the autopilot sent a message lately."""
         return self._known is not None and not self._known.lost
 
     @property
     def id_conflicts(self) -> tuple[IdConflict, ...]:
-        """What is doubtful about who is the autopilot, and who we are."""
+        """Ambiguities about which component is the autopilot, or about our own id."""
         return self._roster.found
 
     @property
     def unclear(self) -> str | None:
-        """Why nothing may be commanded: it is not clear who is the autopilot. None while it is."""
+        """Reason why nothing may be commanded: the autopilot is ambiguous. None while it is clear."""
         return self._roster.unclear
 
     @property
@@ -206,7 +206,7 @@ class Autopilot:
             raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
-            # The autopilot's velocities are over the ground, as a lean's are.
+            # The autopilot's velocities are over the ground, as a tilt's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
                 command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
@@ -437,12 +437,14 @@ class Autopilot:
         self._version = VersionRequest()
 
     async def _tick(self) -> None:
+        now = self._clock.now()
         while True:
             await self._clock.sleep(self._o.command_period_s)
-            known, now = self._known, self._clock.now()
+            before, known, now = now, self._known, self._clock.now()
             self._judge(now)
             if known is not None:
-                self._period(known, now)
+                # What came while this process stood still is not read yet: that is no silence of the autopilot.
+                self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
             elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
                 # A listening peer does not know this program's address before it has received something.
                 self._knocked = now
@@ -454,10 +456,10 @@ class Autopilot:
         if len(self._roster.uids) > 1 and self._version.done(now):
             self._version = VersionRequest()  # whether both are still there
 
-    def _period(self, known: _Known, now: MonoNs) -> None:
+    def _period(self, known: _Known, now: MonoNs, *, listened: bool) -> None:
         for message in known.origins.due(now):
             self._on_own_message(known, message, now)
-        if not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
+        if listened and not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)

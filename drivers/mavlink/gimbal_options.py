@@ -14,7 +14,7 @@ GimbalReport = Literal["auto", "mount_status"]
 
 
 class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """A gimbal that an autopilot's link tells of (docs/cameras.md); the camera file's rotation is then that on its last axis.
+    """A gimbal that an autopilot's link reports (docs/cameras.md); the camera file's rotation is then that on its last axis.
 
     Raises:
         ValueError: a number is outside its range, or keys need a gimbal and there is none.
@@ -64,10 +64,10 @@ class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def given(self) -> bool:
-        """Whether there is a gimbal."""
+        """True if there is a gimbal."""
         return self.device_id != 0
 
     @property
     def of_autopilot(self) -> bool:
-        """Whether the autopilot itself drives the gimbal and reports for it."""
+        """True if the autopilot itself drives the gimbal and reports for it."""
         return 1 <= self.device_id <= 6

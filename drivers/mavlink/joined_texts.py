@@ -12,11 +12,11 @@ CHUNK = 50
 """Characters in a full chunk."""
 _CHUNKS_MAX = 20
 LOST = "..."
-"""What stands for a chunk that did not arrive."""
+"""Placeholder for a chunk that did not arrive."""
 
 
 class _Begun(NamedTuple):
-    """A text of which some chunks have come."""
+    """A text with some chunks received."""
 
     number: int
     severity: int

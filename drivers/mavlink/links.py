@@ -34,7 +34,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
-"""Messages of which only the newest is worth sending over a line that is slow."""
+"""Messages whose newest alone is worth sending over a line that is slow."""
 _ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0
@@ -106,7 +106,7 @@ class LinkCounters:
     dropped: int = 0
     """Messages not sent because the wire was full or closed, or the link had no peer."""
     unknown_senders: int = 0
-    """Messages of senders that were not asked for."""
+    """Messages of senders that were not requested."""
     restarts: int = 0
     wire: WireCounts = field(default_factory=WireCounts)
     codecs: list[CodecCounters] = field(default_factory=list)
@@ -189,7 +189,7 @@ class Link:
 
     @property
     def signed(self) -> bool:
-        """Whether nothing crosses it without a signature."""
+        """True if nothing crosses it without a signature."""
         return self._o.signing is not None
 
     @property
@@ -377,13 +377,13 @@ class Links:
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
     def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
-        """A message crossed a link."""
+        """Count a message that crossed a link."""
         tap, name = self.tap, message.get_type()
         if tap is not None and name not in _SECRET:
             self.contained.run(f"the tap of {name}", str(endpoint), lambda: tap(at, str(endpoint), way, data, name))
 
     def refuse(self, why: Unfit) -> None:
-        """A message of ours does not fit the wire: count it, and log each field once."""
+        """Count a message of ours that does not fit the wire, and log each field once."""
         if why.field not in self.unfit:
             _log.error("MAVLink: not sent: %s", why)
         self.unfit[why.field] += 1
@@ -438,7 +438,7 @@ async def open_links(
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
         capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
-        access: who is known before anything is heard; nobody where it is None.
+        access: who is known before anything is received; nobody where it is None.
     """
     links = Links(options, clock, identity, capacity, access or NamedSenders())
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):

@@ -1,10 +1,10 @@
 """Know who is meant by "the autopilot", and who else is there: the one place that says it. No I/O.
 
-Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is heard alone is listened to at
+Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is alone is followed at
 once. While it is not clear who is meant, nothing is commanded, and each case names the setting that chooses.
 
-Autopilots that use one system id over one link, behind a router, are told apart: their times since boot differ, and each counts
-its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
+Autopilots that use one system id over one link, behind a router, are distinguished: their times since boot differ, and each
+counts its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _ROOM_NS = NS_PER_S
-"""How far a time since boot may lie from the one expected: messages are late and overtake one another."""
+"""Largest difference of a time since boot from the expected one: messages are late and overtake one another."""
 _DRIFT_PPM = 200
 _NEXT_WITHIN = 8
 """Sequence numbers that may be lost between two messages of one autopilot."""
 _REACHED_WITHIN = 64
 """Sequence numbers that another autopilot may have used since its last message with a time."""
 _HELD_S = 0.5
-"""Time for which a message waits to be told whose it is."""
+"""Time for which a message waits until its sender is known."""
 _REBOOT_S, _REPLACED_S = 1.0, 10.0
 """Silence after which another clock is taken for the autopilot's: after a reboot, and where two ran beside one another."""
 _BELIEVED = 3
@@ -61,7 +61,7 @@ class _Origin:
 
     @property
     def runs(self) -> bool:
-        """Whether it goes on as a clock does, and not as values that are made up."""
+        """True if it runs as a clock does; made-up values do not."""
         boot_s, lasted_s = (self.newest - self.first[0]) / NS_PER_S, seconds_between(self.first[1], self.at)
         return lasted_s >= _BESIDE_S and _SLOWEST * lasted_s <= boot_s <= lasted_s / _SLOWEST
 
@@ -84,7 +84,7 @@ class _Origin:
         return (sequence - self.sequence) % 256
 
     def apart_from(self, sequence: int) -> bool:
-        """Return whether a sequence number is none that it may have reached with messages that told no time."""
+        """Return whether a sequence number cannot have been reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:
@@ -104,6 +104,8 @@ class Origins:
         """What waits for the autopilot's next message with a time, to be told whose it is."""
         self._beats: tuple[int, int, MonoNs] | None = None
         """Another's HEARTBEATs, each of which continues the count of the one before: how many, the newest count, and when."""
+        self._beaten: MonoNs | None = None
+        """When the newest of enough such HEARTBEATs came; a lost message ends a row, and not what it has shown."""
         self._seen: set[tuple[str, int, int]] = set()
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0
@@ -116,7 +118,7 @@ class Origins:
         main = self._main
         if main is None:
             return False
-        beats = self._beats is not None and self._beats[0] >= _BELIEVED and seconds_between(self._beats[2], now) <= ALIVE_S
+        beats = self._beaten is not None and seconds_between(self._beaten, now) <= ALIVE_S
         return beats or any(_beside(main, one) for one in self._alive(now))
 
     def continues(self, message: Message, at: MonoNs) -> bool:
@@ -163,6 +165,8 @@ class Origins:
             sequence, before = int(message.get_seq()), self._beats
             follows = before is not None and 0 < (sequence - before[1]) % 256 <= _NEXT_WITHIN
             self._beats = before[0] + 1 if before is not None and follows else 1, sequence, now
+            if self._beats[0] >= _BELIEVED:
+                self._beaten = now
 
     def _of_another(self, message: Message, boot: int, at: MonoNs, sequence: int) -> list[Message]:
         main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)
@@ -261,7 +265,7 @@ class IdConflict:
     what: str
     fix: str
     blocks: bool = True
-    """Whether nothing may be commanded meanwhile."""
+    """True if nothing may be commanded meanwhile."""
 
     def __str__(self) -> str:
         return f"{self.what}; {self.fix}"
@@ -284,18 +288,18 @@ class Bound:
     """Time since its last message, s."""
     lost: bool
     commanded: bool
-    """Whether it was commanded and has not been left to itself since."""
+    """True if it was commanded and not released since."""
     several: bool
-    """Whether another one uses its id over the same link."""
+    """True if another one uses its id over the same link."""
 
 
 @dataclass(slots=True)
 class Roster:
-    """The autopilots that were heard, and other users of ids that are not theirs."""
+    """The autopilots that were received, and other users of ids that are not theirs."""
 
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
-    """When each hardware answered last under the autopilot's system id, and how often lately."""
+    """Time of each hardware's last answer under the autopilot's system id, and the number of recent ones."""
     _peers: dict[int, _Peer] = field(default_factory=dict)
     _flies_alone_since: tuple[int, MonoNs] | None = None
     _first: int = 0
@@ -305,7 +309,7 @@ class Roster:
     _state: tuple[int, int, int] | None = None
     _namesakes: list[MonoNs] = field(default_factory=list)
     found: tuple[IdConflict, ...] = ()
-    """What is doubtful about who is the autopilot, and who we are, as it was judged last."""
+    """Ambiguities about which component is the autopilot, or about our own id, as last determined."""
     _judged: MonoNs | None = None
     _logged: dict[str, MonoNs] = field(default_factory=dict)
 
@@ -338,7 +342,7 @@ class Roster:
         self._elsewhere = received.source_text, received.received_at, differed + 1 if differs else 0
 
     def note_uid(self, uid: int, now: MonoNs) -> None:
-        """Note the hardware that answered under the autopilot's id; 0 tells nothing."""
+        """Note the hardware that answered under the autopilot's id; 0 is ignored."""
         self.uids = {one: known for one, known in self.uids.items() if seconds_between(known[0], now) < _UID_S}
         if uid and (uid in self.uids or len(self.uids) < _UIDS_MAX):
             self.uids[uid] = now, self.uids.get(uid, (now, 0))[1] + 1
@@ -371,7 +375,7 @@ class Roster:
 
     @property
     def unclear(self) -> str | None:
-        """Why nothing may be commanded; None while it is clear who is the autopilot."""
+        """Reason why nothing may be commanded; None while the autopilot is clear."""
         return next((str(conflict) for conflict in self.found if conflict.blocks), None)
 
     def judge(self, bound: Bound | None, ours: tuple[int, int], now: MonoNs) -> None:

@@ -35,13 +35,13 @@ _ACC_AND_GYRO, _PRESSURE = 0b111111, 1 << 9
 _NO_HEADING, _HEADING_MAX_CDEG = 65535, 36_000
 _ANGLE_MAX_RAD = 4.0 * math.pi
 _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
-"""Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
+"""Values beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
 _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
 _LANDED_STATE_WITHIN_S = 3.0
-"""From the first heartbeat: every PX4 says EXTENDED_SYS_STATE by then, also over a slow link."""
+"""Time from the first heartbeat: every PX4 sends EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
-"""The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
+"""The ship's clock over a radio link. The window is long, so that a link that becomes slow is reported as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
@@ -51,7 +51,7 @@ _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
 """The parameters that say it, by stack."""
 _MOST_S = 0.05
-"""Longest delay that is believed: a cutoff of 4.5 Hz, with which nothing flies."""
+"""Longest delay that is accepted: a cutoff of 4.5 Hz, with which nothing flies."""
 
 
 def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
@@ -172,7 +172,7 @@ class MavlinkSampler:
         ]
 
     def _follow_target(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        """What a ground station on board, or a beacon, sends of the ship's place; its covariances count if they are larger."""
+        """Take the ship's place from a ground station or a beacon on board; its covariances count if they are larger."""
         place = _place(m.lat, m.lon, _within(_PLACE_MAX_M, m.alt)[0]) if m.est_capabilities & _HAS_PLACE else None
         v_ned = _within(_SPEED_MAX_M_S, *m.vel) if m.est_capabilities & _HAS_VELOCITY else None
         claimed_m = m.position_cov[0] if math.isfinite(m.position_cov[0]) else 0.0
@@ -185,7 +185,7 @@ class MavlinkSampler:
         return out
 
     def status(self, now: MonoNs, *, link_ok: bool) -> VehicleStatus:
-        """The newest condition as a sample."""
+        """Return the newest condition as a sample."""
         c = self.condition
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")

@@ -1,6 +1,6 @@
 """Keep the times of signed messages over a restart: our own newest, and the newest received of each stream.
 
-A message that is not later than what was heard of its stream is a replay. The file is written behind the flight's back, by a
+A message that is not later than the newest one of its stream is a replay. The file is written behind the flight's back, by a
 thread: a disk that hangs or is full costs the memory of a restart, never a message.
 """
 
@@ -33,7 +33,7 @@ _CLOSE_S = 0.3
 
 
 class SigningTimes:
-    """The signing time of this host, and the newest time heard of each stream. In flight nothing here raises for a file.
+    """The signing time of this host, and the newest time received of each stream. In flight nothing here raises for a file.
 
     Our own time is wall time in 10 us since 2015, but never at or before one used earlier.
 
@@ -77,7 +77,7 @@ class SigningTimes:
         return self._used
 
     def note_received(self, time: int) -> None:
-        """A message of that time was believed: ours go on after it, unless it would run the clock out."""
+        """Accept the time of a valid message: our timestamps continue after it, unless that would exhaust the clock."""
         if time < _LATEST:
             self._used = max(self._used, time)
 
@@ -153,7 +153,7 @@ class SigningTimes:
         return path.with_name(path.name + ".new")
 
     def _fails(self, why: OSError, *, starting: bool) -> None:
-        """A disk that fails must not silence the link to the autopilot; a wrong name is told where it can be mended."""
+        """Log a failing disk once: it must not silence the autopilot's link. At the start a wrong path is raised instead."""
         fault = unusable(f"signing times {self._path}", why)
         if starting and isinstance(fault, BadInput):
             raise fault from why

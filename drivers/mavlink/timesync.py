@@ -1,7 +1,7 @@
-"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever asks for ours. No I/O.
+"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever requests ours. No I/O.
 
 A request carries our time in ts1; the answer mirrors it and adds the remote time tc1. The remote clock was read between the two,
-so half the round trip bounds the error; the shortest recent round trip is the one believed. Source: mavlink.io, "Time
+so half the round trip bounds the error; the shortest recent round trip counts. Source: mavlink.io, "Time
 Synchronization Protocol v2"; Mills, RFC 5905 section 10 (least delay wins).
 """
 
@@ -26,7 +26,7 @@ class _Answer:
 
 
 class TimeSync:
-    """Feed it TIMESYNC messages; ask it where remote instants lie on our clock."""
+    """Feed it TIMESYNC messages; it maps remote instants to our clock."""
 
     def __init__(self, options: TimeSyncOptions | None = None) -> None:
         self._o = options or TimeSyncOptions()
@@ -45,7 +45,7 @@ class TimeSync:
 
     @property
     def locked(self) -> bool:
-        """Whether enough answers agree."""
+        """True if enough answers agree."""
         return len(self._answers) >= _LOCKED_AFTER
 
     @property
@@ -71,7 +71,7 @@ class TimeSync:
         self._next = MonoNs(0)
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
-        """The request to send now, if it is time for one."""
+        """Return the request to send now, if one is due."""
         if now < self._next:
             return []
         self._next = MonoNs(now + round((self._o.period_s if self.locked else self._o.first_period_s) * NS_PER_S))
@@ -79,7 +79,7 @@ class TimeSync:
         return [TimeSyncV2(0, now, *target)]
 
     def on_message(self, message: Message, received_at: MonoNs) -> None:
-        """An answer to one of our requests; everything else is refused and counted."""
+        """Process an answer to one of our requests; refuse and count everything else."""
         if message.ts1 not in self._asked:
             self.refused += message.tc1 != 0
             return
@@ -117,7 +117,7 @@ class TimeSync:
 
 
 def answer_to(message: Message, now: MonoNs, asker: tuple[int, int], us: tuple[int, int]) -> Message | None:
-    """The answer to a TIMESYNC request, None for one that is an answer itself or meant for another."""
+    """Return the answer to a TIMESYNC request, or None for one that is itself an answer or is for another system."""
     if message.tc1 != 0:
         return None
     target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))

@@ -41,6 +41,7 @@ _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
+RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
 
 
@@ -109,7 +110,7 @@ class Version:
     capabilities: int
     """MAV_PROTOCOL_CAPABILITY bits."""
     uid: int
-    """The unique id of the hardware; 0 where it tells none."""
+    """The unique id of the hardware; 0 where it reports none."""
 
     def __str__(self) -> str:
         hardware = f"hardware {self.uid:x}" if self.uid else "hardware without an id"
@@ -136,10 +137,10 @@ class Condition:
     armed: bool | None = None
     flying: bool | None = None
     terminated: bool = False
-    """Whether the autopilot cut its motors in flight."""
+    """True if the autopilot cut its motors in flight."""
     battery_fraction: float | None = None
     taking_off: bool = False
-    """Whether it says that it climbs out after a take-off."""
+    """True if it reports the climb after a take-off."""
 
 
 _FLYING = {1: False, 2: True, 3: True, 4: True}

@@ -3,7 +3,7 @@
     DecklanderError
     |- BadInput        the user's file, key or argument is wrong: say which and end with exit code 2
     |- Recoverable     the outside world failed (socket, device, peer): restart that one part
-    `- SetupImpossible what was asked for cannot exist on this machine (a missing device class or library)
+    `- SetupImpossible what was requested cannot exist on this machine (a missing device class or library)
 
 Refusals of a single datum (a torn packet, an outlier) are results with a counter, never exceptions. Anything outside this
 tree that escapes a task is a bug of ours and takes the service down loudly.
@@ -47,7 +47,7 @@ _NAMED_WRONG = frozenset(
 
 
 def unusable(what: str, why: OSError) -> DecklanderError:
-    """The error for a file, folder or device named by the user that cannot be used: to be raised by who met `why`.
+    """Return the error for a file, folder or device of the user's that cannot be used, for the caller to raise from `why`.
 
     A wrong name, or one that may not be touched, stays so until somebody mends the settings: `BadInput`. A disk that fails, is
     full or read-only, or a machine without descriptors or memory, may be well again at the next try: `Recoverable`.
@@ -60,12 +60,12 @@ def unusable(what: str, why: OSError) -> DecklanderError:
 
 
 def fault_of(why: OSError) -> str:
-    """What the system said of a file, in words of a person who named it: it says "File exists" where a folder was to be made."""
+    """Return the system's error for a file in the user's terms, such as "File exists" where a folder was to be made."""
     return "a file of that name is in the way" if why.errno == errno.EEXIST else why.strerror or str(why)
 
 
 def in_words(error: BaseException) -> str:
-    """The first error of a group in one line, whatever its own text does; the name of its class where it has none."""
+    """Return the first error of a group in one line, or the name of its class if it has no text."""
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     try:

@@ -33,7 +33,7 @@ class Verdict(Enum):
     GATED = "gated"
     """The input is implausible against the belief."""
     LOW_CONFIDENCE = "low_confidence"
-    """A sighting with less confidence than the settings ask for: it was compared with nothing."""
+    """A sighting with less confidence than the settings request: it was compared with nothing."""
     TOO_OLD = "too_old"
     TOO_NEW = "too_new"
     SINGULAR = "singular"
@@ -69,7 +69,7 @@ class IntegrityAlert(Enum):
     IMU_FROZEN = "the IMU repeats its readings"
     ATTITUDE_FROZEN = "the attitude repeats its readings"
     ATTITUDE = "the attitude turns otherwise than gyro and camera"
-    IMU_LATE = "attitude and image are a tenth of a second apart: the IMU is late, or the video later than its stamps"
+    IMU_LATE = "attitude and image are a tenth of a second apart: the IMU or the video is later than its stamps"
     STAMPS = "the stamps of frames or samples do not hold"
     APART = "the estimate and what the camera sees move apart"
     ELSEWHERE = "a pad is seen in another place"
@@ -186,7 +186,7 @@ class RelativeState(Struct, frozen=True, eq=False):
     sighted: MonoNs
     """Measurement instant of the newest fused sighting."""
     consistent: bool
-    """Whether recent innovations agree with the claimed covariance."""
+    """True if recent innovations agree with the claimed covariance."""
     details: Sequence[tuple[str, float]] = field(default=())
     """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0

@@ -1,4 +1,4 @@
-"""How the body and the deck move at one instant: the answers of a filter that knows more than the pad's place."""
+"""Motion of the body and the deck at one instant: answers of a filter that knows more than the pad's place."""
 
 import math
 
@@ -17,7 +17,7 @@ class BodyMotion(Struct, frozen=True, eq=False):
 
     at: MonoNs
     heading_rad: float
-    """The heading of `level` against the filter's north, rad: it tells how far the axes have turned between two instants."""
+    """The heading of `level` against the filter's north, rad: it shows how far the axes have turned between two instants."""
     a_level: F64
     """Acceleration of the body, (3,) m/s^2 forward, right, down: levelled, without gravity and without the sensor's bias."""
     cov_a_level: F64
@@ -55,9 +55,9 @@ class DeckMotion(Struct, frozen=True, eq=False):
     cov_level: F64
     """Covariance of velocity and acceleration, (6, 6)."""
     roll_rad: float
-    """Of the deck about the arrow, starboard down positive."""
+    """Roll of the deck about the arrow, starboard down positive."""
     pitch_rad: float
-    """Of the deck, arrow up positive."""
+    """Pitch of the deck, arrow up positive."""
     roll_rate_rad_s: float
     pitch_rate_rad_s: float
     cov_tilt: F64

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class PictureRefusal(Enum):
-    """Why a picture is refused; the value is the name of its counter."""
+    """Reason for the refusal of an image; the value is the name of its counter."""
 
     TOO_SHORT = "too_short"
     """The data are shorter than a header."""

@@ -78,7 +78,7 @@ class Frame(Struct, frozen=True, eq=False):
     gain: float = 0.0
     """Amplification of the sensor's light against its least, of a camera whose exposure is driven; 0 if unknown."""
     coded: bool = False
-    """Whether a codec predicted it from other frames, as H.264 does: that moves patches of it by fractions of a pixel."""
+    """True if a codec predicted it from other frames, as H.264 does: that moves patches of it by fractions of a pixel."""
 
     def __post_init__(self) -> None:
         if self.px.ndim != 3 or self.px.shape[2] != 3 or self.px.dtype != np.uint8:
@@ -97,7 +97,7 @@ class Imu(Struct, frozen=True, eq=False):
     gyro_lost_s: float = 0.0
     """Time up to this sample, s, in which the gyro measured nothing, and `w_body` is what else is known. 0 if it measures."""
     accel_lost_s: float = 0.0
-    """The same for the accelerometer; `f_body` is not used then."""
+    """Time up to this sample, s, in which the accelerometer measured nothing; `f_body` is not used then."""
 
     def __post_init__(self) -> None:
         w_body, f_body = self.w_body, self.f_body
@@ -133,7 +133,7 @@ class GimbalAttitude(Struct, frozen=True, eq=False):
 
     stamp: Stamp
     frame: GimbalFrame
-    """What the attitude is relative to: north, the horizon and the vehicle's heading, or the vehicle itself."""
+    """Reference of the attitude: north, the horizon and the vehicle's heading, or the vehicle itself."""
     R_frame_gimbal: Rotation
     cov_gimbal: F64
     """Covariance of the small rotation error written in `gimbal`, (3, 3) rad^2."""
@@ -275,7 +275,7 @@ class VehicleStatus(Struct, frozen=True):
     emergency: bool
     link_ok: bool
     taken: str | None = None
-    """Who has taken the vehicle from this service, with the vehicle's own words for it, for people; None while nobody has."""
+    """Holder of the vehicle if it was taken from this service, in the vehicle's own words, for people; None otherwise."""
 
 
 Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus

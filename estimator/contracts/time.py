@@ -21,7 +21,7 @@ def seconds_between(earlier: MonoNs, later: MonoNs) -> float:
 
 
 def after(instant: MonoNs, seconds: float) -> MonoNs:
-    """The instant `seconds` after `instant` (before it when negative)."""
+    """Return the instant `seconds` after `instant` (before it if negative)."""
     return MonoNs(instant + round(seconds * NS_PER_S))
 
 

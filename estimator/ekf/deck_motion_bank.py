@@ -1,4 +1,4 @@
-"""What is learned of the deck's motion: a bank of oscillators for each direction, weighed by what each foretold.
+"""Learned deck motion: a bank of oscillators for each direction, weighted by their likelihood.
 
 The core learns and forecasts (bank.h and bank_ahead.h in estimator/core/filter); here are the members that it compares.
 
@@ -48,7 +48,7 @@ def _grid() -> tuple[F64, F64, F64, F64]:
 W, ZETA, SIGMA, LOG_PRIOR = _grid()
 """(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
-"""Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
+"""1 for directions that the IMU's errors affect, (5,); a deck's roll and pitch are measured directly."""
 _PAIRS = np.triu_indices(MEMBER_STATES)
 _PAIR_AT = np.zeros((MEMBER_STATES, MEMBER_STATES), dtype=int)
 _PAIR_AT[_PAIRS] = _PAIR_AT[_PAIRS[::-1]] = np.arange(MEMBER_PAIRS)
@@ -127,7 +127,7 @@ class Skill(NamedTuple):
 
 
 class DeckMotionBank(NamedTuple):
-    """What has been learned. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
+    """Learned state. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
 
     t: int
     """ns, of the newest look; -1 before the first."""

@@ -1,4 +1,4 @@
-"""What the filter makes of one event."""
+"""Outcome of one event in the filter."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from estimator.ekf.packed_event import Event
 
 
 class Outcome(Struct, frozen=True, eq=False):
-    """What became of one event. Re-propagation repeats many events whose outcomes nobody asks for, so it holds no more."""
+    """Outcome of one event. It is small: re-propagation repeats many events, and discards their outcomes."""
 
     verdict: Verdict
     innovation: Sequence[float] | F64 | None = None

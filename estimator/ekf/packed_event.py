@@ -15,7 +15,7 @@ from estimator.core.library import CORE
 _new, _bytes_of = CORE.ffi.new, CORE.ffi.buffer
 _EVENT, _SIGHTING = (CORE.ffi.typeof(f"dl_{name} *") for name in ("event", "sighting"))
 Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
-"""What the filter processes."""
+"""Events that the filter processes."""
 
 
 class PackedEvent(Struct, frozen=True):
@@ -109,7 +109,7 @@ _HEAD = struct.Struct("2q")
 """The numbers of an event before its sample."""
 _HALVES = struct.Struct("2d")
 _PAD = bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof("dl_imu"))
-"""What is left of an event after an IMU sample."""
+"""Padding of an event after an IMU sample."""
 _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Imu: _of_imu,
     Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),

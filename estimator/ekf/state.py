@@ -142,12 +142,12 @@ class RejectionStreak(NamedTuple):
 
 
 class InnovationExcesses(NamedTuple):
-    """By how much the squared innovations of the newest sightings exceed what is expected of them at most, oldest first."""
+    """Excess of the newest sightings' squared innovations over their largest expected value, oldest first."""
 
     t: tuple[int, ...] = ()
     """Instants of the sightings, ns."""
     values: tuple[tuple[float, ...], ...] = ()
-    """Of each sighting along north, east, down, m^2, and how likely the ship accelerates north, east and in heading
+    """Excess of each sighting along north, east, down, m^2, and how likely the ship accelerates north, east and in heading
     (`estimator/core/filter/deck_jolt.h`)."""
 
 
@@ -189,7 +189,7 @@ class Belief(NamedTuple):
     cov_levelled_by: F64
     """(3, 3) covariance that the attitude sample reported, rad^2."""
     heading_is_given: bool
-    """Whether north comes from an attitude sample. If not, north is the direction in which the body first pointed."""
+    """True if north comes from an attitude sample. If not, north is the direction in which the body first pointed."""
     ins_p: F64
     """(3,) position of the body by the IMU alone, m. The deck motion bank learns the sea from it."""
     ins_v: F64
@@ -214,9 +214,9 @@ class Belief(NamedTuple):
     nis_mean: float
     """Recent mean of the sightings' NIS over their degrees of freedom; rejected sightings count."""
     excesses: InnovationExcesses
-    """How far the last sightings missed the deck, against what the filter claimed."""
+    """Excess of the last sightings' errors over what the filter claimed."""
     heading_known: bool
-    """Whether a sighting or a vessel report has given the heading of the pad's arrow."""
+    """True if a sighting or a vessel report has given the heading of the pad's arrow."""
     heading_held_s: float
     """Time for which sightings have agreed with the heading minus the time for which they have contradicted it, s."""
     heading_seen: int

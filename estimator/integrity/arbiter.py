@@ -18,11 +18,11 @@ _PSD = 4.0
 _SPEED_VAR = 4.0
 """Variance of the velocity at the start, (m/s)^2."""
 _FLOOR_M, _FLOOR_FRACTION = 0.05, 0.03
-"""What no covariance holds, m, and by the distance: the camera's mount, the vehicle's level, the delay of frames."""
+"""Floor of the standard deviation that no covariance contains, m, and by distance: mount, level and frame delay."""
 _FLOOR_M_S = 0.4
 _SIGMAS = 5.0
 _PAUSE_S = 0.5
-"""Time without a sighting after which the arbiter begins anew."""
+"""Time without a sighting after which the arbiter begins again."""
 _FRESH_S = 0.3
 _MISSES = 5
 _ESTABLISHED = 15
@@ -83,7 +83,7 @@ class Arbiter(Struct, frozen=True):
 
     @property
     def overrules(self) -> bool:
-        """Whether the filter has to start again from the sightings."""
+        """True if the filter has to start again from the sightings."""
         if self.n < _ESTABLISHED or self.misses:
             return False
         return any(at is not None and self.t - at >= _RESTART_S * 1e9 for at in (self.apart_since, self.refused_since))

@@ -34,7 +34,7 @@ class HeadingWatch(Struct, frozen=True):
     """Reported heading less the turn, followed slowly; None while it is not known."""
     held_at: int = -1
     off_rad: float = 0.0
-    """What was taken off the newest reported heading, rad."""
+    """Correction of the newest reported heading, rad."""
 
 
 def turned(watch: HeadingWatch, imu: Imu) -> HeadingWatch:

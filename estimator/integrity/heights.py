@@ -21,9 +21,9 @@ _NEAREST_M = 0.35
 _UPRIGHT = 0.85
 _EDGE_M = 0.1
 _FASTEST = 3.0
-"""A difference of several times what is allowed counts so many times as fast."""
+"""A difference of several times what is allowed counts this many times as fast."""
 _CLEAR = 0.35
-"""Over this part of the height around the pad nothing stands above the deck: there the vehicle comes down."""
+"""Radius around the pad, as a part of the height, without anything above the deck: the vehicle descends there."""
 _PAUSE_S = 0.3
 """Longest time between two ranges that counts."""
 _SPAN_S = 12.0

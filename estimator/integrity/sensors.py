@@ -77,8 +77,11 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
 
 
 _Read = tuple[bytes | float, tuple[float, ...], bool, float]
-"""What the checks need of a reading: what must change; the numbers that `_step` compares; whether a value is more than the
-vehicle can do; the longest time without a change, s, infinity if it need not change. There are hundreds a second."""
+"""Fields of a reading that the checks need.
+
+They are the part that must change, the numbers that `_step` compares, and whether a value is beyond the vehicle's abilities. The
+last is the longest time without a change, s (infinity if it need not change).
+"""
 
 
 def _imu(event: Imu, o: IntegrityOptions) -> _Read:

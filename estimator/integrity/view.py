@@ -35,11 +35,11 @@ _LAGS_S = np.arange(-8, 9) * 0.02
 _LAG_FORGET_S = 3.0
 """Time after which a rotation counts a third for the delay."""
 _LATE_S, _LAG_ALIKE, _LAG_BETTER = 0.06, 0.8, 0.05
-"""Least delay that is told; least correlation with it, and how much better its square is than that without delay."""
+"""Least delay that makes an alert, least correlation with it, and how much better its square is than that without delay."""
 _LAG_TURNED_RAD = 0.03
-"""Root of the sum of squares of the rotations that tell a delay."""
+"""Root of the sum of squares of the rotations that show a delay."""
 _LAG_LASTS = 15
-"""Number of sightings in a row that tell it."""
+"""Number of sightings in a row that show it."""
 
 
 Bearing = tuple[int, F64, F64, F64]
@@ -54,13 +54,13 @@ class ViewWatch(NamedTuple):
     moments: F64 | None = None
     """Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less."""
     reversed: bool = False
-    """Whether the pad moves in the image against the rotation of the body, along some axis."""
+    """True if the pad moves in the image against the rotation of the body, along some axis."""
     lags: F64 | None = None
     """For each of `_LAGS_S` the sums of squares of the view, of the rotation, and of their product, (17, 3) rad^2, older ones less."""
-    lags_told: int = 0
-    """Number of sightings in a row that tell one delay."""
+    lags_shown: int = 0
+    """Number of sightings in a row that show a delay."""
     late_s: float = 0.0
-    """By how much the attitude is late against the image, s; 0 while nothing tells that it is."""
+    """By how much the attitude is late against the image, s; 0 while nothing shows that it is."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
@@ -116,9 +116,11 @@ def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64) -> ViewWatch:
     alike = lags[:, 2] / np.sqrt(np.maximum(lags[:, 0] * lags[:, 1], 1e-18))
     best, none = int(np.argmax(alike)), len(_LAGS_S) // 2
     late_s, better = float(_LAGS_S[best]), alike[best] * abs(alike[best]) - alike[none] * abs(alike[none])
-    tells = abs(late_s) > _LATE_S - 1e-9 and alike[best] > _LAG_ALIKE and better > _LAG_BETTER and lags[best, 0] > _LAG_TURNED_RAD**2
-    told = state.lags_told + 1 if tells else 0
-    return state._replace(lags=lags, lags_told=told, late_s=late_s if told >= _LAG_LASTS else 0.0)
+    shows = (
+        abs(late_s) > _LATE_S - 1e-9 and alike[best] > _LAG_ALIKE and better > _LAG_BETTER and lags[best, 0] > _LAG_TURNED_RAD**2
+    )
+    shown = state.lags_shown + 1 if shows else 0
+    return state._replace(lags=lags, lags_shown=shown, late_s=late_s if shown >= _LAG_LASTS else 0.0)
 
 
 def _off_line(at: F64) -> F64:

@@ -1,4 +1,4 @@
-"""What the filter's belief says about the pad's place in a frame: where it is expected, how surely, and which places it excludes.
+"""Expected place of the pad in a frame by the filter's estimate: its position, its uncertainty and the excluded places.
 
 A fresh belief weighs in. What is found in a place that it excludes does not take the tracked pad's place, however sure it is: it
 is reported beside it (`Detection.elsewhere`), because a belief can be wrong, and the guard judges it.
@@ -24,8 +24,8 @@ from estimator.vision.tracker_config import TrackerConfig
 _FRESH_S = 1.0
 """Age of the newest fused sighting up to which a belief excludes places."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
-believed position lie within the sum.
+"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of
+the expected position lie within the sum.
 
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.
@@ -34,7 +34,7 @@ search.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BelievedPlace:
-    """What the filter's belief says about places in the frame."""
+    """Expected and excluded places of the pad in the frame, by the filter's estimate."""
 
     state: RelativeState | None
     """None if it is not fresh, not consistent or not sharp: then it excludes no place."""

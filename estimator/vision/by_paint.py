@@ -54,11 +54,11 @@ class TrackerMemory:
     alike_yaw_rad: float | None = None
     """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
     lit: bool = False
-    """Whether the pad was last seen by its lamps."""
+    """True if the pad was last seen by its lamps."""
 
 
 _CLOSE_PX = 1.0
-"""Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
+"""Largest standard deviation of the expected position in the frame at which registration starts directly from it."""
 _CANDIDATES = 2
 """Number of candidates of acquisition that are registered."""
 WORTH_A_TRY = 0.03
@@ -66,14 +66,14 @@ WORTH_A_TRY = 0.03
 _HEADING_PX = 28.0
 """Smallest radius of the disc in the frame that a heading is searched in."""
 _AGREES, _WORTH_ANOTHER, _BETTER = 0.6, 0.85, 0.15
-"""Share of a near pad's visible edges that agree with a registration: below the first the belief's place is searched for anew,
+"""Share of a near pad's visible edges that agree with a registration: below the first the belief's place is searched for again,
 below the second another start is tried, and the third is the difference by which the other one is better. Edges repeat on a near
 pad, and a registration from a start one edge off holds 0.06 to 0.66 of them at any confidence, from the right one 0.99 and more.
 """
 _EXPECTED_SIGMAS = 3.0
-"""Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
+"""Standard deviations of the expected position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
-"""Confidence from which on what is found at the expected place is the tracked pad although something else is surer."""
+"""Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
 """Radius of the disc, px, below which a pad that is not found from the belief is looked for some pixels about it, and the least
 fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
@@ -82,7 +82,7 @@ fraction of the variance that the drawing must explain there: of pads in glare o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Now:
-    """What is known when a frame is looked at."""
+    """Inputs of one frame's tracking."""
 
     tracker: TrackerConfig
     frame: Frame
@@ -125,7 +125,7 @@ class _Seen:
 
     @property
     def agrees(self) -> bool:
-        """Whether the tracked pad's edges are where it says, and not some of them on others that look alike."""
+        """True if the tracked pad's edges are at its place, and not on other edges that look alike."""
         return self.tracked is not None and self.tracked.agreement >= _AGREES
 
     def settled(self) -> _Seen:
@@ -291,7 +291,7 @@ def _register_from(
     """Register from a start pose and verify the drawing at the result; arguments as for `verified`.
 
     Args:
-        searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is asked.
+        searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is used.
     """
     if now.frame.coded:
         options = dataclasses.replace(options, coded_px=CODED_PX)
@@ -308,7 +308,7 @@ def _register_from(
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:
-    """Return both opinions on a registration; None if the second is not asked or sees too little of the pad."""
+    """Return both opinions on a registration; None if the second opinion is not used or sees too little of the pad."""
     network = now.tracker.second_opinion
     if network is None or of.confidence < WORTH_ASKING:
         return None

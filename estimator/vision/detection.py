@@ -140,7 +140,7 @@ def _turn_from(cue: Sighting, reference_rad: float) -> float:
 
 
 class Opinions(Struct, frozen=True):
-    """What was said of the candidate that a detection comes from, where a second opinion was asked."""
+    """Opinions on the candidate of a detection, if a second opinion was requested."""
 
     verified: float
     """Confidence of the verification alone, 0..1."""
@@ -159,8 +159,9 @@ class Detection(Struct, frozen=True, eq=False):
     methods: Mapping[Method, Sighting | None]
     """The sighting of every method that was tried."""
     opinions: Opinions | None = None
-    """The two opinions on the best registration; None if the second was not asked."""
+    """The two opinions on the best registration; None without a second opinion."""
     elsewhere: Sighting | None = None
-    """What is surer than `selected`, or all that there is, in a place that a fresh belief excludes: another pad, or the tracked
-    one if the belief is wrong. It is for the guard to judge.
+    """Sighting that is surer than `selected`, or the only one, at a place that a fresh estimate excludes.
+
+    It is another pad, or the tracked one if the estimate is wrong; the guard decides.
     """

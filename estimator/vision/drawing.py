@@ -58,7 +58,7 @@ class Edges:
     outside_rgb: NDArray[np.uint8]
     """The paint on the outer side, along the normal, (M, 3) sRGB; a bare deck's grey where that is the surroundings."""
     bare: NDArray[np.bool_]
-    """Whether the outer side is the surroundings, whose colour is not known, (M,)."""
+    """True if the outer side is the surroundings, whose colour is not known, (M,)."""
     contrast: F64
     """Luminance inside minus outside, (M,), -1..1 of a white surface: positive where the inner paint is the brighter one."""
 

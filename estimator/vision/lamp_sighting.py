@@ -29,11 +29,11 @@ from estimator.vision.tracker_config import TrackerConfig
 
 _SEEN = 1
 _EXPECTED_SIGMAS = 3.0
-"""Standard deviations of the believed position within which the pad is expected."""
+"""Standard deviations of the expected position within which the pad is expected."""
 REACH_PX = 40.0
-"""Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
+"""Largest reach about the expected position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 _EVERY_PX = 16
-"""Every so many columns and rows tell whether a frame is dark."""
+"""Sampling step of columns and rows for the test whether a frame is dark."""
 _DARK = 25
 """Value of the brightest channel below which half of a dark frame's pixels lie: 0.9 % of the light that saturates the camera, in
 which a paint's contrast is a few values. Of night frames from 1 m or more nearly all are, and no frame by day."""

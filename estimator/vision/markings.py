@@ -25,7 +25,7 @@ from estimator.vision.regions import (
 
 Rgb = tuple[int, int, int]
 BARE: Rgb = (128, 128, 128)
-"""What a deck without paint is taken for where a paint must be compared with it."""
+"""Assumed colour of an unpainted deck, for comparison with a paint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Markings:
     h_length_m: float
     """Extent of the lettering along the arrow: twice its farthest point."""
     h_width_m: float
-    """The same across the arrow."""
+    """Extent of the lettering across the arrow."""
     leg_width_m: float
     """Width of the strokes along the arrow."""
     bar_width_m: float
@@ -70,7 +70,7 @@ class Markings:
     upper: tuple[Lettering, ...]
     """Lettering of a second paint, on the other or beside it."""
     upper_on_letters: bool
-    """Whether it lies on the other."""
+    """True if it lies on the other."""
     triangle: PaintedTriangle | None
     """The pointer around lettering, of its paint."""
     lettering_m: tuple[float, float]
@@ -82,7 +82,7 @@ class Markings:
 
     @property
     def has_ground(self) -> bool:
-        """Whether the markings lie on a disc or a panel and not on the bare deck."""
+        """True if the markings lie on a disc or a panel and not on the bare deck."""
         return bool(self.field_radius_m) or self.panel is not None
 
     @property
@@ -92,29 +92,29 @@ class Markings:
 
     @property
     def is_searched_by_parts(self) -> bool:
-        """Whether there are a disc, a ring and lettering, which together tell a pad from what else lies on decks."""
+        """True if there are a disc, a ring and lettering, which together distinguish a pad from other things on decks."""
         return bool(self.field_radius_m and self.ring_outer_m and self.letters)
 
     @property
     def is_letter_alone(self) -> bool:
-        """Whether there is nothing but one H or X on the bare deck."""
+        """True if there is nothing but one H or X on the bare deck."""
         others = self.arrow is not None or self.triangle is not None or bool(self.upper)
         bare = not (self.has_ground or self.ring_outer_m or others or len(self.letters) != 1)
         return bare and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter in ("H", "X")
 
     @property
     def is_whole(self) -> bool:
-        """Whether there are a disc, a ring, an arrowhead and an H: the markings that the thesis' methods measure."""
+        """True if there are a disc, a ring, an arrowhead and an H: the markings that the thesis' methods measure."""
         return bool(self.field_radius_m and self.ring_outer_m and self.arrow is not None and self.is_h)
 
     @property
     def is_bright(self) -> bool:
-        """Whether the lettering is brighter than the disc."""
+        """True if the lettering is brighter than the disc."""
         return sum(self.colours.h) > sum(self.colours.disc)
 
     @property
     def is_h(self) -> bool:
-        """Whether the lettering is an H."""
+        """True if the lettering is an H."""
         return len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
 
     @property

@@ -348,7 +348,7 @@ class EdgePoints(NamedTuple):
     of: NDArray[np.int32]
     """Kind and piece, (M, 2)."""
     shown: tuple[slice, ...]
-    """Where the outline of each kind is among the points that the core returns."""
+    """Places of each kind's outline among the points that the core returns."""
 
 
 @lru_cache(maxsize=8)

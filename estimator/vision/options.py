@@ -11,11 +11,11 @@ TrackerMethod = Literal["fused", "registration", "thesis"]
 """The methods that form the sighting: registration alone, all fused, or the thesis' three with its selection by priority."""
 ColourSetName = Literal["simulator", "indoor", "outdoor"]
 Learned = Literal["off", "second_opinion"]
-"""Whether a trained network gives a second opinion on what a search finds."""
+"""Switch for the second opinion of a trained network on the finds of a search."""
 
 
 class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """How frames are processed.
+    """Options of the processing of frames.
 
     Raises:
         ValueError: a number outside its range, or a word that is not among the choices.

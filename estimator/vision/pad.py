@@ -51,20 +51,23 @@ Channel = Annotated[int, Meta(ge=0, le=255)]
 
 
 TOLD_BY_PARTS, TOLD = 0.3, 5.0
-"""What drawings with disc, ring and lettering, whose parts tell them apart, and other drawings have to tell."""
+"""Least support of drawings with disc, ring and lettering, whose parts distinguish them, and of other drawings."""
 RARE = 1e-4
 """Chance of a false pad in a frame of a search above which a pad is not flown to."""
 
 
 class Calibration(Struct, frozen=True, forbid_unknown_fields=True):
-    """What `decklander pad check` found when it searched clutter for a pad."""
+    """Result of `decklander pad check`, which searches clutter for a pad."""
 
     least_support: Annotated[float, Meta(gt=0.0, le=1000.0)]
-    """What its drawing has to tell of the light of a frame to be as likely as clutter, times the share that follows it."""
+    """Support of the drawing at which a find is as likely to be clutter.
+
+    It is the explained share of the light, times the share that follows it.
+    """
     chance: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Chance of a false pad in a frame of 640x360 that is searched, with that."""
     least_px: Annotated[float, Meta(ge=0.0)] = 0.0
-    """Radius in a frame from which on the pad is found; 0 where it is not found at all sizes from one on."""
+    """Radius in a frame from which the pad is found; 0 where it is not found at all sizes from one on."""
     drawing: str = ""
     """The drawing's fingerprint: another drawing is not calibrated."""
 
@@ -84,7 +87,7 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     """The paint of the sheet or the deck around; empty where it is not known."""
     calibration: Calibration | None = None
     accept_false_pads: bool = False
-    """Whether the pad is flown to although clutter is taken for it too often."""
+    """True if the pad is flown to although clutter is taken for it too often."""
 
 
 def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
@@ -253,20 +256,20 @@ class Pad:
     size_sigma_m: float = 0.0
     """Sigma of the painted sizes against those of the regions, m: the tolerance of print and deck."""
     lamps: tuple[Lamp, ...] = ()
-    """Lamps that shine upwards; their pattern tells its heading."""
+    """Lamps that shine upwards; their pattern shows its heading."""
     ground: str = ""
     """The paint of the sheet or the deck around; empty where it is not known."""
     calibration: Calibration | None = None
-    """How often clutter is taken for it; None if that is not known."""
+    """Rate at which clutter is taken for it; None if unknown."""
     accept_false_pads: bool = False
-    """Whether it is flown to although clutter is taken for it too often."""
+    """True if it is flown to although clutter is taken for it too often."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints), self.ground))
-        # A pad is the key of caches that every frame asks.
+        # A pad is the key of caches that every frame uses.
         drawn = self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground
         object.__setattr__(self, "_hash", hash((*drawn, self.calibration)))
 
@@ -288,32 +291,32 @@ class Pad:
 
     @property
     def fingerprint(self) -> str:
-        """What tells this drawing from others, 12 hexadecimal digits."""
+        """Fingerprint of this drawing, 12 hexadecimal digits."""
         drawn = msgspec.json.encode((self.paints, self.regions, self.ground))
         return hashlib.sha256(drawn).hexdigest()[:12]
 
     @property
     def least_support(self) -> float:
-        """What its drawing has to tell to be as likely as clutter: by its calibration, else as pads of its kind."""
+        """Support at which a find is as likely to be clutter: by its calibration, otherwise as for pads of its kind."""
         if self.calibration is not None:
             return self.calibration.least_support
         return TOLD_BY_PARTS if self.markings.is_searched_by_parts else TOLD
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether it is known how often clutter is taken for this drawing."""
+        """True if it is known how often clutter is taken for this drawing."""
         return self.calibration is not None and self.calibration.drawing == self.fingerprint
 
     @property
     def is_identifiable_by_paint(self) -> bool:
-        """Whether its paint is enough to identify it among what else lies on decks; if not, only its lamps are looked for."""
+        """True if its paint is enough to identify it among other things on decks; if not, only its lamps are searched."""
         if self.accept_false_pads or not self.is_calibrated or self.calibration is None:
             return self.accept_false_pads or self.has_known_parts or not self.lamps
         return self.calibration.chance <= RARE
 
     @property
     def has_known_parts(self) -> bool:
-        """Whether it is of the kinds that verification was fitted to: disc, ring and lettering, fiducials, an H or X alone."""
+        """True if it is of the kinds that verification was fitted to: disc, ring and lettering, fiducials, an H or X alone."""
         return self.markings.is_searched_by_parts or bool(self.markings.fiducials) or self.markings.is_letter_alone
 
     def check_for_detection(self, where: str) -> None:

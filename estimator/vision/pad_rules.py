@@ -1,4 +1,4 @@
-"""The rules that a pad's regions keep, so that each edge lies between two known paints and can be told apart from the others."""
+"""Rules for a pad's regions: each edge lies between two known paints and can be distinguished from the others."""
 
 from collections.abc import Mapping, Sequence
 

@@ -18,8 +18,10 @@ from estimator.vision.fiducial import PaintedFiducial
 
 Letter = Literal["H", "I", "L", "T", "X"]
 Part = Literal["disc", "panel", "rim", "ring", "arrow", "triangle", "letter", "fiducial"]
-"""What a region is taken for: the disc or the panel that the rest is painted on, a disc's rim, a ring, the pointer beyond it, the
-pointer around lettering, lettering, or a fiducial, which registration measures as lettering.
+"""Kinds of regions.
+
+A region is the disc or the panel under the markings, a disc's rim, a ring, the pointer beyond it, the pointer around lettering,
+lettering, or a fiducial, which registration measures as lettering.
 """
 Rectangle = tuple[float, float, float, float]
 """Limits x0, x1, y0, y1, m."""

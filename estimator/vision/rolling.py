@@ -28,7 +28,7 @@ _FLAT = 0.05
 
 
 class CameraMotion(NamedTuple):
-    """How the camera moves against the pad during a frame."""
+    """Motion of the camera against the pad during a frame."""
 
     w_cam: F64
     """Its angular velocity, (3,) rad/s in `cam`."""

@@ -85,7 +85,7 @@ def drawn_lamps(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
 
 
 _LAMPS_WORK = 3.0
-"""Work of a search for lamps, in the unit of `TrackerConfig.search_work`, of which it leaves the paint's the rest."""
+"""Work of a search for lamps, in the unit of `TrackerConfig.search_work`, shared with the search for paint."""
 
 
 def track(

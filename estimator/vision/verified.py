@@ -103,32 +103,32 @@ def _luminance(pad: Pad, blur: int) -> F32:
 
 
 SURE = 0.5
-"""Confidence from which on a pose is the pad's."""
+"""Confidence from which a pose is the pad's."""
 CLOSE, ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 CODED_PX = 0.12
 """Sigma of the place of a patch of a frame that a codec predicted. H.264 gives motion by quarters of a pixel: that leaves 0.07
 px; 1.6 times that, as what it leaves goes on from frame to frame while each frame counts as a measurement of its own."""
 _CERTAIN = 0.9
-"""Confidence from which on it is not tried whether something covers a part of the pad."""
+"""Confidence from which it is not tried whether something covers a part of the pad."""
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
 _WORTH_TURNING = 1e-4
-"""Confidence from which on the heading of a registration matters: its place may be the pad's then."""
+"""Confidence from which the heading of a registration matters: its place may be the pad's then."""
 _DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
-"""Standard deviations from which on the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
+"""Standard deviations from which the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
 rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
 """
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
 """Change of the distance from its start, as a fraction and by that of pixels of the radius, and of the place as a fraction of
-the radius, from which on a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
+the radius, from which a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
 rest of the pad still fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
-    """What a look found, and how sure it is that this is the pad."""
+    """Verified find, with the confidence that it is this pad."""
 
     found: Looked
     confidence: float

@@ -229,7 +229,7 @@ class Configuration:
         return value
 
     def set(self, name: str, value: str, ids: Ids | None = None) -> Answer:
-        """Write one key as a client asked.
+        """Write one key as a client requested.
 
         Args:
             ids: what the client's CONFIG_IDS just before named; None when there was none.
@@ -264,7 +264,7 @@ class Configuration:
         return {name: self[name] for name in self._keys}
 
     def custom_ids(self) -> bytes:
-        """The list of sets as CTRL 6 sends it: `[applis]`, `[profiles]`, `[sessions]`, each followed by `id,description`.
+        """List the sets as CTRL 6 sends them: `[applis]`, `[profiles]`, `[sessions]`, each followed by `id,description`.
 
         Lines end with a carriage return and the whole with a NUL, as the SDK's reader wants it.
         """
@@ -321,7 +321,7 @@ class Configuration:
 
 
 def _normal(key: Key, value: str) -> str | None:
-    """The text kept for `value`, or None where the key does not take it."""
+    """Return the text that is stored for `value`, or None if the key refuses it."""
     if len(value) > 255 or any(ord(c) < 32 for c in value):
         return None
     if key.kind == "bool":

@@ -34,7 +34,7 @@ class DroneClock:
     """Rate by which the drone's clock is fast, microseconds per second."""
 
     def microseconds(self, at: MonoNs) -> int:
-        """What the drone has counted since it booted."""
+        """Return the time since the drone booted, us."""
         elapsed = at - self.boot
         return (elapsed + round(elapsed * self.drift_ppm * 1e-6)) // 1000
 
@@ -131,7 +131,7 @@ class Drone:
 
     @property
     def in_demo_mode(self) -> bool:
-        """Whether navdata goes out at the slow rate: before the bootstrap ends, and if configured so."""
+        """True if navdata goes out at the slow rate: before the bootstrap ends, and if configured so."""
         return self.state.bootstrap or self.state.config.flag("general:navdata_demo")
 
     def enter(self, world: World) -> None:

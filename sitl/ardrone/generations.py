@@ -1,4 +1,4 @@
-"""What differs between an AR.Drone 1.0 and a 2.0, beside the video itself: keys, navdata options and the views of its channels.
+"""Differences between an AR.Drone 1.0 and a 2.0, beside the video: keys, navdata options and the views of its channels.
 
 Source: a configuration that a 1.0 with firmware 1.7.4 sent; Parrot's developer guides of SDK 1.7 and 2.0.
 """

@@ -1,4 +1,4 @@
-"""What the simulated sensors read, written as the options of an AR.Drone's navdata.
+"""Navdata options of an AR.Drone from the readings of the simulated sensors.
 
 Fields that nothing here measures stay zero, as they are on a real drone that lacks the part.
 """
@@ -35,7 +35,7 @@ class SentFrame(Struct, frozen=True):
 
 
 class Situation(Struct, frozen=True):
-    """The values of which one datagram is made."""
+    """The values that one datagram holds."""
 
     state: int
     control_state: int

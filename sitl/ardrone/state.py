@@ -42,7 +42,7 @@ AIRBORNE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePha
 _STEERABLE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING})
 
 LOST_COM = 8
-"""Minor control state of a hovering drone that hears nobody."""
+"""Minor control state of a hovering drone that receives no commands."""
 
 _MAJOR = {
     VehiclePhase.LANDED: ControlState.LANDED,
@@ -76,7 +76,7 @@ HOVER = Stick(roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, progressive=False)
 
 @dataclass(frozen=True, slots=True)
 class Leds:
-    """The light show asked for last."""
+    """The light show requested last."""
 
     animation: int
     frequency_hz: float
@@ -183,7 +183,7 @@ class DroneState:
         return self._newest_flags
 
     def control_state(self, phase: VehiclePhase) -> int:
-        """The demo option's control state: major in the upper, minor in the lower 16 bits."""
+        """Return the demo option's control state: major in the upper, minor in the lower 16 bits."""
         return _WORDS[phase] | (LOST_COM if self._silent and phase is VehiclePhase.HOVERING else 0)
 
     def _obey(self, command: at.AtCommand, ids: Ids | None, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
@@ -209,7 +209,7 @@ class DroneState:
             case at.Led():
                 self.leds = Leds(command.animation, command.frequency_hz, float(command.duration_s))
             case at.Calib() | at.Anim():
-                # The simulated vehicle has no figures to fly; that they were asked for is on record.
+                # The simulated vehicle has no figures to fly; that they were requested is on record.
                 self.counters[f"not_flown_{command.NAME.lower()}"] += 1
             case at.Pmode() | at.Misc():
                 pass
@@ -262,7 +262,7 @@ class DroneState:
 
 
 def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
-    """The stick of a PCMD, each axis held to -1..1."""
+    """Return the stick of a PCMD, each axis limited to -1..1."""
     roll, pitch, gaz, yaw = _unit(command.roll), _unit(command.pitch), _unit(command.gaz), _unit(command.yaw)
     return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))
 
@@ -283,6 +283,6 @@ def _leds_of(value: str) -> Leds | None:
 
 
 def refusal(counters: Counter[str]) -> str | None:
-    """Why the drone did not take a configuration key; None where it took every one so far."""
+    """Return the reason why the drone refused a configuration key, or None if it took every one so far."""
     refused = (answer.value for answer in Answer if answer is not Answer.SET)
     return next((why for why in refused if counters[f"config_{why}"]), None)

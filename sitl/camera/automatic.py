@@ -40,13 +40,13 @@ class Automatics:
 
     @property
     def any(self) -> bool:
-        """Whether the camera has any automatic."""
+        """True if the camera has any automatic."""
         return self.exposure_lag_s > 0 or self.balance_lag_s > 0
 
 
 @dataclass(frozen=True, slots=True)
 class Adjusted:
-    """What the automatics have set, and when."""
+    """Values that the camera's automatics have set, and when."""
 
     t_s: float
     ev: float = 0.0

@@ -39,7 +39,7 @@ _STEPS_OF_GAIN = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """How one frame is taken."""
+    """Conditions of one frame."""
 
     setting: ExposureSetting | None = None
     """None where the camera sets it itself."""

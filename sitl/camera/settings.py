@@ -113,5 +113,5 @@ class GimbalSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def given(self) -> bool:
-        """Whether there is a gimbal."""
+        """True if there is a gimbal."""
         return self.device_id != 0

@@ -31,12 +31,12 @@ class Axis:
 
     key: str
     text: str
-    """As the person wrote it."""
+    """Text as the person wrote it."""
     values: tuple[Value, ...] = ()
     low: float = math.nan
     high: float = math.nan
     whole: bool = False
-    """Whether the key takes whole numbers only."""
+    """True if the key takes whole numbers only."""
 
     def at(self, share: float) -> Value:
         """Return the value at a share of the range, 0 for its low and 1 for its high end."""

@@ -27,14 +27,14 @@ def varied_point(flight: Flight) -> VariedPoint:
 
 @dataclass(slots=True)
 class CampaignFigures:
-    """What a report shows of a campaign's flights."""
+    """Figures of a campaign's flights for a report."""
 
     tally: CampaignTally = field(default_factory=CampaignTally)
     causes: dict[str, int] = field(default_factory=dict)
     worst: list[Flight] = field(default_factory=list)
     """The worst flights, the worst first."""
     place_m: list[tuple[float, float, bool]] = field(default_factory=list)
-    """Where each flight that touched the deck stands: along the arrow, to starboard, and whether the flight was good."""
+    """Place of each flight that touched the deck: along the arrow, to starboard, and whether the flight was good."""
     lateral_m: list[float] = field(default_factory=list)
     vertical_m_s: list[float] = field(default_factory=list)
     sliding_m_s: list[float] = field(default_factory=list)
@@ -177,7 +177,7 @@ class PairedDifference:
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves zero out."""
+        """True if the interval leaves zero out."""
         return self.low > 0.0 or self.high < 0.0
 
 

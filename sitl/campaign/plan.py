@@ -1,6 +1,6 @@
-"""What a campaign flies: a scenario or a named set, settings, a level of perception and the values that are varied.
+"""Plan of a campaign: a scenario or a named set, settings, a level of perception and the values that are varied.
 
-What each scenario of a set (configs/scenarios/sets) expects is said in its own file.
+What each scenario of a set (configs/scenarios/sets) expects is written in its own file.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """What all flights of a campaign have in common, as plain values that can be sent to another machine and kept in a file."""
+    """Common settings of all flights of a campaign, as plain values that can be sent to another machine and kept in a file."""
 
     name: str
     """Name of the scenario as the person wrote it."""
@@ -143,7 +143,7 @@ class CampaignPlan:
     perception_model: str | None
     """File of the error model of perception; None for the shipped one of the settings' vision."""
     design: Mapping[str, Any]
-    """How the points were chosen: the varied keys with their ranges; empty where nothing is varied."""
+    """Choice of the points: the varied keys with their ranges; empty if nothing is varied."""
     files: Mapping[str, str]
     """Digests of the files that scenario and settings name."""
     options: tuple[str, ...] = ()
@@ -189,13 +189,13 @@ class CampaignPlan:
 
 @dataclass(frozen=True, slots=True)
 class SetPlan:
-    """What a campaign of a set of scenarios flies: one plan for each scenario, by its name."""
+    """Plan of a campaign over a set of scenarios: one plan for each scenario, by its name."""
 
     name: str
     title: str
     members: Mapping[str, CampaignPlan]
     options: tuple[str, ...] = ()
-    """As those of a `CampaignPlan`, without the level of perception, which each flight says."""
+    """Options as those of a `CampaignPlan`, without the level of perception, which each flight gives."""
     places: Mapping[str, str] = field(default_factory=dict)
     """Path of each scenario that is not found by its name alone."""
 
@@ -229,7 +229,7 @@ class SetPlan:
 
 
 AnyPlan = CampaignPlan | SetPlan
-"""What a campaign flies: one scenario or a set of them."""
+"""Plan of a campaign: one scenario or a set of them."""
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
@@ -267,6 +267,8 @@ def make_plan(
     if scenario.vessel.motion:
         moved = Path(scenario.vessel.motion)
         files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
+    if settings.guidance.controller == "policy" and (path := Path(settings.guidance.policy_file)).is_file():
+        files["settings: guidance.policy_file"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)

@@ -85,7 +85,7 @@ _DOTS_MAX = 3000
 """Dots of a scatter plot; of more flights a seeded choice is drawn."""
 _STEPS_MAX = 300
 _SUCCESS = LinearSegmentedColormap.from_list("success", ["#b3441e", "#e69f00", "#f0e442", "#56b4e9", "#0a9d76"])
-"""From failure to success; its ends differ in lightness too."""
+"""Colours from failure to success; its ends differ in lightness too."""
 _CLASSES = {Class.ON_PAD: "#2a9d3a", Class.REFUSED_RIGHTLY: "#3a6fb0", Class.FAILED: "#c0392b", Class.STARVED: "#8a8a8a"}
 _FAULT_ROW_IN = 0.16
 """Height of one fault's row, which its name needs, in."""

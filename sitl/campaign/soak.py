@@ -200,7 +200,7 @@ WARM_UP_FLIGHTS = 30
 """Number of flights after which the faults have gone most ways through the code once, and its caches and arenas are full."""
 FRAME_RATES_HZ = (30, 60)
 OPERATOR_WAIT_S = 15.0
-"""How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
+"""Longest wait of the pilot for an operator: nobody is there, and a scenario's time must not end before the wait."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
@@ -209,7 +209,7 @@ _DECIDED_S = 2
 
 @dataclass(frozen=True, slots=True)
 class SoakOptions:
-    """What a soak flies and how long, and what it writes."""
+    """Options of a soak: its flights, its length and its files."""
 
     seed: int
     """Seed of the first flight; each flight adds 1."""
@@ -423,7 +423,7 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
             for _ in range(_DECIDED_S * 20):
                 if pilot.outcome is not None or said["ended"] == "time is up":
                     break
-                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot has heard of it
+                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot knows of it
             frames = health.frames - before
             before = Counter(health.frames)
             late_s = late.quantile(0.5) if (late := health.delays.get("guidance_late")) is not None else None

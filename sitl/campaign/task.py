@@ -15,7 +15,7 @@ from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
 
 Flight = dict[str, Any]
-"""What `decklander simulate --json` prints, with `perception`, `varied` where something is, and `hash`."""
+"""Output of `decklander simulate --json`, with `perception`, `varied` where something is, and `hash`."""
 Flyer = Callable[[str, Scenario, int, Settings, Perception, str | None], Flight]
 """Flies a scenario once: name, scenario, seed, settings, perception, its error model's file.
 
@@ -118,7 +118,7 @@ def flight_hash(flight: Flight) -> str:
 
 
 def job_of(flight: Flight) -> Job:
-    """Return the job of which this is the result."""
+    """Return the job of this result."""
     return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
 
 

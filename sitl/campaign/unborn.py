@@ -1,4 +1,4 @@
-"""What the server that forks a campaign's workers loads first: a worker whose campaign has ended meanwhile says nothing.
+"""First import of the server that forks a campaign's workers: a worker that outlives its campaign ends quietly.
 
 It then finds neither the pool's locks nor its orders, and the server would print a traceback over the campaign's last line. An
 error of another kind is one of ours, and is printed. Nothing else imports this module, for it replaces the hook of its process.
@@ -8,7 +8,7 @@ import sys
 from types import TracebackType
 
 _ENDED = (FileNotFoundError, EOFError, ConnectionError)
-"""What a worker meets that is born after its campaign: no semaphore of that name, no orders in the pipe, no reader of it."""
+"""Errors of a late-forked worker: the semaphore, the orders in the pipe or the pipe's reader are gone."""
 
 
 def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -1,4 +1,4 @@
-"""A map of wind, sea and vehicle: what lands, how well, and what is refused, drawn from the flights of a campaign."""
+"""A map of wind, sea and vehicle: landings, their accuracy and refusals, drawn from the flights of a campaign."""
 
 import re
 from collections import Counter
@@ -17,7 +17,7 @@ from sitl.campaign.task import Flight, error_m
 MAP = "map.html"
 WIND, SEA, VEHICLE = "weather.wind_m_s", "weather.sea_state", "vehicle.file"
 AXES = (f"{WIND}=3:12:3", f"{SEA}=2,3,4,5", f"{VEHICLE}=ardrone2,quad_1_5kg,hexa_7kg")
-"""What `campaign --map` varies unless `--vary` says otherwise."""
+"""Varied values of `campaign --map` unless `--vary` names others."""
 _STYLE = """
 .map td { text-align: center; min-width: 6.5rem; line-height: 1.25; color: #111; }
 .map td small { display: block; font-size: .72rem; }

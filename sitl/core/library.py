@@ -4,7 +4,7 @@ from estimator.core.library import Door
 from sitl.core import abi
 
 FILE = f"{__file__.rpartition('/')[0]}/libdecklander_sim.so.1"
-"""Where `python -m supply.core` puts the library."""
+"""Path of the library that `python -m supply.core` builds."""
 
 SIM = Door(abi, FILE)
 """The library that simulates."""

@@ -80,9 +80,9 @@ def printed(quantity: Quantity, height_m: float, method: str) -> Printed | None:
 QUANTITIES: tuple[Quantity, ...] = ("x", "y", "z", "yaw")
 HOVER_S = 15.0
 _START = HeldPose(1.0, 2.0, 3.5, -90.0)
-"""Where the landings of sections 5.1.7 and 5.1.8 begin."""
+"""Start of the landings of sections 5.1.7 and 5.1.8."""
 _GONE_S = 1.0
-"""Without a sighting for this long the pad counts as out of view."""
+"""Time without a sighting after which the pad counts as out of view."""
 
 
 class Spread(NamedTuple):
@@ -137,7 +137,7 @@ class HoverFlights(NamedTuple):
 
 
 class Lag(NamedTuple):
-    """How far a path of the estimator trails the truth on the way up."""
+    """Lag of an estimator's path behind the truth on the way up."""
 
     path: str
     lag_s: float
@@ -171,7 +171,7 @@ class Landed(NamedTuple):
 
 
 class Chapter5(NamedTuple):
-    """All of it."""
+    """Chapter 5 as a whole."""
 
     up_and_down: ExperimentFlight
     hover: HoverFlights

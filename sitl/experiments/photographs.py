@@ -21,7 +21,7 @@ _TILT_SIGMA_RAD = math.radians(0.3)
 
 
 class Photographs(NamedTuple):
-    """How the photographs were read."""
+    """Conditions under which the photographs were read."""
 
     number: int
     found: dict[str, int]

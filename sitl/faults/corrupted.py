@@ -25,7 +25,7 @@ SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late
 SIGNALS: tuple[Signal, ...] = get_args(Signal)
 ERRORS: tuple[SignalError, ...] = get_args(SignalError)
 PACKETS = frozenset({"samples", "frames"})
-"""Signals of which whole packets are late or doubled, and not values; of commands both."""
+"""Signals whose whole packets are late or doubled, and not their values; commands have both."""
 UNSIZED = frozenset({"frozen", "doubled", "swapped", "sign"})
 """Errors that have no size."""
 LATE_MAX_S = 2.0
@@ -35,7 +35,7 @@ Values = tuple[float, ...]
 
 
 class SignalFacts(NamedTuple):
-    """What a signal is."""
+    """Properties of a signal."""
 
     axes: int
     """Number of its values; the first three are named x, y and z."""
@@ -44,7 +44,7 @@ class SignalFacts(NamedTuple):
     si: float = 1.0
     """Value of that unit in SI units and radians."""
     wraps: bool = False
-    """Whether it is an angle of a whole circle."""
+    """True if it is an angle of a full circle."""
 
 
 _DEG = math.pi / 180.0
@@ -240,7 +240,7 @@ _FACTOR_LEAST = 0.03
 """Least change by a factor."""
 _COMMAND_S = 0.5
 """Longest time in which commands do something else than they say. Nothing on board can fly a vehicle that turns right for left;
-what is asked is that it gets over it."""
+the requirement is that it gets over it."""
 
 
 class Sizes(NamedTuple):
@@ -270,7 +270,7 @@ SIZES: dict[Signal, Sizes] = {
     "ship_place": _PLACES,
     "commands": Sizes((0.02, 0.3), (0.005, 0.1), (0.1, 1.0)),
 }
-"""In the units of a scenario file."""
+"""Fault sizes in the units of a scenario file."""
 
 
 def draw(seed: int, signals: Sequence[Signal], heights_m: tuple[float, float]) -> tuple[Corrupted, ...]:

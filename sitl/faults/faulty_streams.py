@@ -22,12 +22,12 @@ the first."""
 
 
 class Fate(NamedTuple):
-    """What becomes of one packet."""
+    """Fate of one packet."""
 
     copies: int
-    """How often it arrives, 0 to 2."""
+    """Number of arrivals, 0 to 2."""
     overtaken: bool = False
-    """Whether the next one overtakes it."""
+    """True if the next one overtakes it."""
 
 
 _ARRIVES = Fate(1)
@@ -36,7 +36,7 @@ _SIGNALS: dict[Stream, Signal] = {"frames": "frames", "navdata": "samples", "com
 
 
 class FaultyStream:
-    """What becomes of the packets of one stream.
+    """Fate of the packets of one stream.
 
     Args:
         faults: which faults are active.
@@ -51,12 +51,12 @@ class FaultyStream:
 
     @property
     def clear(self) -> bool:
-        """Whether every packet passes, at its time and in its order."""
+        """True if every packet passes, at its time and in its order."""
         return not self._faults.active_kinds
 
     @property
     def silent(self) -> bool:
-        """Whether nothing passes."""
+        """True if nothing passes."""
         return self._faults.active("link_lost") or any(fault.silent for fault, _ in self._faults.on(self._kind))
 
     @property

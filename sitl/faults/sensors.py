@@ -18,7 +18,7 @@ MOST_DELAY_S = 2.0
 
 
 class ReadingErrors(NamedTuple):
-    """What is wrong with a sensor's values, in SI units and radians."""
+    """Errors of a sensor's values, in SI units and radians."""
 
     offset: tuple[float, ...] = (0.0,)
     drift: tuple[float, ...] = (0.0,)

@@ -32,7 +32,7 @@ class FaultTimer:
         self._begun: list[tuple[Fault, float]] = []
 
     def __bool__(self) -> bool:
-        """Whether the scenario has any fault at all."""
+        """Return whether the scenario has any fault at all."""
         return bool(self._faults)
 
     def update(self, t_s: float, height_m: float, phase: str | None) -> list[Fault]:
@@ -62,15 +62,15 @@ class FaultTimer:
 
     @property
     def delays(self) -> bool:
-        """Whether any sensor's readings are ever delayed, so that past readings are needed."""
+        """True if any sensor's readings are ever delayed, so that past readings are needed."""
         return any(isinstance(fault, SensorFault) and fault.delay_s > 0.0 for fault in self._faults)
 
     def active(self, kind: str) -> bool:
-        """Whether a fault of this kind is active now."""
+        """Return whether a fault of this kind is active now."""
         return kind in self.active_kinds
 
     def on(self, kind: type[_F]) -> list[tuple[_F, float]]:
-        """The faults of one kind that are active now, each with the seconds since it began."""
+        """Return the faults of one kind that are active now, each with the seconds since it began."""
         if not self._on:
             return []
         return [(fault, since_s) for fault, since_s in self._on if isinstance(fault, kind)]

@@ -1,4 +1,4 @@
-"""What becomes of a vehicle after its flight has an outcome: where it stands on the deck, and what a refused one does.
+"""Flight after the outcome: where the vehicle stands on the deck, and how a refused one behaves.
 
 The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind
 that it was refused for, over a ship that goes on.
@@ -57,7 +57,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Aftermath:
-    """What became of a refused vehicle."""
+    """Flight of a vehicle after it refused to land."""
 
     watched_s: float
     phase: str | None
@@ -73,7 +73,7 @@ class Aftermath:
     """Number of contacts, with deck or water."""
     in_water: bool
     unsafe: tuple[str, ...]
-    """What of it is unsafe, one line each."""
+    """Unsafe events, one line each."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""

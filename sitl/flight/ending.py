@@ -73,7 +73,7 @@ class Contact:
     vehicle_phase: str | None = None
     """The vehicle's phase just before the contact."""
     motors: bool | None = None
-    """Whether its motors were turning."""
+    """True if its motors were turning."""
     phase: str | None = None
     """Phase of guidance just before the contact."""
     p_pad_m: tuple[float, float] | None = None
@@ -81,7 +81,7 @@ class Contact:
 
     @property
     def on_pad(self) -> bool:
-        """Whether the contact is on the pad."""
+        """True if the contact is on the pad."""
         return self.surface == "pad"
 
 
@@ -94,12 +94,12 @@ class FlightGrade:
     because: str
     unsafe: tuple[str, ...]
     refused: str | None
-    """Why the pilot gave up; None if it did not."""
+    """Reason why the pilot gave up; None if it did not."""
     contacts_outside_commit: int
     lowest_blind_m: float | None
     """Lowest height over the deck in its deepest descent without true sight of the pad; None where there was none."""
     go_arounds: int
-    """How often guidance went around."""
+    """Number of go-arounds."""
     faults: tuple[tuple[str, float], ...]
     """Faults that began: kind, and seconds after the start."""
     expect: str
@@ -125,11 +125,11 @@ class Ending:
     """The load of the machine; None for a flight in virtual time."""
     without_outcome: str = "time ran out"
     wrong_model: Mapping[str, float] = field(default_factory=dict)
-    """In what the vehicle differed from its model."""
+    """Differences of the vehicle from its model."""
     standing: Standing | None = None
-    """Where it stands 5 s after the contact; None if it does not, or if nobody looked."""
+    """Place of the vehicle 5 s after the contact; None if it does not stand, or if nobody looked."""
     aftermath: Aftermath | None = None
-    """What became of it where it was refused; None if it was not, or if nobody looked."""
+    """Flight after a refusal; None if it was not refused, or if nobody looked."""
 
     @property
     def contact(self) -> Contact | None:
@@ -138,12 +138,12 @@ class Ending:
 
     @property
     def on_pad(self) -> bool:
-        """Whether the pilot reports a landing and the simulator's contact is on the pad."""
+        """True if the pilot reports a landing and the simulator's contact is on the pad."""
         return self.outcome is FlightOutcome.LANDED and self.contact is not None and self.contact.on_pad
 
     @property
     def good(self) -> bool:
-        """Whether it landed on the pad safely, or refused as its scenario expects."""
+        """True if it landed on the pad safely, or refused as its scenario expects."""
         return self.on_pad if self.judged is None else self.judged.grade != "failed"
 
     def followed(self, standing: Standing | None, aftermath: Aftermath | None, cpu_s: float) -> "Ending":

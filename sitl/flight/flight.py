@@ -106,7 +106,7 @@ class Timing:
     vision_s: float = 0.01
     """Time that vision takes for a frame."""
     overtime_s: float = 0.0
-    """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
+    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
 
 
 class _VirtualClock:
@@ -285,7 +285,7 @@ class Flight:
         return self.result()
 
     def _killed(self) -> bool:
-        """Whether the service's process is gone; after a restart it is a new process."""
+        """Return whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
                 self._count(self._pilot.fused())

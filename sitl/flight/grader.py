@@ -33,7 +33,7 @@ from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 
 class GradedWorld(Protocol):
-    """What the grader needs of a flight's world."""
+    """Interface of a flight's world that the grader needs."""
 
     @property
     def scenario(self) -> Scenario: ...
@@ -54,7 +54,7 @@ class GradedWorld(Protocol):
 
     @property
     def reached(self) -> bool:
-        """Whether commands reach the vehicle."""
+        """True if commands reach the vehicle."""
         ...
 
     @property
@@ -87,7 +87,7 @@ class FlightResult:
     refused: str | None
     """The reason why the pilot gave up; None if it did not."""
     go_arounds: int
-    """How often guidance went around."""
+    """Number of go-arounds."""
     faults: tuple[tuple[str, float], ...]
     """Each fault that began, in words, and the time at which it began, in seconds after the start."""
     highest_m: float = -math.inf

@@ -31,8 +31,11 @@ from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.world.truth import Touchdown, Truth
 
 Perception = Level
-"""How the service perceives the pad: `pixels` renders frames for the real detectors, `model` draws detections from an error
-model, `truth` gives guidance the truth with an error model of the filter."""
+"""Perception of the pad.
+
+`pixels` renders frames for the real detectors, `model` draws detections from an error model, `truth` gives guidance the truth
+with an error model of the filter.
+"""
 PERCEPTIONS: tuple[str, ...] = LEVELS
 TRUTH_EACH = 4
 """Number of 5 ms steps between two samples of the truth."""
@@ -105,9 +108,9 @@ class FlyOptions:
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
     afterwards: bool = True
-    """Whether the flight goes on after its outcome: where does the vehicle stand, what does a refused one do."""
+    """True if the flight goes on after its outcome, to see where the vehicle stands and how a refused one behaves."""
     overtime_s: float = 0.0
-    """How much longer than the scenario's time a flight may last whose guidance is still trying to land."""
+    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
 
 
 def fly(

@@ -28,11 +28,11 @@ BLIND_DESCENT_MAX_M = 0.5
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 MET_AFTER_S = 0.5
-"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
+"""Time after a command at which the vehicle has the speed that it requests, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
-"""How far above the highest height that a flight calls for is unsafe: waves and gusts do not carry a vehicle there."""
+"""Unsafe height above the highest height that a flight calls for: waves and gusts do not carry a vehicle there."""
 RECEIVERS_M = 10.0
 """Error of a height over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 SLIDE_MAX_M_S = 0.5
@@ -48,7 +48,7 @@ COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
 """The phases in which a person commands; a contact is then the person's."""
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
-"""The phases of guidance that end a try by climbing."""
+"""The phases of guidance that end an attempt by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
 either lands or refuses."""
@@ -138,6 +138,7 @@ class MotionWatch:
         self.stood_s = 0.0
         """Longest time for which it stood with turning motors."""
         self._feet_below_m = feet_below_m
+        self._ground_m: float | None = None
         self._stands_since: MonoNs | None = None
 
     def step(self, truth: Truth, phase: str | None, *, reached: bool) -> None:
@@ -149,8 +150,11 @@ class MotionWatch:
         if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in _IN_THE_AIR:
             self._stands_since = None
             return
-        height_m = float(truth.d_body_pad_level[2])
-        self.highest_m = max(self.highest_m, height_m)
+        height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if self._ground_m is None:
+            self._ground_m = altitude_m - height_m
+        # The smaller of both: a deck that falls away under a vehicle that keeps its altitude does not make it climb.
+        self.highest_m = max(self.highest_m, min(height_m, altitude_m - self._ground_m))
         low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False
         if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
             self._stands_since = None
@@ -161,7 +165,7 @@ class MotionWatch:
 
     @property
     def unsafe(self) -> tuple[str, ...]:
-        """What of it is unsafe, one line each."""
+        """Unsafe events, one line each."""
         out = []
         if self.highest_m > self.called_for_m + TOO_HIGH_M:
             out.append(f"flew {self.highest_m:.1f} m high, where {self.called_for_m:.1f} m are the most that is called for")
@@ -316,7 +320,7 @@ class AtEnd(NamedTuple):
     held: bool = False
     """A person held it, flew it, or had ended the landing."""
     go_arounds: int = 0
-    """How often it went around."""
+    """Number of go-arounds."""
     refusal: tuple[str, str] = ("", "")
     """Words that the reason of a refusal must hold, and the reason that it gave."""
     put_down: bool = False

@@ -18,7 +18,7 @@ from sitl.sensors.gnss import SIGMA_M, GnssErrors
 from sitl.world.truth import Truth
 
 _DELAY_S = 0.2
-"""From the ship's receiver to the service (assumed)."""
+"""Delay from the ship's receiver to the service (assumed)."""
 _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 """A GNSS receiver's velocity and a ship's compass (assumed); the report claims the same."""
 
@@ -26,7 +26,7 @@ Reports = tuple[VesselReport | GeoFix, ...]
 
 
 class ReportedWorld(Protocol):
-    """What the reports of the ship are made of."""
+    """Inputs of the ship's reports."""
 
     @property
     def scenario(self) -> Scenario: ...

@@ -1,1 +1,1 @@
-"""How a simulated flight perceives the pad: rendered frames, an error model of detections, or the truth with an error model."""
+"""Perception of the pad in a simulated flight: rendered frames, a model of detections, or the truth with an error model."""

@@ -115,7 +115,7 @@ class DrawnDetection(NamedTuple):
     confidence: float
     ambiguous: bool
     turned: bool
-    """Whether the heading is half a turn off."""
+    """True if the heading is half a turn off."""
 
 
 class _PreparedCell(NamedTuple):

@@ -26,7 +26,7 @@ AGES_S = (0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
 LEAST = 30
 """Fewest samples of a cell."""
 _SETTLED_S = 1.0
-"""Time after the first sighting from which on the estimate counts."""
+"""Time after the first sighting from which the estimate counts."""
 _LEAST_M = 0.1
 """Lowest height that counts: below it the drone stands."""
 _LAGS = (5, 10, 20, 40)
@@ -115,7 +115,10 @@ def _correlation_times(flights: Sequence[Errors]) -> tuple[float, ...]:
 
 HEIGHTS_M = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 2.0, 3.0, 5.0, 8.0, 14.0, 20.0, 28.0)
 SHOWN = (0.02, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.45, 0.7, 0.95)
-"""From high up, the detection probability rises from 0 to 1 between a quarter and two fifths of the disc."""
+"""Grid of apparent sizes.
+
+From high up, the detection probability rises from 0 to 1 between a quarter and two fifths of the disc.
+"""
 TILTS_DEG = (3.0, 6.0, 10.0, 15.0, 22.0)
 LIGHTS_STOPS = (-4.0, -2.5, -1.5, -0.5, 0.5, 1.5)
 LEAST_FRAMES = 10
@@ -136,7 +139,7 @@ class _Standard(NamedTuple):
     sample: DetectionSample
     error: F64
     scale: float
-    """How large the standard deviations are that the sample claims, against the cell's geometric mean."""
+    """Ratio of the sample's claimed standard deviations to the cell's geometric mean."""
     outlier: bool
 
 

@@ -62,7 +62,7 @@ for _cov in (_COV_ACCEL, _COV_DECK, _COV_TILT):
 
 
 class TrueMotion:
-    """Draws the motion that guidance is told. One generator; the errors are Gauss-Markov processes."""
+    """Draws the motion that guidance receives. One generator; the errors are Gauss-Markov processes."""
 
     def __init__(self, world: PerceivedWorld, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
@@ -101,7 +101,7 @@ class TrueMotion:
         """Return the deck ahead of an instant.
 
         Args:
-            d_body_pad_level: (3,) m, where the pad is told to be now.
+            d_body_pad_level: (3,) m, the reported place of the pad now.
         """
         standard = self._wander(now)
         h = np.asarray(horizons_s, dtype=float)
@@ -157,7 +157,7 @@ _AGREED = 3
 _TRUE_TILT_COV, _LEAST_COV = 1e-12 * np.eye(3), 1e-12 * np.eye(_N)
 _TRUE_TILT_COV.setflags(write=False)
 _SEEN, _LEAST_SEEN_COV = np.ix_([0, 1, 2, 6], [0, 1, 2, 6]), 1e-12 * np.eye(4)
-"""Where place and heading are in the estimate's covariance, and the least covariance of a sighting."""
+"""Indices of position and heading in the estimate's covariance, and the least covariance of a sighting."""
 
 
 class EstimateTable:

@@ -47,7 +47,7 @@ KEPT_SCENES = 512
 _SPAWN_KEY = 1301
 """Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
 MODELLED = (PadCovered, LightFalls, FocalLength)
-"""Faults of the picture that act without a rendered one: on what is shown of the pad, on its light, on its distance."""
+"""Image faults that act without a rendered image: on the visible part of the pad, on its light, on its distance."""
 _EYE = np.eye(3)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _TOKEN = 4

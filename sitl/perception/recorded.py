@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
     path: Path
     scenario: Scenario
     name: str
-    """Scenario and seed, as the flight was asked for."""
+    """Scenario and seed, as the flight was requested."""
     settings: Settings
     camera: Camera
     pad: Pad
@@ -91,9 +91,9 @@ class Measured(NamedTuple):
     cov: F64
     """(6, 6) claimed covariance of the same."""
     turned: bool
-    """Whether the heading is half a turn off; `error` is then that of the pose turned back."""
+    """True if the heading is half a turn off; `error` is then that of the pose turned back."""
     ambiguous: bool
-    """Whether registration said that the heading may be half a turn off."""
+    """True if registration reported that the heading may be half a turn off."""
 
 
 class DetectionSample(NamedTuple):

@@ -47,7 +47,7 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def given(self) -> bool:
-        """Whether it says anything."""
+        """True if it sets anything."""
         return self.wind_m_s is not None or self.sea_state is not None
 
     def sea(self, beside: Sea, from_deg: float) -> Sea:

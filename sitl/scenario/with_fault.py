@@ -35,7 +35,7 @@ def faulty(
     Args:
         scenario: the scenario to which the faults are added.
         seed: selects the fault scenario.
-        possible: tells whether a flight can have all faults of a scenario; only such ones are selected.
+        possible: returns whether a flight can have all faults of a scenario; only such ones are selected.
         name: the fault scenario to take instead; a seed selects another one when fault scenarios are added.
 
     Raises:

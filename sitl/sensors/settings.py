@@ -1,4 +1,4 @@
-"""What a scenario says of the errors of the vehicle's sensors."""
+"""Scenario settings for the errors of the vehicle's sensors."""
 
 from typing import Annotated, Literal
 

@@ -44,14 +44,14 @@ class WakingHull:
 
 @dataclass(frozen=True, slots=True)
 class AirModel:
-    """What the air is like."""
+    """Model of the air."""
 
     speed_m_s: float
     """Mean wind 10 m over the water."""
     towards_rad: float
-    """Where it blows to, clockwise from north."""
+    """Direction to which it blows, clockwise from north."""
     logarithmic: bool = False
-    """Whether the mean follows the logarithmic profile; else it is the same at all heights."""
+    """True if the mean follows the logarithmic profile; otherwise it is the same at all heights."""
     roughness_m: float = 0.0002
     turbulence: Literal["none", "dryden", "kaimal"] = "none"
     gusts: tuple[GustOnce, ...] = ()

@@ -48,7 +48,7 @@ class RecordedMotion:
     bend: F64
     """(N, 6) second derivatives."""
     blend_s: float | None = None
-    """How long the end is blended into the beginning when it is flown again; None: it is not."""
+    """Time over which the end is blended into the beginning when it is flown again; None: it is not."""
 
     @staticmethod
     def read(path: Path, blend_s: float | None = None) -> RecordedMotion:
@@ -88,7 +88,7 @@ class RecordedMotion:
 
     @property
     def lasts_s(self) -> float:
-        """How long it lasts; infinite when it is flown again and again."""
+        """Duration; infinite when it is flown again and again."""
         return math.inf if self.blend_s is not None else float(self.t_s[-1])
 
     @property
@@ -287,7 +287,7 @@ class Block(Struct, frozen=True, forbid_unknown_fields=True):
     starboard_m: Annotated[float, number("distance of its centre to starboard of the middle line", "m", -40.0, 40.0)] = 0.0
 
     def covers(self, forward_m: float, starboard_m: float) -> bool:
-        """Whether a place on deck lies under it."""
+        """Return whether a place on deck lies under it."""
         along, across = abs(forward_m - self.forward_m), abs(starboard_m - self.starboard_m)
         return along < 0.5 * self.length_m and across < 0.5 * self.width_m
 
@@ -345,7 +345,7 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Ship:
-    """What a vessel's file holds, ready to move."""
+    """Ship from a vessel file, ready to move."""
 
     hull: Hull
     recorded: RecordedMotion | None = None

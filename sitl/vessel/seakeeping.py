@@ -269,12 +269,12 @@ class Turn:
     """Clockwise from above positive, not 0."""
     at_s: float
     over_s: float
-    """How long it takes until rate and speed are steady."""
+    """Time until rate and speed are steady."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """Where the ship would be without waves at times (T,), relative to its place and heading at time 0."""
+    """Course of the ship without waves at times (T,), relative to its place and heading at time 0."""
 
     p: F64
     """(T, 2) m ahead and to starboard of the first place, along the first heading."""
@@ -291,7 +291,7 @@ class Course:
 
 
 class TurningCourse:
-    """The course of a ship that turns; `at` is exact but for the path while the turn develops."""
+    """The course of a ship that turns; `at` is exact except for the path while the turn develops."""
 
     def __init__(self, turn: Turn, speed_m_s: float, length_m: float) -> None:
         self.turn, self.before_m_s = turn, speed_m_s

@@ -31,13 +31,13 @@ class Touchdown(Struct, frozen=True, eq=False):
     phase: VehiclePhase = VehiclePhase.LANDING
     """The vehicle's phase just before the contact."""
     motors: bool = True
-    """Whether its motors were turning just before."""
+    """True if its motors were turning just before."""
     guidance_phase: str | None = None
     """Phase of guidance just before the contact; None if not known."""
 
     @property
     def on_pad(self) -> bool:
-        """Whether it is on the pad."""
+        """True if it is on the pad."""
         return self.surface == "pad"
 
 
@@ -52,7 +52,7 @@ class RenderedFrame(Struct, frozen=True, eq=False):
     stamp_error_s: float = 0.0
     """Error of the stamp that is sent with the frame, s: the stamp minus `exposed_at`."""
     true_view: bool = True
-    """Whether the frame shows what the camera truly saw at `exposed_at`."""
+    """True if the frame shows what the camera truly saw at `exposed_at`."""
     gain: float = 0.0
     """Amplification of a camera whose exposure is driven; else 0."""
 

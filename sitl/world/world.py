@@ -5,7 +5,7 @@
     world.stick(Stick(roll=0.1, progressive=True))
     world.readings(), world.render(), world.truth()
 
-Commands take effect at the next step; asking for readings, frames or truth changes nothing.
+Commands take effect at the next step; requesting readings, frames or truth changes nothing.
 """
 
 import math
@@ -86,7 +86,7 @@ class Physics:
             at_most: how many steps to take, 1 or more; there are fewer where a block of noise ends.
 
         Raises:
-            IndexError: there are not so many decks.
+            IndexError: there are not this many decks.
         """
         if decks is not self._decks:
             self._decks, self._first_deck = decks, SIM.array("sim_deck", decks)
@@ -245,7 +245,7 @@ class World:
 
     @property
     def reached(self) -> bool:
-        """Whether commands reach the vehicle."""
+        """True if commands reach the vehicle."""
         return not self.streams.commands.silent
 
     def active(self, kind: str) -> bool:
@@ -408,7 +408,7 @@ class World:
         return self._tick * self._step_s
 
     def _run(self, at_most: int) -> int:
-        """Take so many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
+        """Take this many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
         v = self._vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done

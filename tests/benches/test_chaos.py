@@ -7,7 +7,7 @@ from drivers.mavlink.dialect import mav
 
 
 def seen(lines: tuple[tuple[float, str], ...] = (), hole: tuple[float, float] = (0.0, 0.0)) -> Seen:
-    """A flight with a command each 0.04 s from instant 100 s on, for 20 s, apart from a hole, and heartbeats likewise."""
+    """Return a flight with a command each 0.04 s from instant 100 s on, for 20 s, apart from a hole, and heartbeats likewise."""
     commands = [100.0 + 0.04 * n for n in range(500)]
     beats = [100.0 + n for n in range(20)]
     out = Seen(lines=list(lines), began=100.0, code=0)

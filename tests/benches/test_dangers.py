@@ -26,7 +26,7 @@ def flight(name: str, seed: int, contacts: list[dict[str, Any]], unsafe: list[st
 
 
 class Flights:
-    """In place of flying."""
+    """Stand-in for flying."""
 
     def __init__(self, ended_after: int | None = None) -> None:
         self.flown: list[tuple[str, int]] = []

@@ -17,7 +17,7 @@ def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
 
 
 def test_no_green_disc_with_a_ring_in_glare_is_the_pad() -> None:
-    """Of these hundred one was, with 0.98, by a ring and a disc's edge alone."""
+    """One of these hundred was the pad, with 0.98, by a ring and a disc's edge alone."""
     assert max(best_scores(8, rings=True)[0]) < 0.5
 
 

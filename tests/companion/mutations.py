@@ -22,7 +22,7 @@ NONSENSE: tuple[Any, ...] = (
 
 
 def small(source: Path, messages: int = 150) -> list[Any]:
-    """The records of the beginning of a recording, chunks taken apart, with settings that this version reads.
+    """Return the records of the beginning of a recording, chunks taken apart, with settings that this version reads.
 
     A recording keeps the settings of the version that made it. One that stays for years is refused for a key of then, before
     any of its messages is read.
@@ -41,7 +41,7 @@ def small(source: Path, messages: int = 150) -> list[Any]:
 
 
 def written(records: list[Any], compression: CompressionType = CompressionType.ZSTD) -> bytes:
-    """The bytes of a whole file."""
+    """Return the bytes of a whole file."""
     buffer = io.BytesIO()
     writer = Writer(buffer, compression=compression)
     writer.start(profile="", library="mutated")
@@ -64,7 +64,7 @@ def written(records: list[Any], compression: CompressionType = CompressionType.Z
 
 
 def mutate(records: list[Any], rng: random.Random, count: int = 3) -> list[Any]:
-    """The same records, `count` of their values replaced by nonsense."""
+    """Return the same records, `count` of their values replaced by nonsense."""
     out = list(records)
     messages = [i for i, r in enumerate(out) if isinstance(r, Message) and r.data[:1] == b"{"]
     for _ in range(count):
@@ -102,7 +102,7 @@ def _text(data: Any, rng: random.Random) -> bytes:
 
 
 def poke_bytes(data: bytes, rng: random.Random, count: int = 4) -> bytes:
-    """Some bytes, or a whole length, replaced."""
+    """Return some bytes, or a whole length, replaced."""
     out = bytearray(data)
     for _ in range(count):
         at, span = rng.randrange(8, len(out)), rng.choice([1, 1, 1, 4, 8])

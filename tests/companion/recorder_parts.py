@@ -1,4 +1,4 @@
-"""What the recorder's tests record: samples and frames made up."""
+"""Samples and frames for the recorder's tests."""
 
 import time
 from pathlib import Path

@@ -106,7 +106,7 @@ class Flying:
 
 @asynccontextmanager
 async def flying(settings: Settings, port: int) -> AsyncIterator[Flying]:
-    """The service with an autopilot in the air, 10 m up at the origin, and a landing ordered."""
+    """Yield the service with an autopilot in the air, 10 m up at the origin, and a landing ordered."""
     pilot = make_pilot(settings)
     daemon = make_daemon(settings, pilot)
     fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")

@@ -1,4 +1,4 @@
-"""What a person is told to do: something for every cause that interrupts a landing, nothing for what is as it should be."""
+"""Advice to a person: one for every cause that interrupts a landing, none for what is as it should be."""
 
 import pytest
 

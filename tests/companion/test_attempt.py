@@ -1,4 +1,4 @@
-"""What one try to land uses up, and when it has used up too much."""
+"""Limits of one landing attempt: what it uses up, and when it has used too much."""
 
 import pytest
 

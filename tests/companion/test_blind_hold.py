@@ -1,4 +1,4 @@
-"""What may be flown without sight of the pad: an estimate good enough, and nothing that goes lower than the deck does."""
+"""Flight without sight of the pad: it needs a good estimate, and never goes lower than the deck does."""
 
 import numpy as np
 import pytest

@@ -20,7 +20,7 @@ KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")
 
 
 def tail_s(o: GuidanceOptions) -> float:
-    """The time that a try under way may still take: from the gate to the deck, up again, four touches on the way, a question."""
+    """Return the time that an attempt may still take: from the gate to the deck, up again, four touches, a question."""
     climb_s = 3.0 * (o.tries.safe_height_m + 0.3) / o.tries.climb_m_s + 10.0
     once_s = o.cone.press_s + o.cone.commit_s + o.land_timeout_s + climb_s
     return o.cone.commit_s + 5.0 * once_s + 2.0 * o.tries.operator_wait_s
@@ -74,7 +74,7 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
 
 
 def test_flips_between_states_restart_no_budget() -> None:
-    """Sight that comes and goes each second: descend, hold blind, descend; the try's and the landing's times go on."""
+    """Sight that comes and goes each second: descend, hold blind, descend; the attempt's and the landing's times go on."""
     o = guided(tries={"landing_s": 20.0, "losses_max": 1000, "blind_descent_max_m": 10.0, "climb_after_s": 15.0})
     p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
     t = 0.0

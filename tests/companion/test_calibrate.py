@@ -233,7 +233,7 @@ def board_images(print_px: np.ndarray, size_m: tuple[float, float], count: int =
 
 
 def old_charuco() -> np.ndarray:
-    """The board as OpenCV drew it before 4.6."""
+    """Return the board as OpenCV drew it before 4.6."""
     board = cv2.aruco.CharucoBoard((7, 10), 0.025, 0.018, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250))
     board.setLegacyPattern(True)
     return cv2.copyMakeBorder(board.generateImage((700, 1000)), 50, 50, 50, 50, cv2.BORDER_CONSTANT, value=255)

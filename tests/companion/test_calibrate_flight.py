@@ -55,7 +55,7 @@ def test_a_deck_that_rolls_is_said_and_widens_the_sigmas() -> None:
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Settings]:
-    """A recording with a camera file of the user's own, and the folder of both."""
+    """Return a recording with a camera file of the user's own, and the folder of both."""
     folder = tmp_path_factory.mktemp("flown")
     camera, rig = folder / "mine.toml", folder / "rig.toml"
     text = (SHIPPED / "cameras" / "sim.toml").read_text(encoding="utf-8")

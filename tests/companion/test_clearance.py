@@ -1,4 +1,4 @@
-"""How much higher the drone stays because the deck will rise faster than it can climb."""
+"""Further height of the drone where the deck will rise faster than the drone can climb."""
 
 import math
 
@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import State
+from companion.base.mission import Event, State
 from companion.base.reason import ReasonCause
 from companion.guidance import cone
-from companion.guidance.clearance import rise_beyond_climb_m
+from companion.guidance.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
 from companion.guidance.limits import InputQuality, gate
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import aim
+from companion.guidance.watch import events
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns
 
@@ -36,18 +38,18 @@ def forecast(rise_m_s: F64, at_s: float = 0.0, sigma_m_s: float = 0.0) -> Foreca
 
 
 def swell(largest_m_s: float, t_s: float = 0.0) -> F64:
-    """The rate at the horizons after `t_s`, whose largest comes 1.5 s after 0."""
+    """Return the rate at the horizons after `t_s`, whose largest comes 1.5 s after 0."""
     return largest_m_s * np.cos(OMEGA * (np.array(HORIZONS_S) + t_s - 1.5))
 
 
 def knowledge(
     ahead: Forecast | None, at_s: float = 0.0, climb_m_s: float | None = CLIMB_M_S, height_m: float = 0.35
 ) -> Knowledge:
-    return Knowledge(ns(at_s), estimate(at_s, [0.0, 0.0, height_m]), forecast=ahead, climb_max_m_s=climb_m_s)
+    return Knowledge(ns(at_s), estimate(at_s, [0.0, 0.0, height_m]), forecast=ahead, climb_max_m_s=climb_m_s, swell_rad_s=OMEGA)
 
 
 def gained_m(largest_m_s: float) -> float:
-    """What a swell of this rate gains on a climb at the limit: 2 (V sin a - c a) / w with cos a = c / V."""
+    """Return the height that a swell of this rate gains on a climb at the limit: 2 (V sin a - c a) / w with cos a = c / V."""
     a = math.acos(CLIMB_M_S / largest_m_s)
     return 2.0 * (largest_m_s * math.sin(a) - CLIMB_M_S * a) / OMEGA
 
@@ -126,3 +128,29 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
         assert high.d_body_pad_level[2] > 1.2
         assert low.d_body_pad_level[2] < 0.4
         assert high.descent_rate_m_s is None or high.descent_rate_m_s < -0.89
+
+
+@pytest.mark.parametrize(("period_s", "rate_m_s"), [(7.0, 0.4), (9.0, 0.9), (12.0, 0.8)])
+def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(period_s: float, rate_m_s: float) -> None:
+    """WHAT: a swell whose rate has this deviation, watched for a minute; a slow one is assumed before."""
+    watch, w, dt = SwellWatch(), math.tau / period_s, 0.02
+    assert watch.rad_s == pytest.approx(math.tau / 12.0)
+    for i in range(3000):
+        rate = math.sqrt(2.0) * rate_m_s
+        v, a = (np.array([0.0, 0.0, x]) for x in (rate * math.cos(w * i * dt), -w * rate * math.sin(w * i * dt)))
+        watch = watched_swell(watch, ns(i * dt), DeckMotion(ns(i * dt), v, a, np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4)))
+    assert watch.rad_s == pytest.approx(w, rel=0.1)
+    if 2.0 * rate_m_s <= CLIMB_M_S:
+        assert watch.gained_m(CLIMB_M_S) == 0.0
+    else:
+        a = math.acos(CLIMB_M_S / (2.0 * rate_m_s))
+        gained = 2.0 * (2.0 * rate_m_s * math.sin(a) - CLIMB_M_S * a) / w
+        assert watch.gained_m(CLIMB_M_S) == pytest.approx(gained, rel=0.2)
+
+
+def test_a_deck_that_outruns_the_climb_by_more_than_the_safe_height_is_refused_before_the_descent() -> None:
+    for outrun_m, refused in ((1.6, False), (1.8, True)):
+        s = GuidanceCycle(ns(9.0), replace(knowledge(None, at_s=9.0), outrun_m=outrun_m))
+        p = Progress(State.INTERCEPT, automatic=True, begun=True, since=ns(8.0), seen=ns(9.0), in_sight=True, track=1)
+        found = [reason.cause for event, reason in events(p, s, GuidanceOptions()) if event is Event.NO_CONDITIONS]
+        assert found == ([ReasonCause.DECK_RISE] if refused else [])

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line on stderr, and nothing imported that was not asked for."""
+"""The command line: exit codes, one line on stderr, and nothing imported that was not requested."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def decklander(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A subcommand `probe` whose `run` a test sets."""
+    """Return a subcommand `probe` whose `run` a test sets."""
 
     def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         subparsers.add_parser("probe").add_argument("--count", type=int, default=0)

@@ -39,7 +39,7 @@ SEA = np.full((360, 640, 3), (90, 60, 20), np.uint8)
 
 
 class FakeVehicle:
-    """What the daemon sees of a driver, and what it did to it."""
+    """Driver as the daemon sees it, with a record of the daemon's calls."""
 
     def __init__(self) -> None:
         self.frames: Latest[Frame] = Latest()

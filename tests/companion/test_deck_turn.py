@@ -20,7 +20,7 @@ ALONG = Target(np.array([0.0, 0.0, 1.0]), yaw_rad=0.0)
 
 
 def flown(turn_deg_s: float, off_deg: float, seconds: float, lag_s: float = 0.3, noise_deg: float = 0.0) -> list[float]:
-    """The heading against the arrow, degrees, of a vehicle that takes up a turn rate with a lag."""
+    """Return the heading against the arrow, degrees, of a vehicle that takes up a turn rate with a lag."""
     law, rng = FollowDeck(shipped_response("ardrone2"), T), np.random.default_rng(4)
     memory, off, rate, out = law.start(), math.radians(off_deg), 0.0, []
     for k in range(round(seconds / T)):

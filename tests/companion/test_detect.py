@@ -24,7 +24,7 @@ SCENE = PadPlacement((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), 
 
 @pytest.fixture(scope="module")
 def album(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two images of the pad, one of nothing, and a note that is no image."""
+    """Return a folder with two images of the pad, one of nothing, and a note that is no image."""
     folder = tmp_path_factory.mktemp("album")
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     cv2.imwrite(str(folder / "a.png"), image(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)

@@ -45,7 +45,7 @@ class Unspeakable(Exception):
 
 
 def deep() -> BaseException:
-    """A RecursionError as Python makes it."""
+    """Return a RecursionError as Python makes it."""
 
     def down() -> None:
         down()
@@ -143,7 +143,7 @@ class Failing:
 async def flown(
     role: str | None = None, error: str = "value", at: int = 0, for_: int = 10**9, seconds: float = FLOWN_S
 ) -> tuple[list[tuple[int, str]], Health, int]:
-    """The commands of a flight with a failing part in one role; its health; how often it failed."""
+    """Return the commands of a flight with a failing part in one role; its health; how often it failed."""
     clock = VirtualClock()
     vehicle = FakeFlight(clock)
     health = Health(clock)

@@ -44,7 +44,7 @@ def known(
     yaw: float | None = 0.0, heading: float = 0.0, var: tuple[float, float] = (1e-6, 1e-6), response: ResponseInUse | None = None,
     a_deck: tuple[float, float, float] = (0.0, 0.0, 0.0), a_down: float = 0.0, forecast: Forecast | None = None,
 ) -> Knowledge:  # fmt: skip
-    """What is known at an instant: vectors in level, leans and accelerations in m/s^2."""
+    """Return the knowledge at an instant: vectors in level, tilts and accelerations in m/s^2."""
     pitch, roll = -math.atan(lean[0] / G_M_S2), math.atan(lean[1] / math.hypot(G_M_S2, lean[0]))
     cov = np.diag([*var, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4])
     relative = RelativeState(ns(t), "ekf", np.array(d), np.array(v), yaw, cov, ns(t), True)
@@ -65,13 +65,13 @@ def stepped(
 
 
 def pushed_down(before: float, a_down: float, v: float, arrived: float) -> float:
-    """What accelerates the body beside its answer to a command, learned in 0.15 s and bounded."""
+    """Return the acceleration of the body beside its response to a command, learned in 0.15 s and bounded."""
     beside = a_down - (arrived - v) / RESPONSE.climb.lag_s
     return float(np.clip(before + (1.0 - math.exp(-T / 0.15)) * (beside - before), -1.5, 1.5))
 
 
 def seen(memory: FollowDeckMemory, law: FollowDeck = LAW, *, over_ground: bool = False) -> LawMemory:
-    """The memory's content."""
+    """Return the memory's content."""
     return plain(memory, law._remembered, over_ground=over_ground)
 
 
@@ -249,7 +249,7 @@ def test_without_the_bodys_motion_the_plain_controller_flies_and_without_that_no
 
 
 def turning(t: float, early: float, late: float) -> Forecast:
-    """A forecast of a deck that accelerates forward, right and down: for a twentieth of a second by `early`, then by `late`."""
+    """Return a forecast of an accelerating deck (forward, right, down): by `early` for 0.05 s, then by `late`."""
     h, z = np.array([0.0, 0.05, 5.0]), np.zeros(3)
     v = np.outer([0.0, 0.05 * early, 0.05 * early + 4.95 * late], [1.0, 2.0, 3.0])
     return Forecast(ns(t), h, np.zeros((3, 3)), np.zeros((3, 3, 3)), v, z, z, z, z, z, z, z, z)
@@ -391,7 +391,7 @@ def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -
 
 
 def own_after(part: OwnPart, unexplained: float, lean: float, rate: float, spans: float) -> OwnPart:
-    """Return the vehicle's own part after some of its time constants in which so much of the lean was not explained."""
+    """Return the vehicle's own part after some of its time constants in which this much of the tilt was not explained."""
     return OwnPart(float(np.clip(part.own + (1.0 - math.exp(-spans)) * unexplained, -3.0, 3.0)), lean, rate)
 
 

@@ -1,4 +1,4 @@
-"""Frames as H.264 in a recording: any frame can be asked for, damage stays within its group, and a part is a video again."""
+"""Frames as H.264 in a recording: any frame can be requested, damage stays within its group, and a part is a video again."""
 
 import base64
 import json

@@ -54,7 +54,7 @@ class Clock:
 def result(
     source: Source = "sighting", verdict: Verdict = Verdict.FUSED, *, nis: float = 2.0, test_ratio: float = 0.1, at: int = T
 ) -> FusionResult:
-    """A result whose numbers are all different."""
+    """Return a result whose numbers are all different."""
     components = COMPONENTS[source]
     m = len(components)
     cov = 0.01 * np.diag(np.arange(1.0, m + 1)) + 0.001

@@ -19,7 +19,7 @@ STEP_S = 0.02
 
 
 def contacts(command: F64, speed: F64) -> list[float]:
-    """When a contact is found, s, for vertical speeds commanded and flown, m/s down."""
+    """Return the times of contacts, s, for vertical speeds commanded and flown, m/s down."""
     held, found = HeldUp(), []
     for k, (u, v) in enumerate(zip(command.tolist(), speed.tolist(), strict=True)):
         at, before = MonoNs(round(k * STEP_S * 1e9)), held.newest
@@ -32,7 +32,7 @@ def contacts(command: F64, speed: F64) -> list[float]:
 
 
 def flown(command: F64, delay_s: float, lag_s: float, push_m_s: float = 0.0) -> F64:
-    """What a vehicle makes of commands by its delay and lag, with a push besides."""
+    """Return the flight of a vehicle with delay and lag, with a disturbance besides."""
     v, out = float(command[0]), []
     for k in range(command.size):
         u = float(command[max(k - round(delay_s / STEP_S), 0)])
@@ -60,7 +60,7 @@ def test_no_flight_over_a_heaving_deck_is_a_contact(seed: int, delay_s: float, l
 
 @pytest.mark.parametrize("deck_m_s", [-0.6, -0.3, 0.0])
 def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(deck_m_s: float) -> None:
-    """As a PX4 1.16.2 did: slowed down over 0.3 s, then carried, while 0.4 m/s more were asked for."""
+    """A PX4 1.16.2 slowed down over 0.3 s, then was carried, while the command was 0.4 m/s more."""
     t = np.arange(0.0, 5.0, STEP_S)
     command = np.full(t.size, deck_m_s + 0.4)
     speed = flown(command, 0.14, 0.12)
@@ -71,7 +71,7 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
 
 
 def contacts_by_deck(command: F64, speed: F64, deck: F64) -> list[float]:
-    """When a contact is found by the speeds to the deck, s."""
+    """Return the times of contacts by the speeds to the deck, s."""
     held, by_deck, found = HeldUp(), HeldUp(), []
     for k, (u, v, d) in enumerate(zip(command.tolist(), speed.tolist(), deck.tolist(), strict=True)):
         at, before = MonoNs(round(k * STEP_S * 1e9)), by_deck.newest
@@ -130,7 +130,7 @@ def at_ms(ms: float) -> MonoNs:
 
 
 def remembered(*commands: tuple[float, float]) -> HeldUp:
-    """The memory after commands, each at an instant in ms, of m/s down."""
+    """Return the memory after commands, each at an instant in ms, of m/s down."""
     held = HeldUp()
     for ms, down_m_s in commands:
         held = commanded(held, at_ms(ms), down_m_s)

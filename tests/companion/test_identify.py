@@ -50,7 +50,7 @@ def gauss_markov(rng: np.random.Generator, n: int, sigma: float, time_s: float) 
 
 
 def flown(seed: int, gusts_m_s2: float) -> tuple[TiltResponse, FlightCourse]:
-    """A vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
+    """Return a vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
     rng = np.random.default_rng(seed)
     true = structs.replace(
         GIVEN.tilt,
@@ -290,7 +290,7 @@ def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
 
 
 def still_flight(path: Path, seconds: float, kept: dict[str, bytes] | None = None) -> None:
-    """Record a vehicle that is asked to lean by the same angle all the time, and reports it with the noise of its sensors.
+    """Record a vehicle that is asked to tilt by the same angle all the time, and reports it with the noise of its sensors.
 
     `kept` are the files that the recording holds instead of its own settings, camera and pad.
     """

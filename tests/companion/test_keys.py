@@ -21,7 +21,7 @@ URL = f"udpin://{HOST}:0"
 
 
 class Lockable(asyncio.DatagramProtocol):
-    """An autopilot on UDP that can be given a key; with one it hears signed messages only, and signs its own in MAVLink 2."""
+    """An autopilot on UDP that can be given a key; with one it receives signed messages only, and signs its own in MAVLink 2."""
 
     def __init__(self, *, armed: bool = False, deaf: bool = False, key: bytes | None = None, old_version: bool = False) -> None:
         self.armed, self.deaf, self.old_version = armed, deaf, old_version

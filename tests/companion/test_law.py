@@ -61,7 +61,7 @@ def test_the_exponential_turns() -> None:
 @pytest.mark.parametrize("delay_s", [0.0, 0.013, 0.02, 0.05, 0.0731])
 @pytest.mark.parametrize("lag_s", [0.0, 0.073])
 def test_the_discrete_model_is_the_continuous_one(delay_s: float, lag_s: float) -> None:
-    """Against small steps of the differential equations, for commands that are held for a period each."""
+    """The model is compared with small steps of the differential equations, for commands that are held for a period each."""
     tilt = TiltResponse(delay_s, 5.0, 0.7, lag_s)
     model = tilt_model(tilt, T)
     u = np.random.default_rng(3).standard_normal(25)

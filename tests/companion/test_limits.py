@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
-from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, sigma_m, stop_m
+from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, of_try, sigma_m, stop_m
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.ekf import Forecast
@@ -25,11 +25,11 @@ TO_CONTACT_S = 0.3 / CONE.commit_rate_m_s
 def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, down_m_s: float = 0.0) -> DeckMotion:
     roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
     v = np.array([0.0, 0.0, down_m_s])
-    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-4 * np.eye(4))
+    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-12 * np.eye(4))
 
 
 def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
-    """A deck that is level now and has this tilt when the drone comes down."""
+    """Return a deck that is level now and has this tilt when the drone comes down."""
     to_come = np.radians(np.array(HORIZONS_S)[:, None] / TO_CONTACT_S * [roll_deg, pitch_deg])
     level = forecast(np.zeros(len(HORIZONS_S)), NOW)
     fields = {name: getattr(level, name) for name in Forecast.__dataclass_fields__}
@@ -37,7 +37,7 @@ def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
 
 
 def falling(m_s: float, at_s: tuple[float, ...] = HORIZONS_S, ago_s: float = 0.0) -> Forecast:
-    """A deck that falls at some horizons of a forecast made some time ago, and is still at the others."""
+    """Return a deck that falls at some horizons of a forecast made some time ago, and is still at the others."""
     return forecast(np.where(np.isin(HORIZONS_S, at_s), -m_s, 0.0), NOW - ago_s)
 
 
@@ -185,7 +185,7 @@ def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotio
 
 
 def test_feet_that_slide_come_to_stand_farther_on() -> None:
-    """From v they slide v^2 / (2 0.5 g): the body goes against the pad's velocity relative to it."""
+    """Feet at a speed v slide v^2 / (2 0.5 g). The body goes against the pad's velocity relative to it."""
     assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (1.0, 0.0, 0.0))) == pytest.approx(0.1 + 1.0 / G_M_S2)
     assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (-1.0, 0.0, 0.0))) == pytest.approx(abs(0.1 - 1.0 / G_M_S2))
     assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))
@@ -196,3 +196,24 @@ def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s:
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
     found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen), LIMITS, CONE)
     assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
+
+
+def test_a_tilt_that_is_hardly_known_shuts_no_gate() -> None:
+    for sigma_deg, shut in ((0.5, True), (3.0, False)):
+        deck = replace(tilted(2.5, 2.5), cov_tilt=math.radians(sigma_deg) ** 2 * np.eye(4))
+        found = gate(
+            ns(NOW),
+            estimate(NOW, (0.0, 0.0, 0.3)),
+            Knowledge(ns(NOW), None, deck=deck),
+            InputQuality(),
+            LIMITS,
+            CONE,
+            aligned=False,
+        )
+        assert (found is not None and found.cause is ReasonCause.DECK_TILT) is shut
+
+
+def test_the_limits_grow_with_each_go_around_up_to_a_half_more() -> None:
+    found = [of_try(LIMITS, n).error_m / LIMITS.error_m for n in (0, 1, 2, 9)]
+    assert found == pytest.approx([1.0, 1.25, 1.5, 1.5])
+    assert of_try(LIMITS, 9).sigma_m == LIMITS.sigma_m

@@ -78,7 +78,7 @@ def test_a_loop_that_never_reaches_one_has_every_margin() -> None:
 
 
 class Pushed(NamedTuple):
-    """What is added in one cycle: to the body's acceleration, and to what is measured of it."""
+    """Disturbance of one cycle: of the body's acceleration, and of its measurement."""
 
     gust: float = 0.0
     tilt: float = 0.0
@@ -113,7 +113,7 @@ def flown(
 
 
 def settles(assumed: TiltResponse, true: TiltResponse, answer: float = 1.0) -> bool:
-    """Whether a push dies away."""
+    """Return whether a push dies away."""
     course = np.abs(flown(assumed, true, [Pushed(gust=1.0)], 1500, answer=answer)[:, 0])
     return bool(course[-400:].max() < 0.5 * course[-900:-500].max())
 
@@ -143,7 +143,7 @@ def test_a_vehicle_may_be_later_than_assumed_by_the_delay_margin_and_no_further(
 
 
 def wandering(name: str, of: GaussMarkov, cycles: int) -> list[Pushed]:
-    """The course of one process after a single new part of it: the square of what follows, summed, is its variance's share."""
+    """Return the course of one process after a single new part; its squares, summed, are the share of the variance."""
     keep = math.exp(-PERIOD_S / of.time_s)
     return [Pushed(**{name: of.sigma * math.sqrt(1.0 - keep**2) * keep**k}) for k in range(cycles)]
 

@@ -1,4 +1,4 @@
-"""What a guidance cycle leaves in the machine's memory before it is asked what happens."""
+"""Accounts in the machine's memory after a guidance cycle, before the events are determined."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ SAFE_M = 2.0 - 0.25
 
 
 def memory(state: State, **more: Any) -> Progress:
-    """The cycle before was 20 ms ago, and saw pad 1 at a metre."""
+    """Return a memory whose last cycle was 20 ms ago and saw pad 1 at a metre."""
     fields: dict[str, Any] = {
         "automatic": True, "since": ns(NOW - 1.0), "last": ns(NOW - 0.02), "seen": ns(NOW - 0.02), "seen_height_m": 1.0,
         "in_sight": True, "track": 1,

@@ -1,4 +1,4 @@
-"""What happens in a guidance cycle, state by state, with each figure at its limit and beside it."""
+"""Events of a guidance cycle, state by state, with each figure at its limit and beside it."""
 
 import math
 from collections import Counter
@@ -29,7 +29,7 @@ DESCENT = (State.INTERCEPT, State.DESCEND, State.GATE, State.HOLD_BLIND)
 
 
 def memory(state: State, since_s: float = 1.0, **more: Any) -> Progress:
-    """A try that began a second ago, in sight of pad 1 at a metre."""
+    """Return an attempt that began a second ago, in sight of pad 1 at a metre."""
     fields: dict[str, Any] = {
         "automatic": True, "since": ns(NOW - since_s), "seen": ns(NOW), "seen_height_m": 1.0, "in_sight": True, "track": 1,
         "entered_height_m": 1.0, "begun": True,
@@ -119,7 +119,7 @@ def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, reason: objec
     low = seen((0.0, 0.0, 0.1))
     assert figures(of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.2)))) == reason
     assert of(Event.CONTACT, memory(State.COMMIT, 0.2), cycle(low, impact=struck(by, 0.201))) is None, "before the commit"
-    assert of(Event.CONTACT, memory(State.GATE), cycle(low, impact=struck(by))) is None
+    assert of(Event.CONTACT, memory(State.DESCEND), cycle(low, impact=struck(by))) is None
     assert of(Event.CONTACT, memory(State.COMMIT, since=None), cycle(low, impact=struck(by))) is None
     assert of(Event.CONTACT, memory(State.COMMIT), cycle(low)) is None
 
@@ -155,7 +155,8 @@ STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
 
 @pytest.mark.parametrize(
     ("windy_s", "spent", "up", "refuses"),
-    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, True), (20.0, False, True, False),
+    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, False), (8.01, True, True, True),
+     (20.0, False, True, False),
      (20.01, False, True, True)],
 )  # fmt: skip
 def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, up: bool, refuses: bool) -> None:
@@ -229,7 +230,7 @@ def test_what_the_frames_show_is_told_where_nothing_else_is_seen() -> None:
     assert of(Event.HOPELESS, replace(p, in_sight=True, seen_height_m=2.0), cycle(seen(), frames=BLIND)) == WHY
 
 
-# Limits of a try
+# Limits of an attempt
 
 
 def test_a_limit_ends_the_commit_but_not_without_an_estimate() -> None:
@@ -314,7 +315,7 @@ def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_
 def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(
     ago_s: float | None, height_m: float, lost: bool
 ) -> None:
-    """Below the last way point's 0.3 m and what lies about it that is no loss."""
+    """The view ends below the last way point's 0.3 m and its margin, where a lost pad is no loss."""
     p = memory(State.DOWN, seen=None if ago_s is None else ns(NOW - ago_s), seen_height_m=height_m)
     assert figures(of(Event.LIMIT, p, cycle(), guided("thesis"))) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
 

@@ -1,4 +1,4 @@
-"""What the vehicle's report and one guidance cycle do to the machine, one at a time."""
+"""Effects of the vehicle's report and of one guidance cycle on the machine, one at a time."""
 
 import pytest
 from msgspec.structs import replace

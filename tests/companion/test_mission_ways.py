@@ -1,4 +1,4 @@
-"""What happens in a guidance cycle: the time of each state, the way up, the ways down, and another pad."""
+"""Ways through a guidance cycle: the time of each state, the way up, the ways down, and another pad."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""What systemd is told, over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
+"""Notifications to systemd over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
 
 import asyncio
 import itertools
@@ -36,7 +36,7 @@ class Systemd:
         self.messages: list[dict[str, str]] = []
 
     def read(self) -> list[dict[str, str]]:
-        """Everything heard so far."""
+        """Everything received so far."""
         while True:
             try:
                 text = self.socket.recv(4096).decode()

@@ -211,7 +211,7 @@ def test_upper_lettering_and_a_triangle_are_checked_and_printed(
 def test_a_pad_that_clutter_is_taken_for_is_not_detected(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Why: a bar is a plank."""
+    """A bar has no distinction: it looks like a plank."""
     monkeypatch.chdir(tmp_path)
     Path("bar.toml").write_text(
         'name = "bar"\n[paints]\nwhite = [245, 245, 245]\n[[regions]]\nshape = "stroke"\npaint = "white"\n'

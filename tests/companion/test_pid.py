@@ -131,7 +131,7 @@ def test_after_long_silence_the_integrals_start_anew():
 
 
 def fly(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.0, lag_s=0.3, delay_s=0.15):
-    """A vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
+    """Return a vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
     gains = gains or PidOptions()
     dt, state, v, d = 0.02, Pid.start(), np.zeros(3), np.array(d0, float)
     seen = [(d.copy(), np.array(pad_v) - v)] * (round(delay_s / dt) + 1)

@@ -50,7 +50,7 @@ def above(height_m: float, yaw_rad: float | None = 0.0) -> SetPoint:
 
 
 def cycle(gains: PidOptions, estimate: RelativeState, to: SetPoint, state: Pid | None = None) -> tuple[Pid, list[float]]:
-    """The new memory; the command forward, right, down, and its rate of turn."""
+    """Return the new memory; the command forward, right, down, and its rate of turn."""
     after, command = pid_step(Pid.start() if state is None else state, gains, at(NOW), estimate, to, STALE_S)
     assert isinstance(command, Velocity)
     return after, [*command.v_level.tolist(), command.yaw_rate_rad_s]
@@ -83,7 +83,7 @@ def test_gains_may_be_zero_and_not_less(gains: tuple[float, float, float]) -> No
 
 
 def test_by_default_it_commands_what_the_vehicles_were_tuned_with() -> None:
-    """For each metre or radian of error, for each metre second of its integral, for each metre per second of drift."""
+    """The gains are for each metre or radian of error, metre second of its integral, and metre per second of drift."""
     gains = structs.replace(
         PidOptions(),
         speed_max_m_s=9.0,

@@ -1,4 +1,4 @@
-"""What a transition leaves in the machine's memory."""
+"""Memory of the machine after a transition."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ def after(p: Progress, event: Event, target: State, why: Reason = WHY) -> Progre
 
 
 def well_on(state: State, **more: Any) -> Progress:
-    """A memory in which everything of a try and of a state has been used."""
+    """Return a memory in which everything of an attempt and of a state has been used."""
     fields: dict[str, Any] = {
         "since": ns(1), "fault": WHY, "stood": False, "begun": True, "ordered": True, "go_arounds": 2, "questions": 1,
         "landing_began": ns(2),

@@ -122,7 +122,7 @@ def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, ObservedCall
 
 
 def conforms(schema: dict[str, object], value: object, where: str) -> None:
-    """Against the part of JSON Schema that viewers read, which is all that is used."""
+    """Return whether data conforms to a schema, for the part of JSON Schema that viewers read."""
     kinds: dict[str, Any] = {
         "number": (int, float),
         "integer": int,

@@ -155,7 +155,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(
 
 
 def told(recorder: Recorder, at_s: float, seconds: float) -> float:
-    """Samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
+    """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):
         recorder.on_sample(imu(at_s + 0.01 * i))
     wait_for(lambda: recorder._queue.empty())

@@ -54,7 +54,7 @@ def ns(seconds: float) -> MonoNs:
 
 
 def truth_at(t):
-    """A descent from 3 m along a curve, turning through the limit of the heading's range."""
+    """Return a descent from 3 m along a curve, turning through the limit of the heading's range."""
     return np.array([0.6 * math.cos(t), 0.5 - 0.1 * t, 3.0 - 0.6 * t]), math.remainder(3.0 + 0.2 * t, math.tau)
 
 
@@ -163,7 +163,7 @@ def test_position_over_the_pad_is_turned_by_the_heading():
 
 
 class _Parts(HTMLParser):
-    """What a page refers to, its ids, and the text of its elements by id."""
+    """References of a page, its ids, and the text of its elements by id."""
 
     def __init__(self):
         super().__init__()
@@ -410,7 +410,7 @@ def near_ink(canvas, uv, ink, reach=2):
 @pytest.mark.parametrize("expected", [False, True])
 @pytest.mark.parametrize("rpy", [(0.0, 0.0), (0.08, -0.12)])
 def test_the_pad_is_drawn_where_the_estimate_has_it(rpy, expected):
-    """Against cv2.projectPoints with the same pose composed by hand; where the frame has its own expectation, by that."""
+    """The place equals cv2.projectPoints of the same pose composed by hand, or the frame's own expectation if it has one."""
     yaw, d = 0.7, np.array([0.2, -0.1, 2.0])
     R_level_body = Rotation.from_rpy(rpy[0], rpy[1], 0.0)
     believed = d + np.array([0.15, 0.1, 0.0]) if expected else d

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
@@ -90,6 +91,14 @@ def test_a_part_of_a_flight_and_strange_files(tmp_path: Path, capsys: pytest.Cap
     path = tmp_path / "short.mcap"
     record_to(path, seconds=0.8)
     page = tmp_path / "short.html"
+    drawn = tmp_path / "short.gif"
+    assert cli.main(["report", str(path), "--animation", str(drawn)]) == 0
+    with av.open(str(drawn)) as animation:
+        first, *_, last = (frame.to_ndarray(format="bgr24").astype(int) for frame in animation.decode(video=0))
+    assert first.shape == last.shape
+    assert abs(first - last).max() > 50, "the drone moved between the first image and the last"
+    assert cli.main(["report", str(path), "--animation", str(tmp_path / "no" / "folder.gif")]) == 2
+    assert "no/folder.gif" in capsys.readouterr().err
     assert cli.main(["report", str(path), "--output", str(page), "--no-video"]) == 0
     assert "unfinished" in page.read_text()
     assert "film-0" not in parts_of(page.read_text()).ids

@@ -51,7 +51,7 @@ def flight(seed: int) -> tuple[Track, Track]:
 
 
 def held_at(asked: Track, t: F64) -> F64:
-    """The command that holds at each instant; nan where it was not renewed within half a second."""
+    """Return the command that holds at each instant; nan where it was not renewed within half a second."""
     k = np.searchsorted(asked.t_s, t, side="right") - 1
     ends = np.append(asked.t_s[1:], asked.t_s[-1] + 0.5)
     return np.where((ends - asked.t_s <= 0.5)[k][:, None], asked.values[k], math.nan)

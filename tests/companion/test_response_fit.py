@@ -32,7 +32,7 @@ WARM = 60
 
 
 def asked(seed: int, n: int) -> F64:
-    """Steps of half a second about a trim, two axes."""
+    """Return steps of half a second about a trim, two axes."""
     rng = np.random.default_rng(seed)
     return np.asarray(0.4 + np.repeat(rng.normal(size=(n // 25 + 1, 2)), 25, axis=0)[:n])
 
@@ -58,7 +58,7 @@ def lasting(rng: np.random.Generator, shape: tuple[int, int], sigma: float, rho:
 def course(
     seed: int = 1, n: int = 600, *, gain: float = 1.0, noise: float = 0.0, rho: float = 0.9, drifts: int = 0
 ) -> FlightCourse:
-    """What `TRUE` makes of steps, off by an offset or a drift; before anything is compared the report is nonsense."""
+    """Return the reports of `TRUE` for steps, with an offset or a drift; before the compared part they are nonsense."""
     u, counts = asked(seed, n), np.arange(n) > WARM
     off = np.outer(np.ones(n) if drifts == 0 else np.arange(n) / n, [0.3, -0.2])
     y = answered(TRUE, u, gain) + off + lasting(np.random.default_rng(seed + 100), (n, 2), noise, rho)

@@ -63,7 +63,7 @@ def test_the_covariance_of_a_file_says_whether_its_delay_is_known(sigma_s: float
 
 
 def leans(seed: int, seconds: float, size_m_s2: float) -> F64:
-    """What guidance asks for against gusts, one row a cycle."""
+    """Return the commands of guidance against gusts, one row a cycle."""
     rng, n = np.random.default_rng(seed), round(seconds / T)
     keep = math.exp(-T / 1.0)
     out = np.zeros((n, 2))
@@ -73,7 +73,7 @@ def leans(seed: int, seconds: float, size_m_s2: float) -> F64:
 
 
 def answers(true: TiltResponse, u: F64, seed: int) -> F64:
-    """What the vehicle reports at each cycle, with errors that last for a second."""
+    """Return the reports of the vehicle at each cycle, with errors that last for a second."""
     model, rng = tilt_model(true, T), np.random.default_rng(seed + 1)
     out = np.zeros_like(u)
     for axis in range(2):
@@ -253,7 +253,7 @@ TARGET = Target(np.array([0.0, 0.0, 1.0]))
 
 
 def over(k: int, response: ResponseInUse | None) -> Knowledge:
-    """A drone that sways over a deck that heaves."""
+    """Return a drone that sways over a deck that heaves."""
     at, t = ns(k * T), k * T
     d = np.array([0.1 * math.sin(0.5 * t), 0.08 * math.cos(0.4 * t), 1.05 + 0.1 * math.sin(0.6 * t)])
     v = np.array([0.05 * math.cos(0.5 * t), -0.032 * math.sin(0.4 * t), 0.06 * math.cos(0.6 * t)])
@@ -267,7 +267,7 @@ def over(k: int, response: ResponseInUse | None) -> Knowledge:
 
 
 def differences(before: ResponseInUse | None, after: ResponseInUse | None, cycles: int) -> F64:
-    """How a law that learns of another response differs from one that does not, lean and vertical speed, cycle by cycle."""
+    """Return the difference between a law that learns another response and one that does not: tilt and climb by cycle."""
     law = FollowDeck(GIVEN, T)
     memory: FollowDeckMemory = law.start()
     for k in range(100):

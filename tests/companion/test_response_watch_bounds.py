@@ -123,7 +123,7 @@ def test_another_flight_begins_with_what_is_known_and_without_the_courses() -> N
 def fit(
     delay_s: float, sigma_s: float = 0.01, *, gain: float = 1.0, frequency: float | None = None, residual: float = 0.0
 ) -> TiltFit:
-    """A fit whose model is the file's in all that is not given; its offset is a tenth."""
+    """Return a fit with these values, otherwise the file's; its offset is a tenth."""
     response = structs.replace(TILT, delay_s=delay_s, frequency_rad_s=TILT.frequency_rad_s if frequency is None else frequency)
     cov, offset = np.diag([sigma_s**2, 1.0, 1.0, 1.0]), np.full((100, 2), 0.1)
     return TiltFit(response, gain, Fitted(np.zeros(4), cov, np.zeros((100, 2)), offset, residual, 0.9, 2.0))
@@ -180,7 +180,7 @@ def test_forty_milliseconds_to_the_bit_are_no_contradiction(monkeypatch: pytest.
 
 
 def moved(size: float) -> FlightCourse:
-    """A report that goes to and fro by this much about its offset, but where it is not compared."""
+    """Return a report that goes to and fro by this much about its offset, but where it is not compared."""
     swing = np.outer(np.where(np.arange(100) % 2, size, -size), [1.0, 1.0])
     counts = np.arange(100) >= 20
     return FlightCourse(np.zeros((100, 2)), np.where(counts[:, None], swing + 0.1, 50.0), counts)

@@ -1,4 +1,4 @@
-"""From settings to the parts: no key without an effect, and defaults that are the parts' own."""
+"""Parts from settings: no key without an effect, and defaults that are the parts' own."""
 
 import dataclasses
 import math
@@ -64,7 +64,7 @@ def plain(value: Any) -> Any:
 
 
 def other(field: inspect.Field, path: str, present: object) -> object:
-    """A good value that is not the present one."""
+    """Return a good value that is not the present one."""
     bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
     if path == "estimator.ekf.gate_probability":
         return 1e-3

@@ -1,4 +1,4 @@
-"""Nothing dead or implausible keeps it flying down: guard, estimator and guidance together, over random histories of faults.
+"""Dead or implausible inputs never keep the drone flying down: guard, estimator and guidance over random faults.
 
 A body follows the commands; what it senses is frozen, displaced, misstamped, beyond reason or missing for spells drawn at random.
 """
@@ -257,7 +257,7 @@ def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> 
 
 
 def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lying accelerometer makes the filter believe in a deck that rises ever faster; the drone followed it up at 1 m/s."""
+    """A lying accelerometer makes the filter estimate a deck that rises ever faster; the drone followed it up at 1 m/s."""
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     moves = loop.pilot.motion

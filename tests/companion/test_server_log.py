@@ -1,4 +1,4 @@
-"""What a server's log tells: an error of ours, and nothing that a client did to its own connection."""
+"""Contents of a server's log: errors of ours, and nothing that a client did to its own connection."""
 
 import asyncio
 import logging

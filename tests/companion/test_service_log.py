@@ -21,7 +21,7 @@ def record(text: object, line: int = 1, name: str = "companion.x", level: int = 
 
 @contextmanager
 def log_into_pipe() -> Iterator[tuple[ServiceLog, int]]:
-    """A log into a pipe that takes 4 kB, and the end that somebody may read."""
+    """Yield a log into a pipe that takes 4 kB, and the end that somebody may read."""
     reading, writing = os.pipe()
     os.set_blocking(reading, False)
     import fcntl
@@ -37,7 +37,7 @@ def log_into_pipe() -> Iterator[tuple[ServiceLog, int]]:
 
 
 def read_until(reading: int, wanted: str) -> str:
-    """What was written, up to a text."""
+    """Return the written bytes up to a text."""
     said, end = "", time.monotonic() + PATIENCE_S
     while wanted not in said:
         assert time.monotonic() < end, said

@@ -56,7 +56,7 @@ KIND_OF = {path: kind for kind in MINIMALS for path, _ in walk(Settings, kind)}
 
 
 def minimal(kind: str = "ardrone", **changes: Any) -> dict[str, Any]:
-    """The smallest good file with keys set by dotted path (`__` for a dot)."""
+    """Return the smallest good file with keys set by dotted path (`__` for a dot)."""
     data: dict[str, Any] = tomllib.loads(MINIMALS[kind])
     for path, value in changes.items():
         *tables, last = path.split("__")

@@ -1,6 +1,6 @@
 """Told to end, the process ends, whatever its tasks, its threads and its main thread are doing.
 
-It never ends by an exception through the event loop. Two seconds are asked for (benches/sigterm.py measures them). Here the bound
+It never ends by an exception through the event loop. Two seconds are requested (benches/sigterm.py measures them). Here the bound
 is that of a machine that is busy elsewhere: what these programs would do without the deadline takes minutes or never ends.
 """
 
@@ -349,7 +349,7 @@ def test_the_interpreter_is_not_shut_down_under_a_thread_that_runs(daemon: str, 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Settings of a drone that is not there, with everything on that takes time to end."""
+    """Return settings of a drone that is not there, with everything on that takes time to end."""
     folder = tmp_path_factory.mktemp("rig")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -1,4 +1,4 @@
-"""What `decklander simulate` says of a flight, for people and for machines."""
+"""Output of `decklander simulate` on a flight, for people and for machines."""
 
 import json
 from collections import Counter
@@ -112,7 +112,7 @@ def test_a_recording_replaces_a_file_and_nothing_else(tmp_path: Path, capsys: py
 
 
 def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:
-    """By rendered frames, from where the large fiducial is read to where only the small one and single cells are in view."""
+    """The frames are rendered from where the large fiducial is read to where only the small one and single cells are in view."""
     start = ["start.height_m=2.2", "start.pad_forward_m=0.3", "start.pad_right_m=0.2"]
     assert (
         cli.main(["simulate", "calm", "--pad", "apriltag_nest", "--seed", "1", "--json", *(f"--set={key}" for key in start)]) == 0

@@ -1,4 +1,4 @@
-"""Where to be in each state, asked of one guidance cycle."""
+"""Target in each state, for one guidance cycle."""
 
 import math
 from typing import Any
@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import GROUND, State
+from companion.base.mission import GROUND, Event, State
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.limits import InputQuality
+from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
-from companion.guidance.watch import account
+from companion.guidance.watch import account, events
+from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
@@ -42,7 +44,7 @@ def target(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None,
 
 
 def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
-    """Where the body is over the pad, m along and beside its arrow."""
+    """Return the place of the body over the pad, m along and beside its arrow."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return -(c * d[0] - s * d[1]), -(s * d[0] + c * d[1])
 
@@ -109,7 +111,9 @@ def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
         assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
 
 
-@pytest.mark.parametrize(("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None)])
+@pytest.mark.parametrize(
+    ("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None), ("across", 0.01, None)]
+)
 def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(
     heading: str, sigma: float, yaw_rad: float | None
 ) -> None:
@@ -157,7 +161,7 @@ def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
 @pytest.mark.parametrize("over_ground", [True, False])
 @pytest.mark.parametrize("rises_m_s", [0.4, -0.4])
 def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_ground: bool, rises_m_s: float) -> None:
-    """At 0.5 m/s over the ground it would be overtaken. A driver that adds the deck's velocity has it in already."""
+    """A climb at 0.5 m/s over the ground would be overtaken. A driver that adds the deck's velocity includes it already."""
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
     p = Progress(State.GO_AROUND, automatic=True, begun=True)
@@ -273,3 +277,47 @@ def test_motors_stop_by_force_only_on_a_deck_that_was_felt() -> None:
     assert asked(State.DOWN, replace(low, impact=struck), reckoned=ns(NOW - 0.1))[1] == Land(on_deck=True)
     assert asked(State.DOWN, high, bounces=2, track=1)[1] == Land(on_deck=False), "it lands by the vehicle's own landing"
     assert asked(State.DOWN, low, bounces=2, track=1)[1] == Land(on_deck=True)
+
+
+def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_and_to_lee() -> None:
+    o, strong = guided(), WindOverDrone(9.0, 1.0, 12.0, (0.0, 1.0), 0.3, False, 0.4)
+    for wind, turn in ((strong, 0.1 + 0.4), (strong._replace(lean_rad=0.05), None)):
+        found = aim(
+            Progress(State.DESCEND, automatic=True, begun=True),
+            GuidanceCycle(ns(NOW), known(yaw=0.1), wind=wind),
+            o,
+            over_ground=False,
+        )[1]
+        assert isinstance(found, Target)
+        assert found.yaw_rad == (None if turn is None else pytest.approx(turn))
+    for since_s, side in ((1.0, 1.0), (15.0, -1.0), (35.0, 1.0)):
+        p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s))
+        found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
+        assert isinstance(found, Velocity)
+        assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
+        assert found.yaw_rate_rad_s == pytest.approx(0.32)
+
+
+def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
+    for refused in ("hold", "return"):
+        o = replace(guided(), refused=refused)
+        for since_s in (1.0, 9.0):
+            p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s))
+            found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), o, over_ground=False)[1]
+            if since_s < 4.0:
+                assert isinstance(found, Velocity)
+                assert found.v_level.tolist() == [0.0, 0.0, -o.tries.climb_m_s]
+            else:
+                assert found == Hover(returns=refused == "return")
+    found = target(State.REFUSED, replace(known(), outrun_m=0.7))
+    assert found.d_body_pad_level[2] == pytest.approx(guided().tries.safe_height_m + 0.7)
+
+
+@pytest.mark.parametrize("state", [State.GATE, State.HOLD_BLIND, State.GO_AROUND, State.INTERCEPT])
+def test_a_soft_contact_near_the_centre_while_it_waits_is_the_landing(state: State) -> None:
+    p = Progress(state, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW), in_sight=True, track=1)
+    for aside_m, taken in ((0.1, True), (0.5, False)):
+        knows = replace(known((aside_m, 0.0, 0.05)), impact=Impact(ns(NOW - 0.01), "accelerometer", 6.0))
+        found = [event for event, _ in events(p, GuidanceCycle(ns(NOW), knows), guided()) if event is Event.CONTACT]
+        assert bool(found) is (taken and state is not State.INTERCEPT)
+        assert not found or TABLES["cone"][state][Event.CONTACT] is State.PRESS

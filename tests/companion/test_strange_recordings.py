@@ -41,7 +41,7 @@ def ran(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
 
 
 def changed(records: list[Any], key: str, value: Any, which: int = 0) -> list[Any]:
-    """The `which`-th message that has such a key on its top level gets another value there."""
+    """Return the records with another value under this top-level key, in the `which`-th message that has it."""
     out = list(records)
     there = [i for i, r in enumerate(out) if isinstance(r, Message) and key in json.loads(r.data)]
     data = json.loads(out[there[which]].data)
@@ -83,7 +83,7 @@ def test_an_integer_out_of_range_costs_its_message(
 def test_an_instant_of_another_day_is_left_out_and_does_not_fly_for_a_year(
     records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without rounds of guidance of its own a recording is flown at 50 Hz: a jump would take for ever."""
+    """A recording without guidance cycles of its own is flown at 50 Hz, so a jump would take for ever."""
     inputs = [r for r in records if not (isinstance(r, Message) and "phase" in json.loads(r.data))]
     stamp = {"measured_at_ns": 2**61, "received_at_ns": 2**61, "sigma_s": 0.0, "source": "sim"}
     path = tmp_path / "x.mcap"
@@ -106,7 +106,7 @@ def test_a_clock_that_is_no_number(records: list[Any], tmp_path: Path, capsys: p
 
 
 def chunk(data: bytes, announced: int, compression: bytes) -> bytes:
-    """A file with one chunk record."""
+    """Return a file with one chunk record."""
     body = struct.pack("<QQQI", 0, 0, announced, 0)
     body += struct.pack("<I", len(compression)) + compression + struct.pack("<Q", len(data)) + data
     head = struct.pack("<I", 0) * 2

@@ -1,4 +1,4 @@
-"""What a wrong response costs at touchdown, as simulated landings by wrong files showed it, and what its file says then."""
+"""Cost of a wrong response at touchdown: the file's prediction against simulated landings with wrong files."""
 
 import math
 import tomllib
@@ -80,7 +80,7 @@ def test_a_file_is_read_back_with_the_covariance_of_its_fits() -> None:
 
 ARDRONE = shipped_response("ardrone2")
 MISSING_M_S = 0.06
-"""What the loop says too much by: it knows no ground effect."""
+"""Excess of the loop's prediction, m/s: it has no ground effect."""
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def course(t: float, v: tuple[float, float], heading: float | None = None) -> Ve
 
 
 def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until: float = 10.0) -> VesselTrack:
-    """A track after these samples, of a vehicle 30 m up at the harbour whose own reports never stop."""
+    """Return a track after these samples, of a vehicle 30 m up at the harbour whose own reports never stop."""
     track = VesselTrack(limits or ReportLimits())
     for sample in samples:
         track = rendezvous.on_sample(track, sample)

@@ -1,4 +1,4 @@
-"""What makes a report of a place old, too fast or a jump, to its limit; and what the ship's place is uncertain by, in numbers."""
+"""Bounds of the ship's track: old reports, speeds and jumps at their limits, and the uncertainty of the place in numbers."""
 
 import math
 
@@ -129,7 +129,7 @@ def test_a_speed_beyond_the_limit_is_refused_of_the_ship_and_of_the_vehicle() ->
 
 @pytest.mark.parametrize("reported", [False, True])
 def test_a_step_of_the_ship_is_a_jump_beyond_three_sigma_and_what_she_may_have_turned(reported: bool) -> None:
-    """Against the place to which the report before was carried on; her velocity is unknown by 2 m/s if she does not report it."""
+    """The jump is measured from the extrapolated last report; the velocity is uncertain by 2 m/s if none is reported."""
     dt, sigma_v = 3.0, 0.2 if reported else 2.0
     way = dt * np.array([4.0, -2.0]) if reported else np.zeros(2)
     may = LIMITS.jump_m + 3.0 * math.hypot(1.5, 0.7, sigma_v * dt) + 0.5 * LIMITS.acceleration_m_s2 * dt**2

@@ -23,7 +23,7 @@ Messages = dict[str, list[dict[str, Any]]]
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], Messages]:
-    """The schema of each topic of a simulated landing's first seconds, and its messages."""
+    """Return the schema of each topic of a simulated landing's first seconds, and its messages."""
     path = tmp_path_factory.mktemp("layout") / "flight.mcap"
     assert main(["simulate", "demo", "--seed", "1", "--set", "duration_limit_s=2.5", "--record", str(path)]) == 1
     kinds: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""On a machine too slow for each frame vision leaves frames out, and leaves a share of the core to everything else."""
+"""On a machine too slow for each frame, vision leaves frames out and leaves a share of the core to everything else."""
 
 import gc
 
@@ -12,7 +12,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 
 
 def looked_at(core_fraction: float, look_s: float, period_s: float, frames: int = 300) -> tuple[list[float], float]:
-    """The instants at which frames of a camera were looked at, s, and the share of the time that the looks took."""
+    """Return the instants at which frames of a camera were looked at, s, and the share of the time that the looks took."""
     share, free_at, began = VisionShare(core_fraction), MonoNs(0), []
     for n in range(frames):
         now = after(MonoNs(0), n * period_s)

@@ -123,7 +123,7 @@ class FakeFlight:
 
 @patch("companion.service.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
 async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
-    """The commands of that much flight. The daemon must still be alive at the end, and end well."""
+    """Return the commands of that much flight. The daemon must still be alive at the end, and end well."""
     task = asyncio.create_task(daemon.run())
     await settled()
     for n in range(round(seconds / TICK_S)):

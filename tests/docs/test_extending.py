@@ -17,7 +17,7 @@ STEPS = (
     ('"min_confidence",', '"confidence_scale", '),
     ("o->min_confidence) {", "o->confidence_scale * "),
 )
-"""In each file of the page: before which text what is put."""
+"""Steps of the page, for each file: the text before which a text is inserted."""
 USED = """
 from supply import core
 core.bind(core.FLYING)

@@ -9,7 +9,7 @@ _NAMED = re.compile(r"`(tests/[\w./]+)::(\w+)`")
 
 
 def rows() -> list[str]:
-    """The lines of the threat model's table, without its head."""
+    """Return the lines of the threat model's table, without its head."""
     model = PAGE.read_text().split("## Threat model", 1)[1].split("\n## ", 1)[0]
     return [line for line in model.splitlines() if line.startswith("|")][2:]
 

@@ -1,4 +1,4 @@
-"""What the docs say to type works: blocks marked `run` are run, settings are loaded, and every command line parses.
+"""Commands of the docs work: blocks marked `run` are run, settings are loaded, and every command line parses.
 
 `sh run` (with `exit=N`), `python run`, `toml rig`, `toml pad`. Every other line that
 begins with `decklander` is parsed, not run.
@@ -52,7 +52,7 @@ def of_kind(start: str) -> list[Snippet]:
 
 
 def command_lines() -> list[tuple[str, list[str]]]:
-    """Every line of any page that begins with the command, in a block or indented by four."""
+    """Return every line of any page that begins with the command, in a block or indented by four."""
     found = []
     for page in PAGES:
         for number, line in enumerate(page.read_text().splitlines(), 1):

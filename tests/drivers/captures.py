@@ -13,5 +13,5 @@ needs_captures = pytest.mark.skipif(
 
 
 def frames_of(name: str) -> list[PaveFrame]:
-    """Every frame of a capture."""
+    """Return every frame of a capture."""
     return PaveParser().feed((CAPTURES / name).read_bytes())

@@ -1,4 +1,4 @@
-"""What is sent once the service has fallen silent, in virtual time."""
+"""Output of the command arbiter once the service has fallen silent, in virtual time."""
 
 import pytest
 
@@ -98,7 +98,7 @@ SILENT = nd.NavdataState.COM_WATCHDOG | nd.NavdataState.COMMUNICATION_LOST
     ],
 )
 def test_whose_landing_it_is(bits: int, first_at: int | None, cause: Cause) -> None:
-    """For our silence only where it began while we did not hear the drone; never one that a battery or a person began."""
+    """A landing is attributed to our silence only if it began in a gap of navdata; never if a battery or a person began it."""
     watch = LandingWatch()
     if first_at is not None:
         watch.on_report(report(nd.ControlState.HOVERING), ms(first_at), ordered=False)

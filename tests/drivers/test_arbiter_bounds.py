@@ -21,7 +21,7 @@ def report(control: nd.ControlState | None, *, flying: bool, bits: int = 0, alti
 
 
 def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
-    """An arbiter whose newest word ran out at 120 ms."""
+    """Return an arbiter whose newest word ran out at 120 ms."""
     arbiter = CommandArbiter(hold_s)
     arbiter.take(TimedCommand(ms(120), AHEAD, STAY_UP, **word))
     return arbiter

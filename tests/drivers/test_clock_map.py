@@ -14,7 +14,7 @@ FLOOR_S = 0.002
 
 @dataclass
 class Received:
-    """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were heard."""
+    """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were received."""
 
     true_ns: np.ndarray
     remote_ns: np.ndarray
@@ -51,7 +51,10 @@ def follow(clock: ClockMap, received: Received) -> list[Stamp]:
 def test_simulated_jitter_drift_and_stalls(
     seed: int, rate_hz: float, drift_ppm: float, jitter_s: float, wrap_ns: int | None
 ) -> None:
-    """Through a wrap at 18 s: in order, never after hearing, within the sigma claimed, and that sigma within milliseconds."""
+    """The clock wraps at 18 s.
+
+    Times are in order, never after receipt, within the claimed sigma, and that within milliseconds.
+    """
     clock = ClockMap(ClockMapOptions(wrap_ns=wrap_ns, floor_s=FLOOR_S, floor_sigma_s=0.0005))
     received = simulate(seed, rate_hz=rate_hz, drift_ppm=drift_ppm, jitter_s=jitter_s, wrap_ns=wrap_ns)
     stamps = follow(clock, received)

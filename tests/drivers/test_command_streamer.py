@@ -316,7 +316,7 @@ def test_a_lean_is_flown_without_a_measured_velocity_but_not_without_an_attitude
 
 
 def test_a_lean_that_nobody_renews_is_flown_as_hover(cockpit: Cockpit) -> None:
-    """Whatever a law asks for, it ends with the law."""
+    """Whatever a law requests, it ends with the law."""
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(LEAN, ms(0))
     for t in (0, 100, 200, 300, 400):

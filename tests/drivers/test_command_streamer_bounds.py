@@ -29,7 +29,7 @@ def ms(t: float) -> MonoNs:
 
 
 class Cockpit:
-    """A helm, what it counts, and what it hears."""
+    """A helm, what it counts, and what it receives."""
 
     def __init__(self) -> None:
         self.counters = Counters()

@@ -54,12 +54,12 @@ def message(magic: bytes, content: bytes = b"", stamp_ns: int = wire.UNKNOWN, nu
 
 
 def rows(value: int) -> bytes:
-    """A frame whose padding would show if it became pixels."""
+    """Return a frame whose padding would show if it became pixels."""
     return (bytes([value]) * 3 * W + b"\xff\xff") * H
 
 
 def program(folder: Path, said: bytes, code: int = 0, *, stays: bool = False) -> str:
-    """A program in a Python's place that says this and ends."""
+    """Return a stand-in for a program that prints this and ends."""
     words, path = folder / "words", folder / "python"
     words.write_bytes(said)
     path.write_text(f"#!/bin/sh\ncat {words}\n{'exec sleep 60' if stays else f'exit {code}'}\n")
@@ -201,7 +201,7 @@ async def test_a_process_that_crashes_or_hangs_is_started_again() -> None:
 
 
 def children() -> list[int]:
-    """The processes of GStreamer pipelines that this test's process started."""
+    """Return the processes of GStreamer pipelines that this test's process started."""
     found = []
     for task in Path("/proc/self/task").iterdir():
         with suppress(OSError):

@@ -83,7 +83,7 @@ def test_a_tag_of_orientation_turns_nothing() -> None:
 
 
 def scene(seed: int) -> np.ndarray:
-    """A picture of flat parts, edges, a gradient and grain, (240, 320, 3)."""
+    """Return a picture of flat parts, edges, a gradient and grain, (240, 320, 3)."""
     rng = np.random.default_rng(seed)
     px = np.repeat(np.linspace(60, 140, 320)[None, :, None], 240, 0) + np.zeros((240, 320, 3))
     for _ in range(12):
@@ -203,7 +203,7 @@ def test_no_bytes_raise_anything_else(what: bytes | tuple[str, int, bytes]) -> N
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short video of 3072 pixels square in some 30 kB."""
+    """Return a short video of 3072 pixels square in some 30 kB."""
     path = tmp_path_factory.mktemp("videos") / "large.h264"
     with av.open(str(path), "w") as out:
         stream = out.add_stream("libx264", rate=10, options={"preset": "ultrafast"})

@@ -1,4 +1,4 @@
-"""Who began a landing, and whether it is called off, at each edge: gaps, ages, heights, and what a report does not carry."""
+"""Cause of a landing and its cancellation at each edge: gaps, ages, heights, and fields missing from a report."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def landing(altitude_m: float | None = 1.0, *, state: int = UNHEARD) -> DroneRep
 
 
 def for_silence() -> LandingWatch:
-    """The first thing that was heard of the drone is that it lands because nobody spoke to it."""
+    """Return a watch whose first navdata reports a landing for lack of commands."""
     watch = LandingWatch()
     watch.on_report(landing(), ms(0), ordered=False)
     return watch

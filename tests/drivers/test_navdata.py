@@ -41,7 +41,7 @@ RENAMED = {
 
 
 def told_apart(layout: OptionLayout) -> Any:
-    """An option whose every number differs from every other."""
+    """Return an option whose every number differs from every other."""
     numbers = itertools.count(1)
     arguments = []
     at = 0

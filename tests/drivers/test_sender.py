@@ -68,7 +68,7 @@ def moving(fake: FakeArDrone) -> bool:
 
 
 def alive(pid: int) -> bool:
-    """Whether the process runs; one that has ended and is not waited for does not."""
+    """Return whether the process runs; one that has ended and is not waited for does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
     except FileNotFoundError:
@@ -91,7 +91,7 @@ class Stopwatch(SystemClock):
 
 @asynccontextmanager
 async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[tuple[subprocess.Popen[bytes], int]]:
-    """A service in a process of its own that flies the drone ahead; its sender's process with it."""
+    """Yield a service that flies the drone ahead from a process of its own, and its sender's process."""
     words = [sys.executable, "-c", SERVICE, pickle.dumps(options).hex()]
     child = await asyncio.to_thread(subprocess.Popen, words, stdout=subprocess.PIPE, cwd=ROOT)
     sender = 0
@@ -110,7 +110,7 @@ async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[t
 
 
 def test_it_is_small() -> None:
-    """Nothing of weight is imported: it starts in a tenth of a second, and stays in memory when the service does not."""
+    """No large package is imported: it starts in a tenth of a second, and stays in memory when the service does not."""
     code = "import sys, drivers.ardrone.sender; print(sorted({'numpy', 'cv2', 'asyncio', 'av', 'logging'} & set(sys.modules)))"
     said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "[]"
@@ -199,7 +199,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
 
 
 async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> None:
-    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still hears it."""
+    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
@@ -243,7 +243,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
 
 @pytest.mark.parametrize("replaces", [True, False])
 async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces: bool) -> None:
-    """Without commands it would land by itself, on water too; but a drone that another service may fly is left alone."""
+    """A drone without commands would land by itself, on water too; a drone of another service is left alone."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.setblocking(False)
@@ -346,7 +346,7 @@ def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_a_service_that_has_lost_its_sender_gets_the_drone_back_before_a_newcomer() -> None:
-    """On a busy machine a sender may be replaced, and the name is free until the next one runs."""
+    """The name of a sender is free until the next one runs; on a busy machine a sender may be replaced."""
     name = f"\0decklander-test/{os.getpid()}/lost"
     with sender_lock.mark(f"{name}/mark") or socket.socket() as mark:
         assert mark.getsockname(), "the drone is marked"

@@ -19,7 +19,7 @@ def controls(_: int) -> list[SimpleNamespace]:
 
 @pytest.fixture
 def values(monkeypatch: pytest.MonkeyPatch) -> dict[int, int]:
-    """The values of the device's controls, by number."""
+    """Return the values of the device's controls, by number."""
     held = {_MODE: 3, _TIME: 156}
     monkeypatch.setattr(v4l2_kernel, "controls", controls)
     monkeypatch.setattr(v4l2_kernel, "control_value", lambda _fd, number, _type: held[number])

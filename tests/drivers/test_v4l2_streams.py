@@ -118,7 +118,7 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
 
 
 def numbered(n: int) -> np.ndarray:
-    """An image whose blocks hold the number `n` in binary."""
+    """Return an image whose blocks hold the number `n` in binary."""
     return np.repeat(np.repeat(np.array([[(n >> b & 1) * 255 for b in range(8)]], np.uint8), H, 0), W // 8, 1)
 
 
@@ -128,7 +128,7 @@ def number_in(frame: Frame) -> int:
 
 
 def parts(kind: str, n: int) -> list[bytes]:
-    """The bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
+    """Return the bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
     if kind == "mjpeg":
         jpegs = [cv2.imencode(".jpg", numbered(i))[1].tobytes() for i in range(n)]
         return [b"--f\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(j), j) for j in jpegs]

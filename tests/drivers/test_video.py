@@ -38,7 +38,7 @@ def clip(n: int = 16) -> tuple[tuple[PaveFrame, ...], NDArray[np.uint8]]:
 
 
 def one_by_one(decoder: VideoDecoder, units: list[PaveFrame]) -> list[int]:
-    """Indices of the units that gave a frame."""
+    """Return indices of the units that gave a frame."""
     return [k for k, u in enumerate(units) if decoder.newest([u]) is not None]
 
 

@@ -117,7 +117,7 @@ def _read(fd: int) -> bytes:
 
 @contextmanager
 def served() -> Iterator[tuple[Endpoint, Callable[[], socket.socket]]]:
-    """A server, and what accepts its next connection."""
+    """Yield a server, and what accepts its next connection."""
     with ExitStack() as stack, socket.create_server((HOST, 0)) as server:
 
         def accept() -> socket.socket:
@@ -155,7 +155,7 @@ def _into(got: bytearray, peer: socket.socket) -> int:
 
 @pytest.fixture
 def names(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, list[str]]]:
-    """A resolver of our own: the addresses of each name."""
+    """Yield a resolver of our own: the addresses of each name."""
     table: dict[str, list[str]] = {}
     threads: set[int] = set()
 

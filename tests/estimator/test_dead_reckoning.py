@@ -42,7 +42,7 @@ def imu(t, f):
 
 
 def pushed(*a_body):
-    """What an accelerometer in a level body reads under this acceleration."""
+    """Return the reading of an accelerometer in a level body under this acceleration."""
     return G + np.array(a_body)
 
 
@@ -63,7 +63,7 @@ def feed(events, options=None, state=None):
 
 
 def path(seconds, rate_hz, v_level, yaw_rate=0.0, cov=V_COV):
-    """Samples of a flight at constant velocity in level axes and constant turn rate, from heading 0."""
+    """Return samples of a flight at constant velocity in level axes and constant turn rate, from heading 0."""
     events = []
     for i in range(round(seconds * rate_hz) + 1):
         t = i / rate_hz

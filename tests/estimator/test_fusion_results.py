@@ -1,4 +1,4 @@
-"""What leaves the estimator of each measurement: innovation, its covariance, NIS, test ratio and verdict, by source.
+"""Fusion results of each measurement: innovation, its covariance, NIS, test ratio and verdict, by source.
 
 Why: a filter that is tuned wrong, or a sensor that drifts, shows in these figures long before it shows in a landing.
 """
@@ -35,7 +35,7 @@ def sighting(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, p
 
 
 def sensed(i: int) -> list[Event]:
-    """The samples of a body that hovers, with the noise that a sensor has."""
+    """Return the samples of a body that hovers, with the noise that a sensor has."""
     rng, t_s = np.random.default_rng(i), i / 100
     at = stamp(t_s)
     return [
@@ -47,7 +47,7 @@ def sensed(i: int) -> list[Event]:
 
 @pytest.fixture(scope="module")
 def hovering() -> tuple[pipeline.Memory, list[FusionResult]]:
-    """A second of flight, and every result of it."""
+    """Return a second of flight, and every result of it."""
     memory, results = pipeline.start(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
     for i in range(101):
         events = sensed(i)

@@ -1,4 +1,4 @@
-"""How a gimbal held the camera at an exposure: frames, interpolation, uncertainty, and the sighting that follows."""
+"""Orientation of a gimballed camera at an exposure: frames, interpolation, uncertainty, and the sighting that follows."""
 
 import math
 from itertools import pairwise

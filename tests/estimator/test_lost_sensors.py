@@ -32,16 +32,16 @@ Fault = Callable[[Imu], Imu]
 
 @dataclass
 class Flown:
-    """What the estimator said in a flight, every `STEP_S` from `BEFORE_S` on."""
+    """Outputs of the estimator in a flight, every `STEP_S` from `BEFORE_S` on."""
 
     t: list[float] = field(default_factory=list)
     error_m: list[float] = field(default_factory=list)
     sigma_m: list[float] = field(default_factory=list)
     nees: list[float] = field(default_factory=list)
-    """Of position and velocity, over their six dimensions."""
+    """NEES of position and velocity, over their six dimensions."""
     consistent: list[bool] = field(default_factory=list)
     named: dict[str, float] = field(default_factory=dict)
-    """Instant from which on a sensor is left out, by the sentence, s after the fault's beginning."""
+    """Instant from which a sensor is left out, by the sentence, s after the fault's beginning."""
     lost: tuple[str, ...] = ()
     restarts: int = 0
 

@@ -95,7 +95,7 @@ def sighting(t: float, down: float = 3.0, confidence: float = 1.0, received: flo
 
 
 def hovering(seconds: float = 1.0) -> RelativeEstimator:
-    """An estimator that has hovered over a pad at rest, IMU at 100 Hz and sightings at 20 Hz."""
+    """Return an estimator that has hovered over a pad at rest, IMU at 100 Hz and sightings at 20 Hz."""
     filter = RelativeEstimator()
     for i in range(round(seconds * 100)):
         t = 1.0 + i / 100

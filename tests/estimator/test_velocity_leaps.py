@@ -21,7 +21,7 @@ def stamp(ms: int) -> Stamp:
 
 
 def after_leap(leap_ms: int, by_m_s: float, *, sighted: bool) -> Ekf:
-    """The filter 2 s after the velocity of a body at rest over a deck leapt, which its accelerometer did not feel."""
+    """Return the filter 2 s after the velocity of a body at rest over a deck leapt, which its accelerometer did not feel."""
     ekf = start(EkfOptions(velocity_is_over="ground"))
     for ms in range(0, leap_ms + 2000, 20):
         now = stamp(ms)

@@ -36,7 +36,7 @@ def test_the_corpus_keeps_the_contract(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["mavlink_autopilot", "at", "settings", "spool"])
 def test_a_target_answers_the_same_twice(name: str) -> None:
-    """What one input left behind must not change what the next one does: damaged seeds, in two orders."""
+    """State that one input leaves must not change the result of the next: damaged seeds, in two orders."""
     chosen = target(name)
     inputs = [path.read_bytes()[::-1] for path in sorted((CORPUS / name).iterdir())[:6]]
     answers = []
@@ -78,7 +78,7 @@ def test_a_fault_is_kept_once_with_its_shortest_input(tmp_path: Path) -> None:
 
 
 def test_the_command_shows_a_fault_and_a_hang_and_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With a stand-in for the fuzzer's process, as the suite runs where there is none: its lines are libFuzzer's."""
+    """A stand-in replaces the fuzzer's process, which the suite does not install: its lines are libFuzzer's."""
     stand_in = tmp_path / "python"
     stand_in.write_text(
         f"#!{sys.executable}\nimport pathlib, sys\n"

@@ -2,7 +2,7 @@
 
     python -m tests.golden.figures "why they changed"
 
-writes them anew and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: docs/recordings.md.
+writes them again and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: docs/recordings.md.
 """
 
 import hashlib
@@ -25,12 +25,12 @@ HERE = Path(__file__).parent
 FIGURES, REASONS = HERE / "figures.toml", HERE / "REASONS.md"
 RECORDINGS = ("approach", "frames")
 Figures = dict[str, dict[str, float]]
-"""By path or method: count, lateral_median_m, lateral_p95_m, down_bias_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
+"""Figures by path or method: count, lateral_median_m, lateral_p95_m, down_bias_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
 FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_bias_m", "down_p95_m", "yaw_median_rad", "yaw_p95_rad")
 
 
 def measured(name: str) -> Figures:
-    """Of one golden recording through the shipped settings `sim` and all methods, with the recording's own camera and pad."""
+    """Return the figures of one golden recording by the shipped settings `sim` and all methods, with its own camera and pad."""
     recording = open_recording([HERE / f"{name}.mcap"])
     settings = load("sim")
     settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
@@ -47,13 +47,13 @@ def measured(name: str) -> Figures:
 
 
 def kept() -> dict[str, Figures]:
-    """As they stand in figures.toml."""
+    """Return the figures in figures.toml."""
     read: dict[str, Figures] = tomllib.loads(FIGURES.read_text())
     return read
 
 
 def fingerprint() -> str:
-    """Of figures.toml: REASONS.md names it beside the reason for its newest change."""
+    """Return the fingerprint of figures.toml: REASONS.md names it beside the reason for its newest change."""
     return hashlib.sha256(FIGURES.read_bytes()).hexdigest()[:12]
 
 

@@ -15,7 +15,7 @@ TOLERANCE = {
     "yaw_median_rad": (0.0005, 0.15),
     "yaw_p95_rad": (0.001, 0.15),
 }
-"""By field: a part of its own unit, and a share of the figure; the larger counts."""
+"""Tolerance by field: a part of its own unit, and a share of the figure; the larger counts."""
 HOW = 'if that is as it should be: python -m tests.golden.figures "why"'
 
 

@@ -46,7 +46,7 @@ def stranger() -> tuple[str, Path]:
 
 @asynccontextmanager
 async def drone(scenario: Path, truth: Path) -> AsyncIterator[dict[str, int]]:
-    """The simulated drone in a process of its own; ends when its standard input closes."""
+    """Yield the simulated drone in a process of its own; ends when its standard input closes."""
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "sitl.emulators.ardrone.serve", str(scenario), "--seed", "3", "--truth", str(truth),
         "--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0",

@@ -115,7 +115,7 @@ def until(what: str, condition: Callable[[], object], seconds: float) -> None:
 
 
 def another(wheel: Path, version: str, folder: Path, broken: str = "") -> Path:
-    """The wheel under another version; `broken` goes in front of the code of `decklander run`."""
+    """Return the wheel under another version; `broken` goes in front of the code of `decklander run`."""
     old = wheel.name.split("-")[1]
     made = folder / wheel.name.replace(f"-{old}-", f"-{version}-")
     with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(made, "w") as target:

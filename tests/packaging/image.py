@@ -5,7 +5,7 @@
 Needs root, debootstrap and whatever this machine uses to reach Debian's and Python's packages. Each step is read from the
 Dockerfiles, so that the two cannot drift. Then compose.yaml's broker, sim and daemon run from those roots as its user, the roots
 read-only, in a network of their own, until the simulated drone has landed on the pad, the health check says yes, Prometheus'
-endpoint has every figure of the dashboard and the ground hears the drone through TLS. Times and sizes are printed.
+endpoint has every figure of the dashboard and the ground receives the drone through TLS. Times and sizes are printed.
 """
 
 import argparse
@@ -37,7 +37,7 @@ class Step:
 
 @dataclass(slots=True)
 class Stage:
-    """From one FROM to the next."""
+    """Stage of a Dockerfile, from one FROM to the next."""
 
     base: str
     name: str
@@ -45,7 +45,7 @@ class Stage:
 
 
 def stages(dockerfile: str) -> list[Stage]:
-    """The stages of a Dockerfile.
+    """Return the stages of a Dockerfile.
 
     Raises:
         ValueError: an instruction that is not understood here.
@@ -66,7 +66,7 @@ def stages(dockerfile: str) -> list[Stage]:
 
 @dataclass(slots=True)
 class Image:
-    """What the steps have made so far."""
+    """Image that the steps have made so far."""
 
     root: Path
     environment: dict[str, str] = field(default_factory=lambda: {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin"})
@@ -86,7 +86,7 @@ class Builder:
         self._pip = _pip_files()
 
     def build(self, dockerfile: Path) -> Image:
-        """The last stage of it."""
+        """Return the last stage of it."""
         made: dict[str, Image] = {}
         for stage in stages(dockerfile.read_text()):
             image = Image(self.work / f"{dockerfile.stem}-{stage.name}")
@@ -147,7 +147,7 @@ class Builder:
                 shutil.copy2(origin, place)
 
     def run_in(self, image: Image, command: str) -> None:
-        """A RUN, with this machine's way to packages lent to it and to nobody after it."""
+        """Execute a RUN, with this machine's way to packages lent to it and to nobody after it."""
         lent = ["/etc/resolv.conf", *map(str, self._pip)]
         environment = {**image.environment, "DEBIAN_FRONTEND": "noninteractive"}
         if self._pip:
@@ -158,7 +158,7 @@ class Builder:
 def chroot(
     image: Image, command: list[str], *, binds: list[str], environment: dict[str, str], user: str, read_only: bool = False
 ) -> list[str]:
-    """The command line that runs another in a root of its own.
+    """Return the command line that runs another in a root of its own.
 
     Args:
         binds: "PATH" or "HOST:PATH", lent for reading only; "HOST:PATH:rw" for writing too.

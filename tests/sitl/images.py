@@ -35,7 +35,7 @@ def pad(name: str, **colours: tuple[int, int, int]) -> Pad:
 def shot(
     height_m: float, aside: tuple[float, float] = (0.0, 0.0), rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), **more: F64
 ) -> Exposure:
-    """The camera `height_m` over a pad that lies a little askew, its centre `aside` (in frame heights) off the axis."""
+    """Return the camera `height_m` over a pad that lies a little askew, its centre `aside` (in frame heights) off the axis."""
     R_ned_pad = Rotation.from_rpy(0.03, -0.02, 0.7)
     p_pad = np.array([3.0, -2.0, -0.5])
     R_ned_body = Rotation.from_rpy(*rpy)
@@ -46,7 +46,7 @@ def shot(
 
 
 def pad_pose(s: Exposure, camera: Camera) -> PadPose:
-    """The pad as the camera sees it in the middle of the exposure."""
+    """Return the pad as the camera sees it in the middle of the exposure."""
     R_cam_ned = (s.R_ned_body @ camera.T_body_cam.R).inv
     return PadPose(R_cam_ned @ s.R_ned_pad, R_cam_ned @ (s.p_pad_ned - s.p_body_ned - s.R_ned_body @ camera.T_body_cam.t))
 

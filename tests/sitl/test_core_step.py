@@ -1,4 +1,4 @@
-"""What the core's step of vehicle, contacts, air and sensors must keep, over random flights."""
+"""Invariants of the core's step of vehicle, contacts, air and sensors, over random flights."""
 
 import math
 from dataclasses import replace
@@ -68,7 +68,7 @@ def disturb(v: Vehicle, kind: int, extra: tuple[float, float, float]) -> None:
 
 
 class Observer(NamedTuple):
-    """How somebody else writes the same flight down: with another north and another origin."""
+    """Observer who writes the same flight down with another north and another origin."""
 
     R: Rotation
     p: F64

@@ -47,7 +47,7 @@ class Bench:
             self.tell([*commands, at.Ctrl(at.CTRL_ACK)])
 
     def service(self) -> None:
-        """A new process of the service knows nothing."""
+        """Start a new process of the service, which knows nothing."""
         self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), NavdataSampler(OPTIONS)
 
     @property

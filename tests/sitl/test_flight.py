@@ -120,7 +120,7 @@ def test_images_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
 
 
 def decisions_blind(diary: Diary) -> int:
-    """Return at how many decisions sight was stale, none of which sinks; what the air does to the drone is not a command."""
+    """Return at how many decisions sight was stale, none of which descends; what the air does to the drone is not a command."""
     blind = 0
     for decision in diary.decisions:
         belief = decision.belief
@@ -134,7 +134,7 @@ def decisions_blind(diary: Diary) -> int:
 
 @pytest.mark.parametrize("kind", ["frames", "navdata"])
 def test_a_fault_in_the_descent_never_makes_it_sink_or_land_blind(kind: str) -> None:
-    """What the wires lose they lose with pictures and without: the flight sees by the model of them."""
+    """Losses of the wires are lost with images and without: the flight sees by the model of them."""
     diary, perception = Diary(), perceive("model")
     scenario = msgspec.structs.replace(with_fault(kind, 2.5, 4.0), duration_limit_s=12.0)
     pilot = perception.pilot(SIM)

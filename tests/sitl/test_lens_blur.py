@@ -25,7 +25,7 @@ FULL = replace(FLAT, exposure_ev=math.log2(1.25))
 
 
 def paints(camera: Camera, s: Exposure, p: Pad, rays_uv: F64) -> dict[str, NDArray[np.bool_]]:
-    """Whether points of the frame (N, 2) px show disc, orange or white."""
+    """Return whether points of the frame (N, 2) px show disc, orange or white."""
     R = (s.R_ned_body.matrix @ camera.T_body_cam.R.matrix).T
     t = R @ (s.p_pad_ned - s.p_body_ned - s.R_ned_body.matrix @ camera.T_body_cam.t)
     M = np.linalg.inv(np.stack([*(R @ s.R_ned_pad.matrix)[:, :2].T, t], axis=1))

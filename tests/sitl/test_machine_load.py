@@ -22,7 +22,7 @@ SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 
 
 
 def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
-    """A demo of 30 s in which guidance cycles came that much late."""
+    """Return a demo of 30 s in which guidance cycles came that much late."""
     health = Health(SystemClock())
     health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
     for _ in range(9):
@@ -70,7 +70,7 @@ def test_a_landing_on_the_pad_is_not_talked_down() -> None:
 
 
 class LateClock(VirtualClock):
-    """Wakes everybody up later than asked for."""
+    """Wakes everybody up later than requested."""
 
     async def sleep(self, seconds: float) -> None:
         await super().sleep(seconds + 0.05)

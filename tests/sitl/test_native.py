@@ -52,7 +52,7 @@ def exposed(library: Door, rng: np.random.Generator) -> NDArray[Any]:
 
 
 def imaged(library: Door, rng: np.random.Generator) -> NDArray[Any]:
-    """A frame by `sim_render_image`, which the frame of the light by `sim_render_expose` equals."""
+    """Return a frame by `sim_render_image`, which the frame of the light by `sim_render_expose` equals."""
     seen, light = lit(library, rng), library.array("int16_t", np.zeros(H * W * 3, np.int16))
     blur = library.new(
         "sim_lens_blur", radius=2, numbers=20 * 3 * W, taps=TAPS, scratch=np.zeros(20 * 3 * W, np.uint16),

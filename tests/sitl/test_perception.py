@@ -159,7 +159,7 @@ def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_a_level_that_c
 
 
 def test_the_true_pose_comes_through_vision_and_back() -> None:
-    """What registration measured in the camera is recovered from a sighting and the attitude, tilted deck included."""
+    """The sighting and the attitude give back the pose that registration measured, tilted deck included."""
     pilot = perceive("pixels").pilot(SIM)
     viewer = Viewer(pilot.camera, pilot.pad)
     body, deck = Rotation.from_rpy(0.06, -0.09, 0.7), Rotation.from_rpy(0.03, 0.02, 0.4)
@@ -270,7 +270,7 @@ def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
 def flown_samples(
     rng: np.random.Generator, n: int, p: float, root: np.ndarray, bias: np.ndarray
 ) -> list[samples_module.DetectionSample]:
-    """Detection samples from 2.5 m of the whole pad, found with probability p, with errors of a known bias and covariance."""
+    """Return detections of the whole pad from 2.5 m, found with probability p, with errors of a known bias and covariance."""
     view, out = a_view(2.5), []
     for i in range(n):
         error = bias + root @ rng.standard_normal(6)

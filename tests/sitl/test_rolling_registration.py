@@ -31,7 +31,7 @@ SENSOR = replace(IDEAL, psf_sigma_px=0.7, read_noise_e=10.0, full_well_e=8000.0)
 
 
 def motion_of(view: Exposure, camera: Camera) -> CameraMotion:
-    """The true motion of the camera against a pad at rest."""
+    """Return the true motion of the camera against a pad at rest."""
     R_ned_cam = view.R_ned_body @ camera.T_body_cam.R
     arm = view.R_ned_body @ np.cross(view.w_body, camera.T_body_cam.t)
     return CameraMotion(camera.T_body_cam.R.inv @ view.w_body, R_ned_cam.inv @ (-view.v_body_ned - arm))
@@ -104,7 +104,7 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief() -> None:
 
 
 def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Over 30 ms the difference of two reported attitudes is noise: 0.1 rad/s of 2 mrad each."""
+    """The difference of two reported attitudes over 30 ms is noise: 0.1 rad/s for 2 mrad each."""
     w_body, at_s, rng = np.array([0.5, -0.3, 0.2]), 1.0, np.random.default_rng(4)
     pilot = make_pilot(load("sim"))
     for k in range(120):

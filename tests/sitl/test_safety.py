@@ -62,7 +62,7 @@ def watched(frames: list[tuple[float, Verdict, bool, float]], heights: list[tupl
 
 
 DOWN = [(0.5 * n, 3.0 - 0.25 * n) for n in range(11)]
-"""From 3 m to 0.5 m in 5 s."""
+"""Descent from 3 m to 0.5 m in 5 s."""
 
 
 def test_a_descent_in_true_sight_is_none_and_on_dead_frames_it_is_one() -> None:
@@ -251,6 +251,20 @@ def test_a_climb_that_nobody_calls_for_is_unsafe_unless_a_person_or_nobody_comma
     assert dangers(SAFE, (), None, motion=moved(high, BY_HAND)) == ()
     assert dangers(SAFE, (), None, motion=moved(high, None)) == ()
     assert dangers(SAFE, (), None, motion=moved(high, reached=False)) == ()
+
+
+def moved_to(at_s: float, height_m: float, down_m: float) -> Truth:
+    at = np.array([0.0, 0.0, down_m])
+    return replace(truth(at_s, height_m), p_body_ned=at, p_pad_ned=np.array([0.0, 0.0, down_m + height_m]))
+
+
+def test_a_deck_that_falls_away_below_makes_nobody_climb() -> None:
+    watch = MotionWatch(7.0, 0.1)
+    for at_s, height_m, down_m in ((0.0, 7.0, -9.0), (1.0, 10.9, -9.0), (2.0, 10.2, -11.9)):
+        watch.step(moved_to(at_s, height_m, down_m), "search", reached=True)
+    assert watch.unsafe == ()
+    watch.step(moved_to(3.0, 10.2, -12.3), "search", reached=True)
+    assert len(watch.unsafe) == 1
 
 
 def test_standing_on_the_deck_with_turning_motors_is_unsafe_after_three_seconds() -> None:

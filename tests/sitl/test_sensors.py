@@ -1,4 +1,4 @@
-"""What the sensors say against what is so, and against a real AR.Drone's recording."""
+"""Readings of the sensors against the truth, and against a real AR.Drone's recording."""
 
 import csv
 import math
@@ -34,7 +34,7 @@ PERFECT = SensorSettings(
 
 
 def deck() -> Ground:
-    """At z = -0.5 m over water at 0."""
+    """Return a deck at z = -0.5 m over water at 0."""
     return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
 
 

@@ -22,13 +22,13 @@ from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0
 ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports)
-"""What this file's camera without pictures does not show: test_picture_faults.py and test_vessel_reports.py do."""
+"""Faults that a camera without images does not show: test_picture_faults.py and test_vessel_reports.py test them."""
 SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
 SIM = load_settings("sim")
 
 
 def soon(fault: Fault) -> Fault:
-    """The same fault, but it begins at a time."""
+    """Return the same fault, but it begins at a time."""
     beginnings = dict.fromkeys(("below_height_m", "above_height_m", "in_phase", "per_minute"))
     return msgspec.structs.replace(fault, **beginnings, at_s=BEGINS_S)
 

@@ -28,7 +28,7 @@ def test_a_shape_of_one_is_bretschneiders_spectrum() -> None:
 
 
 def test_a_fully_grown_sea_is_pierson_and_moskowitz() -> None:
-    """By wind: S = 0.0081 g^2 w^-5 exp(-0.74 (g / V w)^4), where a height of 0.209 V^2 / g belongs to the wind V."""
+    """The spectrum by wind is S = 0.0081 g^2 w^-5 exp(-0.74 (g / V w)^4); a height of 0.209 V^2 / g belongs to the wind V."""
     g, wind = 9.80665, 12.0
     height = math.sqrt(16.0 * 0.0081 / (4 * 0.74)) * wind**2 / g
     band = W[(W > 0.65) & (W < 4.0)]
@@ -49,7 +49,7 @@ def test_the_swell_and_the_wind_sea_hold_the_height_together() -> None:
 @pytest.mark.parametrize("components", ["geometric", "equal_energy"])
 @pytest.mark.parametrize("state", STATES.values(), ids=STATES.keys())
 def test_a_drawn_sea_has_the_height_period_and_energy_of_its_spectrum(state: SeaState, components: Components) -> None:
-    """Over 150 seeds: variance by time and by band of frequency against the spectrum's integral."""
+    """The variance of 150 seeds, by time and by band of frequency, equals the spectrum's integral."""
     waves = Waves.draw(state, range(150), components=components)
     assert 4.0 * math.sqrt(float((waves.amplitude_m**2).sum(axis=1).mean()) / 2.0) == pytest.approx(state.hs_m)
     wp = math.tau / state.tp_s

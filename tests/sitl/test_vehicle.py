@@ -38,7 +38,7 @@ def run(v: Vehicle, seconds: float, ground: Ground = NOWHERE) -> None:
 
 
 def flat_deck() -> Ground:
-    """At z = -0.5 m, over water at 0."""
+    """Return a deck at z = -0.5 m over water at 0."""
     return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
 
 
@@ -128,7 +128,7 @@ def test_full_stick_means_the_limits() -> None:
 
 
 def test_tilt_answers_as_the_thesis_loop_does() -> None:
-    """With instant motors and no delay the loop is theta'' = P (asked - theta) - D theta'."""
+    """The loop with instant motors and no delay is theta'' = P (asked - theta) - D theta'."""
     v = flying(replace(STILL, motor_lag_s=0.0, command_delay_s=0.0))
     v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
     asked = v.limits.euler_angle_max_rad
@@ -175,7 +175,7 @@ def test_starts_in_balance_with_the_steady_wind() -> None:
 
 
 def test_hover_drifts_with_the_deck_it_sees() -> None:
-    """Over the deck the optical flow measures against the deck: hovering goes along with it. Against the water it does not."""
+    """The optical flow measures against the deck over it, so a hover goes along; against the water it does not."""
     for sees, speed in ((True, 1.0), (False, 0.0)):
         v = flying(replace(STILL, avionics=replace(EXACT, flow_sees_deck=sees)), height_m=4.0)
         v.v = (speed, 0.0, 0.0)

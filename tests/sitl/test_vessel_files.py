@@ -68,7 +68,7 @@ def test_the_files_of_the_older_hulls_move_as_those_do(name: str) -> None:
 
 
 def tabled(hull: Hull, w: F64, headings_deg: F64) -> Table:
-    """The closed-form responses of a hull at rest, written as a table."""
+    """Return the closed-form responses of a hull at rest, written as a table."""
     modes = {}
     h = responses(hull, w, np.radians(headings_deg)[:, None])
     for i, mode in enumerate(("surge", "sway", "heave", "roll", "pitch", "yaw")):
@@ -251,7 +251,7 @@ def numeric(vessel: Vessel, t: float, d: F64) -> tuple[F64, F64, F64]:
 @pytest.mark.parametrize("t", [3.0, 6.0, 11.0, 40.0])
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.5, -0.3)])
 def test_a_turning_ships_velocities_are_those_of_its_motion(t: float, current: tuple[float, float]) -> None:
-    """Before, while and after the turn develops; at a point far from amidships."""
+    """The velocities agree before, while and after the turn develops, at a point far from amidships."""
     waves = Waves.draw(SEA_STATES[4], [5], towards_rad=2.0).carried(current)
     vessel = TurningVessel(TURNING, waves, Turn(math.radians(2.0), 5.0, 10.0), heading_rad=0.7, speed_m_s=6.0)
     d = np.array([-22.0, 3.0, -3.0])
@@ -273,7 +273,7 @@ def test_a_turn_leaves_what_was_before_and_meets_the_sea_on_its_new_heading() ->
     course = turning._course.at(np.array([late]))
     heading = 0.7 + float(course.yaw[0])
     assert heading == pytest.approx(0.7 + math.radians(2.0) * (50.0 - 5.0))
-    # A ship that always ran on that heading and is at that place now answers the same waves alike, but for the turn's heel.
+    # A ship that always ran on that heading and is at that place now answers the same waves alike, except for the turn's heel.
     speed = float(course.speed[0])
     here = p[:2] - late * speed * np.array([math.cos(heading), math.sin(heading)])
     other = Vessel(TURNING, waves, heading_rad=heading, speed_m_s=speed, p0_ne_m=(float(here[0]), float(here[1])))

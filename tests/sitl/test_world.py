@@ -299,7 +299,7 @@ def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
 
 
 def test_velocity_may_be_told_against_the_water() -> None:
-    """Over a deck that goes 1.5 m/s the two ways of telling differ by the deck's speed, scale put in."""
+    """The two frames of velocity differ over a deck of 1.5 m/s by the deck's speed times the scale."""
     told = []
     for over in ("seen", "water"):
         ship = VesselSettings(hull="supply_ship", moored=False, speed_m_s=1.5)

@@ -1,4 +1,4 @@
-"""What is shipped is listed, under licences that are allowed, and known weaknesses of it fail the audit."""
+"""The shipped packages are listed, under licences that are allowed, and known weaknesses of them fail the audit."""
 
 import re
 import subprocess

@@ -53,7 +53,7 @@ class Studio:
         return np.clip(grey + self._random.normal(0.0, noise, grey.shape), 0, 255).astype(np.uint8)
 
     def aim(self, toward_px: tuple[float, float], distance_m: float, rpy_deg: tuple[float, float, float]) -> NDArray[np.uint8]:
-        """The board's middle seen at a pixel, so far away, turned (0, 0, 0) as the image lies."""
+        """Return the board's middle seen at a pixel, so far away, turned (0, 0, 0) as the image lies."""
         R = Rotation.from_rpy(*np.radians(rpy_deg))
         middle = np.array([*self.board.outline_m, 0.0]) / 2
         ray = np.append(self.camera.rays(np.array([toward_px]))[0], 1.0)
@@ -61,7 +61,7 @@ class Studio:
 
 
 def good_round(studio: Studio, distance_m: float, inset: tuple[float, float], middle: float) -> list[NDArray[np.uint8]]:
-    """A person's round over the image: its middle and four corners, at three tilts each; in the middle nearer by a factor."""
+    """Return views as a person takes them: the middle and four corners, at three tilts each; the middle nearer by a factor."""
     w, h = studio.camera.width, studio.camera.height
     x, y = inset
     places = [(0.5, 0.5), (x, y), (1 - x, y), (x, 1 - y), (1 - x, 1 - y)]

@@ -1,11 +1,11 @@
-"""Certificates made anew for each run of the tests."""
+"""Certificates made again for each run of the tests."""
 
 import subprocess
 from pathlib import Path
 
 
 def make_certificates(folder: Path) -> None:
-    """A CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
+    """Make a CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
 
     def openssl(*words: str) -> None:
         subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)

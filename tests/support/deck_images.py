@@ -34,7 +34,7 @@ def shown(
     camera: Camera, pad: Pad | None, height_m: float, *, aside: tuple[float, float] = (0.0, 0.0), yaw_rad: float = 0.4,
     tilt_rad: tuple[float, float] = (0.0, 0.0), light: Light | None = None, decals: tuple[Decal, ...] = (), seed: int = 0,
 ) -> Shown:  # fmt: skip
-    """The camera `height_m` over the pad's plane, the pad's centre `aside` (in heights) off the lens' axis."""
+    """Return the camera `height_m` over the pad's plane, the pad's centre `aside` (in heights) off the lens' axis."""
     R_ned_body = Rotation.from_rpy(tilt_rad[0], tilt_rad[1], 0.7)
     R_ned_pad = Rotation.from_rpy(0.0, 0.0, 0.7 - yaw_rad)
     p_pad = np.array([2.0, -3.0, -0.6])
@@ -49,7 +49,7 @@ def shown(
 
 
 def covered(seen: Shown, camera: Camera, outline_m: NDArray[np.float64], bgr: tuple[int, int, int]) -> NDArray[np.uint8]:
-    """The image with a part of the pad's plane (N, 2) m painted over."""
+    """Return the image with a part of the pad's plane (N, 2) m painted over."""
     uv = camera.project(seen.truth.points(np.c_[outline_m, np.zeros(len(outline_m))]))
     out = seen.px.copy()
     cv2.fillPoly(out, [np.rint(np.clip(uv, -5000, 5000) * 16).astype(np.int32)], bgr, cv2.LINE_AA, 4)

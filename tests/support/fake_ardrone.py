@@ -56,7 +56,7 @@ class FakeArDrone:
         self._at: _Udp | None = None
 
     def of(self, kind: type[Any]) -> list[Any]:
-        """Every command of a kind so far."""
+        """Return every command of a kind so far."""
         return [c for _, c in self.commands if isinstance(c, kind)]
 
     def forget(self) -> None:
@@ -68,7 +68,7 @@ class FakeArDrone:
         self.configured_in_order.clear()
 
     def datagram(self) -> bytes:
-        """The next one."""
+        """Return the next one."""
         self.sequence += 1
         self.clock_us += 5_000
         if self.state & nd.NavdataState.NAVDATA_BOOTSTRAP:

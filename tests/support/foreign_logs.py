@@ -30,7 +30,7 @@ def flight(times_us: Sequence[int], heights_m: Sequence[float], *, forward_m: fl
 
 
 def dataflash(rows: Sequence[Row]) -> bytes:
-    """The binary log of an ArduPilot."""
+    """Return the binary log of an ArduPilot."""
     out = b""
     for name, (number, form, columns) in KINDS.items():
         size = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
@@ -45,7 +45,7 @@ def dataflash(rows: Sequence[Row]) -> bytes:
 
 
 def text_dataflash(rows: Sequence[Row]) -> bytes:
-    """The same log as a ground station writes it in text."""
+    """Return the same log as a ground station writes it in text."""
     lines = [f"FMT, {number}, 89, {name}, {form}, {columns}" for name, (number, form, columns) in KINDS.items()]
     lines += [", ".join([name, *(f"{v:g}" if isinstance(v, float) else str(v) for v in values)]) for name, values in rows]
     return ("\n".join(lines) + "\n").encode()
@@ -109,7 +109,7 @@ def px4_flight(began_us: int, count: int = 50, *, retained_us: int | None = None
 
 
 def telemetry_log(count: int = 50, began_us: int = 1_764_072_000_000_000) -> bytes:
-    """A ground station's log of an ArduCopter that comes down at 20 messages of a kind a second."""
+    """Return a ground station's log of an ArduCopter that comes down at 20 messages of a kind a second."""
     link = common.MAVLink(None, srcSystem=7, srcComponent=1)
     out = bytearray()
 
@@ -133,7 +133,7 @@ def telemetry_log(count: int = 50, began_us: int = 1_764_072_000_000_000) -> byt
 
 
 def navdata(sequence: int, time_us: int, *, right_sum: bool = True) -> bytes:
-    """A datagram of an AR.Drone with the options time and demo, flying level."""
+    """Return a datagram of an AR.Drone with the options time and demo, flying level."""
     seconds, micros = divmod(time_us, 1_000_000)
     demo = struct.pack("<IIfffifff", 3 << 16, 80, 0.0, 0.0, 0.0, 1500, 0.0, 0.0, 0.0).ljust(144, b"\0")
     body = struct.pack("<IIII", 0x55667788, 0x0F8004B9, sequence, 0)
@@ -142,7 +142,7 @@ def navdata(sequence: int, time_us: int, *, right_sum: bool = True) -> bytes:
 
 
 def sentence(body: str) -> str:
-    """A sentence of NMEA 0183 with its checksum."""
+    """Return a sentence of NMEA 0183 with its checksum."""
     check = 0
     for letter in body:
         check ^= ord(letter)

@@ -29,7 +29,7 @@ def _same(px: U8, _: np.random.Generator) -> U8:
 
 
 def grey(px: U8, _: np.random.Generator) -> U8:
-    """What a monochrome camera sees."""
+    """Return the image of a monochrome camera."""
     return np.asarray(cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
 
 
@@ -43,7 +43,7 @@ def haze(contrast: float) -> Callable[[U8, np.random.Generator], U8]:
 
 
 def dusk(light: float, noise: float) -> Callable[[U8, np.random.Generator], U8]:
-    """A fraction of the light, raised again by the camera's gain, with the noise that this brings, in steps of a byte."""
+    """Return a fraction of the light, raised again by the camera's gain, with the noise that this brings, in steps of a byte."""
 
     def change(px: U8, rng: np.random.Generator) -> U8:
         linear = (px / 255.0) ** 2.2 * light
@@ -54,7 +54,7 @@ def dusk(light: float, noise: float) -> Callable[[U8, np.random.Generator], U8]:
 
 
 def infrared(px: U8, _: np.random.Generator) -> U8:
-    """What a camera without an infrared filter sees: washed out and reddish."""
+    """Return the image of a camera without an infrared filter: washed out and reddish."""
     mean = px.mean(axis=2, keepdims=True)
     return np.asarray(np.clip(0.35 * px + 0.5 * mean + np.array([25.0, 15.0, 60.0]), 0, 255), np.uint8)
 

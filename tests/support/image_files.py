@@ -10,14 +10,14 @@ import numpy as np
 
 @lru_cache
 def encoded(suffix: str, width: int = 64, height: int = 48) -> bytes:
-    """A grey image as OpenCV writes it."""
+    """Return a grey image as OpenCV writes it."""
     ok, data = cv2.imencode(suffix, np.full((height, width, 3), 90, np.uint8))
     assert ok
     return data.tobytes()
 
 
 def claiming(suffix: str, width: int, height: int) -> bytes:
-    """A few hundred bytes of JPEG or PNG that claim so many pixels."""
+    """Return a few hundred bytes of JPEG or PNG that claim this many pixels."""
     data = bytearray(encoded(suffix))
     if suffix == ".jpg":
         struct.pack_into(">HH", data, data.index(b"\xff\xc0") + 5, height, width)

@@ -131,7 +131,7 @@ def captured_rpy(quats: F64, sits: Rotation) -> F64:
 
 
 def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[float, float]], seed: int = 0) -> list[Sighting]:
-    """Looks at the pad while flying, heard late, none while `blind`."""
+    """Return looks at the pad while flying, received late, none while `blind`."""
     rng = np.random.default_rng(seed)
     out = []
     for seq, measured_at in enumerate(np.arange(FLYING_S[0] - 2.0, FLYING_S[1], 1.0 / rate_hz).tolist()):

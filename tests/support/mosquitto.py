@@ -81,7 +81,7 @@ class Broker:
         )
 
     def write_sample(self) -> None:
-        """The shipped configuration, its files here and its port ours."""
+        """Write the shipped configuration with its files here and its port ours."""
         text = (CONFIGS / "mosquitto.conf").read_text().replace("listener 8883", f"listener {self.port} 127.0.0.1")
         for shipped, ours in (
             ("/etc/mosquitto/decklander.passwords", self.folder / "passwords"),
@@ -128,7 +128,7 @@ class Broker:
         self.start()
 
     def hold(self) -> None:
-        """The process stands still; its sockets stay open."""
+        """Stop the process; its sockets stay open."""
         assert self.process is not None
         self.process.send_signal(signal.SIGSTOP)
 
@@ -155,7 +155,7 @@ class Broker:
 
     @asynccontextmanager
     async def ground(self) -> AsyncIterator[Connection]:
-        """A ground station's connection."""
+        """Yield a ground station's connection."""
         async with connect(BrokerEndpoint.of(self.settings("ground", timeout_s=10.0)), "ground", incoming=100_000) as connection:
             yield connection
 

@@ -25,7 +25,7 @@ class Consumer:
         self.done = asyncio.Event()
 
     async def run(self) -> None:
-        """For ever, connecting again when the broker goes away."""
+        """Run for ever, connecting again when the broker goes away."""
         while True:
             try:
                 await self._listen()

@@ -95,7 +95,7 @@ class RunningPart:
 
 @asynccontextmanager
 async def running(settings: MqttSettings, folder: Path, session: str = SESSION) -> AsyncIterator[RunningPart]:
-    """The part, supervised as in the daemon."""
+    """Yield the part, supervised as in the daemon."""
     logging.getLogger("companion.parts.mqtt").setLevel(logging.WARNING)
     clock = SystemClock()
     health, topics, operator = Health(clock), Topics(settings.drone), FakeOperator()

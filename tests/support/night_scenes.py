@@ -38,7 +38,7 @@ class NightScene:
 
     @property
     def orientation(self) -> Orientation:
-        """What vision is told of the attitude."""
+        """Attitude that vision receives."""
         roll, pitch, _ = self.measured.rpy_rad
         return Orientation(roll, pitch, np.eye(2) * ATTITUDE_SIGMA_RAD**2, DECK_SIGMA_RAD, True)
 

@@ -1,4 +1,4 @@
-"""What a confident pose of the pad claims, as a check against the true pose."""
+"""Claims of a confident pose of the pad, checked against the true pose."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and asked for its paint."""
+"""Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and requested its paint."""
 
 import math
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ from estimator.vision.pad import Pad
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DECK_RGB = (110, 105, 112)
 _FINE_PX = 150
-"""Below so many pixels of the pad, lines are hardly wider than one: every pixel is sampled in full."""
+"""Size of the pad below which every pixel is sampled in full, px: lines are hardly wider than one."""
 
 
 def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), distortion: tuple[float, ...] = (0.0,) * 5) -> Camera:
-    """The camera of configs/cameras/sim.toml, at a chosen place."""
+    """Return the camera of configs/cameras/sim.toml, at a chosen place."""
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.array(p_body_cam_m))
     return Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.array(distortion), mount)
 
@@ -39,7 +39,7 @@ class PadPlacement:
     deck_pitch_rad: float = 0.0
 
     def attitude(self, sigma_rad: float = math.radians(0.05)) -> Attitude:
-        """As an IMU without error would say it; the vehicle's heading is some angle that nothing may depend on."""
+        """Return the attitude of an IMU without error; the vehicle's heading is some angle that nothing may depend on."""
         return Attitude(STAMP, Rotation.from_rpy(self.roll_rad, self.pitch_rad, 0.7), np.eye(3) * sigma_rad**2)
 
     def T_cam_pad(self, camera: Camera) -> Transform:

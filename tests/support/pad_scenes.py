@@ -205,7 +205,7 @@ def _shaded(rng: np.random.Generator, px: NDArray[np.uint8], covered: NDArray[np
 def pad_scene(
     rng: np.random.Generator, camera: Camera, pad: Pad, height_m: float, condition: str, tilt_rad: float | None = None
 ) -> PadScene:
-    """The pad on a deck, camera `height_m` over its plane; from close by at least some of ring or H is in view."""
+    """Return the pad on a deck, camera `height_m` over its plane; from close by at least some of ring or H is in view."""
     R_ned_body = _attitude(rng, math.radians(float(rng.uniform(0, 25))) if tilt_rad is None else tilt_rad)
     roll, pitch = rng.normal(0, math.radians(2.0), 2)
     R_ned_pad = Rotation.from_rpy(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi)))
@@ -280,7 +280,7 @@ def ring_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Pad
 def _exposure(
     rng: np.random.Generator, R_ned_body: Rotation, R_ned_pad: Rotation, p_pad: F64, height_m: float, aside_m: float
 ) -> Exposure:
-    """Return an exposure over a place, aside of it by so much at one sigma, in motion."""
+    """Return an exposure over a place, aside of it by this much at one sigma, in motion."""
     aim = rng.normal(0, aside_m, 2)
     p_body = p_pad + np.array([aim[0], aim[1], -height_m])
     v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
@@ -288,7 +288,7 @@ def _exposure(
 
 
 def photo_pose(row: dict[str, str]) -> PadPose:
-    """The pose of one row of the photographs' pose table."""
+    """Return the pose of one row of the photographs' pose table."""
     t = np.array([float(row[f"t_cam_{a}_m"]) for a in "xyz"])
     return PadPose(Rotation.from_rotvec([float(row[f"rvec_{a}"]) for a in "xyz"]), t)
 

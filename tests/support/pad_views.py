@@ -61,7 +61,7 @@ class Stage:
         self, height_m: float, tilt_rad: float = math.radians(1.5), deck_rad: float = 0.0, lateral: float = 0.1,
         yaw_rad: float | None = None, v_body_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> RenderedView:  # fmt: skip
-        """The camera `height_m` over the pad and up to `lateral` times that aside (at most 12 cm below a metre)."""
+        """Return the camera `height_m` over the pad and up to `lateral` times that aside (at most 12 cm below a metre)."""
         rng = self.rng
         roll, pitch = rng.normal(0.0, tilt_rad, 2)
         yaw = rng.uniform(-math.pi, math.pi) if yaw_rad is None else yaw_rad
@@ -75,7 +75,7 @@ class Stage:
         self, height_m: float, aside: F64, rpy_rad: tuple[float, float, float], R_ned_pad: Rotation | None = None,
         v_body_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> RenderedView:  # fmt: skip
-        """The camera `height_m` over the pad and `aside`, (2,) m north and east; the deck is level unless a rotation is given."""
+        """Return the camera `height_m` over the pad and `aside`, (2,) m north and east; the deck is level by default."""
         rng, (roll, pitch, yaw) = self.rng, rpy_rad
         R_ned_body = Rotation.from_rpy(*rpy_rad)
         R_ned_pad = Rotation.identity() if R_ned_pad is None else R_ned_pad
@@ -93,7 +93,7 @@ class Stage:
         return RenderedView(px, pose, roll, pitch, R_level_ned.matrix @ (p_pad - p_body), heading)
 
     def start(self, view: RenderedView, off_px: float) -> PadPose:
-        """The truth, some pixels aside, too near or too far, and turned."""
+        """Return the truth, some pixels aside, too near or too far, and turned."""
         rng, t = self.rng, view.pose.t_cam_pad
         m_per_px = float(t[2]) / self.camera.fx
         reach = min(self.pad.disc_radius_m, 0.6 * float(t[2]))

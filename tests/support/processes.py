@@ -13,12 +13,12 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 60.0
-"""For anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""
+"""Time limit for anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""
 
 
 @contextmanager
 def started(words: Sequence[str], *, lasting_s: float = PATIENCE_S + 30.0, **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """A program with its standard output as lines of text. Its whole group is killed at the end.
+    """Yield a program with its standard output as lines of text. Its whole group is killed at the end.
 
     Args:
         lasting_s: after this it is killed in any case, so that reading from it cannot take for ever.
@@ -39,20 +39,20 @@ def started(words: Sequence[str], *, lasting_s: float = PATIENCE_S + 30.0, **opt
 
 
 def kill_group(group: int) -> None:
-    """The program and what it left behind."""
+    """Kill the program and what it left behind."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(group, signal.SIGKILL)
 
 
 @contextmanager
 def python(source: str, *words: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """A program of a few lines."""
+    """Yield a program of a few lines."""
     with started([sys.executable, "-c", source, *words], **options) as process:
         yield process
 
 
 def decklander(*words: str) -> list[str]:
-    """The command line of our own program."""
+    """Return the command line of our own program."""
     return [sys.executable, "-m", "companion.cli.main", *words]
 
 
@@ -69,7 +69,7 @@ def burners(n: int) -> Iterator[None]:
 
 
 def alive(number: int) -> bool:
-    """Whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
+    """Return whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -77,7 +77,7 @@ def alive(number: int) -> bool:
 
 
 def gone(number: int) -> bool:
-    """Whether a process is gone before long."""
+    """Return whether a process is gone before long."""
     end = time.monotonic() + PATIENCE_S
     while alive(number) and time.monotonic() < end:
         time.sleep(0.02)

@@ -53,7 +53,7 @@ def sim_settings() -> Settings:
 
 
 def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None = None) -> Flight:
-    """The first seconds of a flight, with the truth passed to the recorder at 50 Hz."""
+    """Return the first seconds of a flight, with the truth passed to the recorder at 50 Hz."""
     settings = sim_settings()
     pilot = make_pilot(settings, shadows=("median_mean",))
     flight = Flight(load_scenario(SCENARIO), 1, settings, pilot, observers=observers)

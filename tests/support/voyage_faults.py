@@ -49,7 +49,7 @@ def _ahead(e: Event) -> Sequence[Event]:
 
 
 def frozen() -> Callable[[Event], Sequence[Event]]:
-    """The same inertial sample again and again, with new stamps."""
+    """Return the same inertial sample again and again, with new stamps."""
     first: list[Imu] = []
 
     def spoil(e: Event) -> Sequence[Event]:
@@ -87,7 +87,7 @@ FAULTS: dict[str, Callable[[], VoyageFault]] = {
 
 
 def suffered(name: str, scene: VoyageScene = SCENE) -> tuple[Score, float]:
-    """The flight with a fault, scored from 11 s on, and when the fault ends, s."""
+    """Return the flight with a fault, scored from 11 s on, and when the fault ends, s."""
     fault = FAULTS[name]()
     end = BEGIN_S + fault.lasts_s
 

@@ -61,7 +61,7 @@ def fly(
     Args:
         since_s: the time from which it is scored.
         from_s: events before this time are left out: a cold start in flight.
-        spoil: given each event and its instant, s; what is heard instead.
+        spoil: given each event and its instant, s; what is received instead.
     """
     voyage = Voyage(scene)
     received_at, sensors = voyage_truth.events(voyage)

@@ -65,7 +65,7 @@ SEAS: dict[str, tuple[HullResponse, tuple[tuple[float, float, float], ...]]] = {
     "narrow": (FERRY, ()),
     "turning": (FERRY, ((1.5, 7.0, 3.3),)),
 }
-"""By name: the hull, and the wave systems it meets as (significant height m, peak period s, peakedness)."""
+"""Seas by name: the hull, and its wave systems as (significant height m, peak period s, peakedness)."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ OPTIONS = EkfOptions(
     sigma_accel_bias_m_s2=0.15,
     sigma_attitude_bias_rad=math.radians(2.0),
 )
-"""What a data sheet would tell the filter; nothing of the errors drawn."""
+"""Filter options from a data sheet; nothing of the errors drawn."""
 
 
 def ns(t_s: float) -> MonoNs:
@@ -344,5 +344,5 @@ def _sighting(
 
 
 def without_errors(scene: VoyageScene) -> VoyageScene:
-    """The same sea and path seen by sensors that only have white noise."""
+    """Return the same sea and path seen by sensors that only have white noise."""
     return replace(scene, **IDEAL)

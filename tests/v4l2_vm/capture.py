@@ -1,4 +1,4 @@
-"""What every scene of the guest does with a camera: take frames, and say what they and the counters were."""
+"""Shared steps of the guest's scenes: take frames, and report them and the counters."""
 
 import asyncio
 from collections.abc import Callable
@@ -16,7 +16,7 @@ def controls_text(values: dict[str, int | bool | str]) -> str:
 
 
 def accounted(counters: Seen) -> bool:
-    """Whether every buffer ended in exactly one verdict."""
+    """Return whether every buffer ended in exactly one verdict."""
     parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
     return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
 
@@ -27,7 +27,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 
 async def settled(camera: VideoSource) -> Seen:
-    """The counters between two frames: a buffer still being decoded has no verdict yet."""
+    """Return the counters between two frames: a buffer still being decoded has no verdict yet."""
     for _ in range(200):
         counted = camera.counters.as_dict()
         if accounted(counted):

@@ -1,4 +1,4 @@
-"""What runs inside the machine: the driver on both cameras, one scene after the other, what was seen as JSON lines.
+"""Program inside the machine: the driver on both cameras, one scene after the other, results as JSON lines.
 
 It judges nothing; `test_vivid.py` and `test_webcam.py` do, outside.
 """

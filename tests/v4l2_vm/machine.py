@@ -37,13 +37,13 @@ poweroff -f
 
 
 def kernel() -> Path | None:
-    """The newest kernel image whose modules hold vivid."""
+    """Return the newest kernel image whose modules hold vivid."""
     images = sorted(Path("/boot").glob("vmlinuz-*"), reverse=True)
     return next((i for i in images if any(_modules(i).glob("kernel/drivers/media/test-drivers/vivid/vivid.ko*"))), None)
 
 
 def missing() -> str | None:
-    """What the machine lacks to be made here, None for nothing."""
+    """Return the reason why the machine cannot be made here, None for none."""
     if shutil.which("qemu-system-x86_64") is None:
         return "qemu-system-x86_64 is not installed (Debian: qemu-system-x86)"
     if shutil.which("busybox") is None:
@@ -135,7 +135,7 @@ def _with_dependencies(folder: Path, wanted: Iterable[str]) -> list[Path]:
 
 
 def _cpio(entries: Iterable[tuple[str, int, bytes]]) -> bytes:
-    """An archive in the kernel's "newc" form (Documentation/driver-api/early-userspace/buffer-format.rst)."""
+    """Return an archive in the kernel's "newc" form (Documentation/driver-api/early-userspace/buffer-format.rst)."""
     out = bytearray()
     for number, (name, mode, data) in enumerate([*entries, ("TRAILER!!!", 0, b"")], 1):
         fields = [number, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(name) + 1, 0]

@@ -30,7 +30,7 @@ def options(**more: Any) -> tuple[CameraOptions, Size]:
 
 
 def link() -> None:
-    """What udev does on a real system."""
+    """Make the device links as udev does on a real system."""
     BY_ID.parent.mkdir(parents=True, exist_ok=True)
     BY_ID.unlink(missing_ok=True)
     node = next(f.node for f in cameras() if "vivid" in f.card)
@@ -46,7 +46,7 @@ def numbers(fd: int) -> dict[str, int]:
 
 
 def press(name: str) -> None:
-    """A button of the test camera, from outside the driver."""
+    """Press a button of the test camera, from outside the driver."""
     with BY_ID.open("rb") as device:
         kernel.set_control(device.fileno(), numbers(device.fileno())[name], 1)
 
@@ -72,7 +72,7 @@ async def automatic() -> Seen:
 
 
 async def stamps() -> Seen:
-    """The flags as the kernel sets them, and what half an exposure does to the instant."""
+    """Return the flags as the kernel sets them, and what half an exposure does to the instant."""
     out: Seen = {}
     for label in ("End of Frame", "Start of Exposure"):
         fixed = {"timestamp_source": label}
@@ -181,7 +181,7 @@ async def unplugged() -> Seen:
 
 
 async def exposure() -> Seen:
-    """The test camera has a gain and no exposure time."""
+    """Return the result for a test camera with a gain and no exposure time."""
     try:
         async with open_camera(*options(exposure=ExposureOptions(mode="pad")), SystemClock()) as camera:
             await take(camera, 1)

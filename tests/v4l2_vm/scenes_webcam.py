@@ -33,7 +33,7 @@ GROUP = 10
 
 
 class Faults:
-    """What befalls the next frames, one each."""
+    """Faults of the next frames, one each."""
 
     def __init__(self) -> None:
         self.next: list[str] = []
@@ -165,7 +165,7 @@ async def webcam_damage() -> Seen:
 
 
 async def webcam_unplugged() -> Seen:
-    """While it streams; then back on the bus, as another node, with its controls where a power-on leaves them."""
+    """The camera is unplugged while it streams; then it returns as another node, with its controls as after a power-on."""
     out: Seen = {}
     async with plugged() as (webcam, _):
         fixed = {"auto_exposure": 1, "exposure_time_absolute": 50}
@@ -185,7 +185,7 @@ async def webcam_unplugged() -> Seen:
 
 
 async def webcam_exposure() -> Seen:
-    """The light falls to a thirtieth; then the picture moves; then the camera refuses."""
+    """Return the light falls to a thirtieth; then the picture moves; then the camera refuses."""
     deck, outline = Deck(), np.array([(100.0, 80.0), (219.0, 80.0), (219.0, 159.0), (100.0, 159.0)])
     out: Seen = {}
     async with plugged(deck) as (webcam, _):

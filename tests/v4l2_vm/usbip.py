@@ -20,7 +20,7 @@ _STALL = -errno.EPIPE
 
 
 class Function(Protocol):
-    """What sits behind the bus."""
+    """USB function behind the bus."""
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
         """Answer to a request on endpoint 0; None stalls it."""
@@ -53,7 +53,7 @@ class Plug:
         self._ours.close()
 
     def send(self, payload: bytes, still: Callable[[], bool], timeout_s: float = 1.0) -> bool:
-        """One bulk transfer, as soon as the host asks for one.
+        """One bulk transfer, as soon as the host requests one.
 
         False when it does not, when the device is off the bus, or when by then `still` is no more true.
         """

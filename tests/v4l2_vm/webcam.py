@@ -14,7 +14,7 @@ from tests.v4l2_vm.usbip import Plug
 
 CARD = "Decklander Webcam"
 INTERVAL = 333_333
-"""Between frames, in 100 ns."""
+"""Frame interval, in 100 ns."""
 TRANSFER = 16384
 """Bytes of one bulk transfer: what uvcvideo asks at once from an endpoint of 512 (UVC_MAX_PACKETS)."""
 _GUID_TAIL = bytes.fromhex("000010008000 00aa00389b71".replace(" ", ""))
@@ -31,7 +31,7 @@ Image = Callable[[str, tuple[int, int], int], tuple[bytes, bool] | None]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """What the camera offers; its place in the list is its index, from 1, and so are those of its sizes."""
+    """Format that the camera offers; its place in the list is its index, from 1, and so are those of its sizes."""
 
     fourcc: str
     sizes: tuple[tuple[int, int], ...]
@@ -51,7 +51,7 @@ class Control:
 
 
 class Webcam:
-    """On the bus from `plug` to `unplug`.
+    """Webcam on the bus from `plug` to `unplug`.
 
     `frame(fourcc, size, n)` makes the n-th frame's bytes and whether the camera marks it as damaged; None leaves it out.
     """
@@ -91,7 +91,7 @@ class Webcam:
             self._plug = None
 
     def reset(self) -> None:
-        """As a power-on leaves it."""
+        """Reset the camera to its state after a power-on."""
         self.mode.now, self.exposure.now = APERTURE_PRIORITY, 156
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
@@ -139,7 +139,7 @@ class Webcam:
         return {0x85: struct.pack("<H", _PROBE.size), 0x86: b"\x03"}.get(request)
 
     def _offer(self, number: int, size: int) -> tuple[int, ...]:
-        """The nearest that there is to what was asked."""
+        """Return the nearest setting to the request."""
         number = min(max(number, 1), len(self.formats))
         sizes = self.formats[number - 1].sizes
         size = min(max(size, 1), len(sizes))
@@ -166,7 +166,7 @@ class Webcam:
         for at in range(0, len(data), TRANSFER - 2):
             last = at + TRANSFER - 2 >= len(data)
             payload = bytes((2, flags | 2 * last)) + data[at : at + TRANSFER - 2]
-            # A stream that is begun anew begins with a whole frame, not with the rest of this one.
+            # A stream that is begun again begins with a whole frame, not with the rest of this one.
             if not plug.send(payload, lambda: self._chosen is chosen):
                 return
 
@@ -207,7 +207,7 @@ def _with_total(descriptors: bytes, at: int) -> bytes:
 
 
 def _format(number: int, f: Format) -> bytes:
-    """A format and its frame sizes: payload documents, tables 3-1 and 3-2 of each."""
+    """Return a format and its frame sizes: payload documents, tables 3-1 and 3-2 of each."""
     count = len(f.sizes)
     if f.fourcc == "H264":
         out = struct.pack("<BBBBB16sBBBBBBB", 28, 0x24, 0x10, number, count, b"H264" + _GUID_TAIL, 0, 1, 0, 0, 0, 0, 1)

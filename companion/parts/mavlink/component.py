@@ -288,7 +288,7 @@ class Component(NullObserver):
 
     @property
     def sends_ranges(self) -> bool:
-        """Whether the component serves as the autopilot's rangefinder."""
+        """True if the component serves as the autopilot's rangefinder."""
         return self._autopilot is not None and self.outputs.sends_ranges(_View(self._autopilot))
 
     @property

@@ -29,7 +29,7 @@ _STATION = (255, 190)
 _KNOCK_S = 0.3
 _REPEATS = 3
 _CHANGES_OVER_S = 3.0
-"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may change over when it hears us speak 2."""
+"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may switch when it receives MAVLink 2."""
 _NO_KEY = [0] * 32
 
 
@@ -42,9 +42,9 @@ class Met:
     stack: str
     armed: bool
     signs: bool
-    """Whether the autopilot's messages are signed, by whatever key."""
+    """True if the autopilot's messages are signed, by whatever key."""
     old_version: bool
-    """Whether it speaks MAVLink 1 even to one who speaks 2: such messages carry no signature."""
+    """True if it uses MAVLink 1 even towards MAVLink 2 peers: such messages carry no signature."""
 
 
 async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | None, clock: Clock, seconds: float) -> Met:

@@ -253,7 +253,7 @@ class LinkWatch:
     """Judges the links of an open autopilot once a second.
 
     Args:
-        wanted: the system id that the settings ask for; 0 for any.
+        wanted: the system id that the settings request; 0 for any.
     """
 
     def __init__(self, autopilot: Autopilot, wanted: int, health: Health, clock: Clock) -> None:

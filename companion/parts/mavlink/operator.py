@@ -24,7 +24,7 @@ class LandingProgress:
     landed: bool | None = None
     """The result: None while the landing goes on, True if the vehicle landed on the pad, False if it ended otherwise."""
     called_off: bool = False
-    """Whether the operator ended the landing."""
+    """True if the operator ended the landing."""
 
 
 class Operator(Protocol):

@@ -61,7 +61,7 @@ _ENDED = {
     0x9F: "too many connections in a short time",
     0xA0: "the longest time of a connection is over",
 }
-"""What a broker means by the reason code with which it ends a connection. Source: MQTT 5.0, 3.14.2.1."""
+"""Meanings of the reason codes with which a broker ends a connection. Source: MQTT 5.0, 3.14.2.1."""
 
 
 def client_id(drone: str, system: Path = Path("/")) -> str:
@@ -294,7 +294,7 @@ class Connection(aiomqtt.Client):
         """Raise the broker's own reason in place of the errors that follow from the end of the connection.
 
         Raises:
-            Recoverable: the broker ended the connection and said why.
+            Recoverable: the broker ended the connection, with its reason.
         """
         try:
             yield

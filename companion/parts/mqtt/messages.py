@@ -167,9 +167,9 @@ class HealthReport(Message, frozen=True, kw_only=True):
     """Health of the service."""
 
     all_up: bool
-    """Whether every part of the service is up."""
+    """True if every part of the service is up."""
     flight_up: bool = True
-    """Whether the parts that the flight needs are up; drones that did not distinguish them leave it out."""
+    """True if the parts that the flight needs are up; drones that did not distinguish them leave it out."""
     parts: dict[str, PartReport]
     flows: dict[str, FlowReport]
     frames: dict[str, int]
@@ -200,7 +200,7 @@ class OperatorNotice(Message, frozen=True, kw_only=True):
     run: str
     """Identifier of this run of the service, used only in commands and the ship's reports: 128 random bits."""
     commands: Literal["signed", "broker"]
-    """Whether commands must be signed, or the broker controls who may send them."""
+    """True if commands must be signed, or the broker controls who may send them."""
 
 
 class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):

@@ -185,7 +185,7 @@ class MqttPart:
             await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
             if self._ship is not None:
                 await connection.subscribe_to(self._topics.vessel, qos=1)
-        with suppress(Recoverable):  # who may not read it hears of no namesake
+        with suppress(Recoverable):  # who may not read it learns of no namesake
             await connection.subscribe_to(self._topics.status, qos=0)
         await self._publish_status(connection)
         self._counts["connections"] += 1

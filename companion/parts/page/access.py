@@ -1,4 +1,4 @@
-"""Who may use the page: its token, its certificate, and the origin that a browser names."""
+"""Access to the page: its token, its certificate, and the origin that a browser names."""
 
 import secrets
 import socket

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
-from companion.base.mission import FAULTS
+from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSender, OrderSource
 from companion.base.server_log import make_runner
@@ -69,8 +69,9 @@ _LOGIN_S = 3.0
 _WRONG_TOKEN_S = 1.0
 """A wrong token is answered after this time."""
 _ALIVE_S = 4.0
-"""How often a browser is asked whether it is still there; half of it without an answer ends the connection."""
+"""Interval of pings to a browser, s; half of it without an answer ends the connection."""
 _ATTITUDE_S = 1.0
+_LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60
 """Events that are kept for a browser that comes later."""
 
@@ -215,7 +216,7 @@ class PageEndpoint(NullObserver):
         viewer.tell(self._recordings.ticket(name, flying=self._flying))
 
     def make_report(self, viewer: PageViewer, name: str) -> None:
-        """Make the report of a recording for this viewer, or tell why not."""
+        """Make the report of a recording for this viewer, or report the reason for none."""
         self._reports.ask(viewer, name)
 
     def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:
@@ -342,6 +343,7 @@ class PageEndpoint(NullObserver):
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
+                    landing=decision is not None and decision.phase in _LANDING_PHASES,
                     place=where,
                     roll_rad=roll,
                     pitch_rad=pitch,
@@ -367,7 +369,7 @@ class PageEndpoint(NullObserver):
             lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self.pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
-                # Nothing for one that has asked for another codec meanwhile: the next picture is for it.
+                # Nothing for one that has requested another codec meanwhile: the next picture is for it.
                 if viewer.encoder in messages:
                     viewer.show(number, exposed, messages[viewer.encoder])
 

@@ -193,7 +193,7 @@ class CalibrationTool:
         """Write the camera file beside the settings and return what follows.
 
         Raises:
-            BadInput: it must not be written now or at all; the text says why.
+            BadInput: it must not be written now or at all; the text gives the reason.
         """
         if self._flying() or self._armed():
             raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._flying() else ARMED)
@@ -208,7 +208,7 @@ class CalibrationTool:
 
 IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
 _AGAIN_S = 5.0
-"""An examination that is younger is told again."""
+"""A younger diagnosis is used again."""
 
 
 class DoctorTool:

@@ -31,17 +31,17 @@ class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="draw
 
 
 class PictureRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="picture", forbid_unknown_fields=True):
-    """Send pictures so from now on; H.264 begins anew with a key frame."""
+    """Send pictures so from now on; H.264 begins again with a key frame."""
 
     codec: Literal["jpeg", "h264"]
 
 
 class RecordingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings", forbid_unknown_fields=True):
-    """Which recordings are there? It is answered by a `RecordingList`."""
+    """Request for the list of recordings. The answer is a `RecordingList`."""
 
 
 class DownloadRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download", forbid_unknown_fields=True):
-    """From where may a recording be loaded? It is answered by a `DownloadAnswer`."""
+    """Request for the address of a recording. The answer is a `DownloadAnswer`."""
 
     name: Annotated[str, Meta(max_length=205)]
 
@@ -73,7 +73,7 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
     vehicle: str
     camera_px: tuple[int, int]
     h264: bool
-    """Whether pictures are sent as H.264 to whoever asks for it."""
+    """True if images are sent as H.264 to browsers that request it."""
     pad_lines_m: tuple[tuple[tuple[float, float], ...], ...]
     """The pad's drawing: lines of points along the arrow and to starboard of it, metres."""
     pad_radius_m: float
@@ -88,7 +88,7 @@ class PlaceReport(Struct, frozen=True, kw_only=True):
     v_m_s: tuple[float, float, float]
     """Velocity of the drone against the pad."""
     heading_known: bool
-    """Whether the heading against the arrow is known; otherwise x is the drone's own forward."""
+    """True if the heading against the arrow is known; otherwise x is the drone's own forward."""
     heading_rad: float
     cov_m2: tuple[float, float, float]
     """Variance of x, covariance of x and y, variance of y."""
@@ -107,13 +107,15 @@ class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="s
 
     at_s: float
     """Time since the service began, s."""
+    landing: bool
+    """Guidance flies a landing."""
     place: PlaceReport | None
     roll_rad: float | None
     pitch_rad: float | None
     refusals: dict[str, str | None]
-    """Why each order would be refused at this instant; null for one that would be carried out."""
+    """Reason why each order would be refused now; null for one that would be carried out."""
     picture_delay_s: float | None
-    """From the exposure of a picture until this browser has drawn it and said so, s."""
+    """Time from the exposure of a picture until this browser has drawn it and confirmed it, s."""
 
 
 class HealthCause(Struct, frozen=True, kw_only=True):
@@ -127,7 +129,7 @@ class PageHealth(Struct, frozen=True, kw_only=True, tag_field="kind", tag="healt
     """The health of the service, once a second."""
 
     causes: tuple[HealthCause, ...]
-    """What is wrong, the worst first; empty if nothing is."""
+    """Causes of trouble, the worst first; empty if there are none."""
     figures: tuple[tuple[str, str], ...]
     """Names and values."""
 
@@ -139,7 +141,7 @@ class PageEvent(Struct, frozen=True, kw_only=True, tag_field="kind", tag="event"
     level: Level
     text: str
     advice: str = ""
-    """What a person can do about it; empty if there is nothing to do."""
+    """Advice for a person; empty if there is nothing to do."""
 
 
 class RecordingFile(Struct, frozen=True, kw_only=True):
@@ -148,7 +150,7 @@ class RecordingFile(Struct, frozen=True, kw_only=True):
     name: str
     size_bytes: int
     unix_s: float
-    """When it was last written, wall time."""
+    """Time of the last write, wall time."""
 
 
 class RecordingList(Struct, frozen=True, kw_only=True, tag_field="kind", tag="recordings"):
@@ -156,11 +158,11 @@ class RecordingList(Struct, frozen=True, kw_only=True, tag_field="kind", tag="re
 
     files: tuple[RecordingFile, ...]
     fault: str
-    """Why the folder cannot be read; empty if it can."""
+    """Reason why the folder cannot be read; empty if it can."""
 
 
 class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="download"):
-    """Where a recording may be loaded from, once and soon; or why not."""
+    """Address for one download of a recording, valid for a short time; or the reason for none."""
 
     name: str
     address: str | None
@@ -168,7 +170,7 @@ class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="d
 
 
 class ReportAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report"):
-    """Where a report may be read, as long as it is kept; or what becomes of it, or why there is none."""
+    """Address of a report, as long as it is kept; or its progress, or the reason for none."""
 
     name: str
     address: str | None
@@ -183,7 +185,7 @@ class PictureLine(Struct, frozen=True):
 
 
 class PictureHeader(Struct, frozen=True, kw_only=True):
-    """What goes with a picture."""
+    """Header that is sent with a picture."""
 
     number: int
     verdict: str

@@ -1,6 +1,6 @@
 """The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
 
-A browser's download carries no token, so the page asks for an address over its own connection first.
+A browser's download carries no token, so the page requests an address over its own connection first.
 """
 
 import asyncio
@@ -47,7 +47,7 @@ _BYTES_MAX = 400_000_000
 """Recordings beyond this, some four minutes with pictures, would take too much of a small computer's memory."""
 _NICE = 19
 _OOM_SCORE = 500
-"""Where memory runs short the kernel ends the report, not the service."""
+"""If memory runs short the kernel ends the report, not the service."""
 
 
 class ReportMaker:
@@ -66,7 +66,7 @@ class ReportMaker:
         self._under_way = False
 
     def ask(self, viewer: PageViewer, name: str) -> None:
-        """Make a report of a recording soon and tell the viewer its address, or tell at once why there will be none."""
+        """Make a report of a recording soon and send the viewer its address, or at once the reason for none."""
         refusal = self._refusal(name)
         if refusal is not None:
             viewer.tell(ReportAnswer(name=name, address=None, text=refusal))

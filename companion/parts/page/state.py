@@ -1,4 +1,4 @@
-"""What the page shows of the flight: the place of drone and deck, what is wrong, the live picture. Values in, values out."""
+"""State of the flight that the page shows: the place of drone and deck, faults, the live picture. Values in, values out."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ from estimator.vision.pad import Pad
 # Lines instead of painted pixels stay sharp on any screen, can be switched off, and cost the drone's computer no drawing.
 
 AHEAD_S = (1.0, 2.0)
-"""How far ahead the deck is drawn, s; the drone is taken to keep its velocity."""
+"""Horizons at which the deck is drawn, s; the drone is assumed to keep its velocity."""
 _CHI2_95 = 5.991
 """95 % quantile of the chi-square distribution with two degrees of freedom."""
 _FAR_PX = 4000.0
@@ -35,7 +35,7 @@ _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
 
 
 def video_quality(settings: PageSettings) -> VideoQuality:
-    """Return what the encoder of one browser's pictures is asked for: little work, and a key frame only where it begins."""
+    """Return the settings of the encoder of one browser's pictures: little work, and a key frame only where it begins."""
     return VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=settings.bitrate_kbit_s)
 
 

@@ -1,4 +1,4 @@
-"""The messages of the page's tools: what a browser asks of them, and what they answer. No I/O."""
+"""The messages of the page's tools: requests of browsers, and answers. No I/O."""
 
 from typing import Annotated, Literal
 
@@ -27,7 +27,7 @@ class ExaminedReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag="e
 
     text: str
     busy: bool = False
-    """Whether the examination is still under way."""
+    """True if the examination is still under way."""
     findings: tuple[PageFinding, ...] | None = None
     """None if nothing was examined."""
 
@@ -49,7 +49,7 @@ class SaveSettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", t
     number: Annotated[int, Meta(ge=0, le=1 << 53)]
     text: Annotated[str, Meta(max_length=SETTINGS_MAX)]
     revision: Annotated[str, Meta(max_length=64)]
-    """That of the text that was edited."""
+    """Revision of the text that was edited."""
 
 
 class SettingsText(Struct, frozen=True, kw_only=True, tag_field="kind", tag="settings"):
@@ -63,7 +63,7 @@ class SettingsText(Struct, frozen=True, kw_only=True, tag_field="kind", tag="set
     """The file's name; empty if there is no file."""
     revision: str
     refusal: str
-    """Why the text cannot be saved here; empty if it can."""
+    """Reason why the text cannot be saved here; empty if it can."""
 
 
 class ShownFault(Struct, frozen=True, kw_only=True):
@@ -84,23 +84,23 @@ class ShownChange(Struct, frozen=True, kw_only=True):
 
 
 class CheckedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="checked"):
-    """What is to be said of a text."""
+    """Result of a settings check."""
 
     number: int
     text: str
-    """Why it was not checked; empty if it was."""
+    """Reason why the text was not checked; empty if it was."""
     faults: tuple[ShownFault, ...] = ()
     changes: tuple[ShownChange, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
 class SavedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="saved"):
-    """Whether a text was saved."""
+    """Result of saving a text."""
 
     number: int
     saved: bool
     text: str
-    """What follows, or why it was not saved."""
+    """Next step, or the reason why the text was not saved."""
     revision: str = ""
 
 
@@ -117,11 +117,11 @@ class CalibrationRequest(Struct, frozen=True, kw_only=True, tag_field="kind", ta
 
 
 class CalibrationReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag="calibration"):
-    """How far a calibration is, or why there is none."""
+    """Progress of a calibration, or the reason for none."""
 
     active: bool
     text: str
-    """What happened, or why not; empty if there is nothing to say."""
+    """Result, or the reason for none; empty if there is nothing to report."""
     images: int = 0
     views: int = 0
     board_seen: bool = False

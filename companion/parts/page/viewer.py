@@ -47,7 +47,7 @@ _TEXTS = 64
 
 
 class Served(Protocol):
-    """What a viewer asks of the page's endpoint."""
+    """Interface of the page's endpoint that a viewer needs."""
 
     pilot: Pilot
     clock: Clock
@@ -89,7 +89,7 @@ class PageViewer:
 
     @property
     def ready(self) -> bool:
-        """Whether another picture may be sent."""
+        """True if another picture may be sent."""
         return len(self._flying) < _IN_FLIGHT
 
     def show(self, number: int, exposed: MonoNs, message: bytes) -> None:
@@ -158,7 +158,7 @@ class PageViewer:
             case DrawnNotice():
                 self._drawn(request.number, now)
             case PictureRequest():
-                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks anew.
+                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
                 self.encoder = self._served.frame_encoder() if request.codec == "h264" else None
                 self._flying.clear()
             case RecordingsRequest():

@@ -40,7 +40,7 @@ PART = "recorder"
 _ROOM_AGAIN_MB = 20.0
 """The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
 _HANGS_S = 1.5
-"""Time for one record after which the disk is said to hang: a card that tidies itself takes up to a second."""
+"""Time for one record after which the disk counts as hanging: a card that tidies itself takes up to a second."""
 P = ParamSpec("P")
 
 

@@ -32,7 +32,7 @@ from estimator.vision.pad import Pad
 # Parameter sets go with every key frame, one a second, so that a station that begins to listen sees a picture within a second.
 
 _PACKET_BYTES = 1200
-"""Below the MTU of tunnels and radios, so that no packet is torn."""
+"""Size below the MTU of tunnels and radios, so that no packet is fragmented."""
 
 
 class RtpStream:
@@ -117,7 +117,7 @@ class VideoStreamPart(NullObserver):
 
     @property
     def flows(self) -> bool:
-        """Whether a picture was sent lately."""
+        """True if a picture was sent lately."""
         return self._sent_at is not None and seconds_between(self._sent_at, self._clock.now()) < _FLOWS_S
 
     def counted(self) -> Mapping[str, float]:

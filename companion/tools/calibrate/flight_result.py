@@ -1,4 +1,4 @@
-"""What a calibration flight found, judged: values, standard deviations, costs, and why it may not be used.
+"""Result of a calibration flight: values, standard deviations, costs, and the reasons against its use.
 
 The readout time of a rolling shutter comes from frames that are registered again, each as it would look at one instant for two
 readout times. How the pad's orientation turns between the two is what a readout time does to it, and with that the readout is one
@@ -35,7 +35,7 @@ _OPTIONS = RegistrationOptions(coarse=True)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadoutFit:
-    """What a flight tells of the readout."""
+    """Readout time that a flight yields."""
 
     fit: MountFit
     views: FlightViews
@@ -142,7 +142,7 @@ def _poses(
 
 
 PAD_S, LEAN_DEG, TURN_DEG = 40.0, 4.0, 90.0
-"""What a flight should have: time with the pad in view, leans to each side, turns to each side."""
+"""Needs of a calibration flight: time with the pad in view, tilts to each side, turns to each side."""
 _GAP_S = 0.5
 
 
@@ -230,7 +230,7 @@ class MountResult:
 
     @property
     def turned_deg(self) -> F64:
-        """How the camera is turned from its file, (3,), about the body's axes."""
+        """Rotation of the camera from its file, (3,), about the body's axes."""
         return np.degrees(self.fit.values[MOUNT])
 
     @property
@@ -243,7 +243,7 @@ class MountResult:
 
     @property
     def later_s(self) -> float:
-        """By how much the frames show the world later than their stamps say."""
+        """Further delay of the frames behind their stamps."""
         return float(self.fit.values[DELAY])
 
     @property

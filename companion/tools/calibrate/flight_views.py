@@ -1,4 +1,4 @@
-"""What a recorded flight tells about the camera on the body: poses of the pad, the gyro's turn and the reported attitude."""
+"""Camera data of a recorded flight: poses of the pad, rotation by the gyro, and the reported attitude."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ TILT_SIGMA_MAX_RAD = math.radians(2.0)
 _NEIGHBOURS_S = 0.25
 """Longest time between the frames before and after a view whose rate of place is used."""
 VIEWS_LEAST, VIEWS_MOST = 100, 600
-"""More views of a minute tell hardly more: the errors of neighbours are alike."""
+"""More views of a minute add hardly anything: the errors of neighbours are alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class FlightViews:
     sigma_tilt_rad: float
     """Standard deviation of roll and pitch as the attitude's source claims it."""
     stamps_ns: tuple[int, ...] = ()
-    """Of the sightings, as recorded; empty of views that no recording holds."""
+    """Stamps of the sightings, as recorded; empty for views that no recording holds."""
     speed_cam: F64 | None = None
     """(N, 3) m/s, rate of `t_cam_pad`; nan where the frames before and after do not show the pad."""
     readout_s: float = 0.0

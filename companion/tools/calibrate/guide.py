@@ -27,23 +27,23 @@ _GROWN = 1.1
 
 @dataclass(frozen=True, slots=True)
 class GuideState:
-    """How far a calibration is."""
+    """Progress of a calibration."""
 
     images: int
     views: int
     board_seen: bool
-    """Whether the board was found in the newest image."""
+    """True if the board was found in the newest image."""
     cells: tuple[tuple[int, ...], ...]
     """Corners of the board in each part of the image, rows of columns."""
     lacks: tuple[str, ...]
-    """What is missing, the most severe first; empty if nothing is."""
+    """Missing views, the most severe first; empty if none is missing."""
     rms_px: float | None = None
     """Reprojection error of the newest solution; None before the first."""
     grade: Grade | None = None
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing."""
+        """True if nothing is missing."""
         return self.grade == "good"
 
 
@@ -167,7 +167,7 @@ async def watch(
         size: the width and height of the camera's frames, px; None where a stream decides.
 
     Raises:
-        Recoverable: no image came within `first_s`; the text says why.
+        Recoverable: no image came within `first_s`; the text gives the reason.
         BadInput, SetupImpossible: `open_camera` raised it.
     """
     loop = asyncio.get_running_loop()

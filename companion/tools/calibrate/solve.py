@@ -54,7 +54,7 @@ _TERMS = {
 """Terms of the distortion that a model estimates: the first ones of its coefficients."""
 LensChoice = Literal["auto", "brown", "fisheye"]
 _STRONG = 10.0
-"""How much less a fisheye's criterion must be than that of Brown's lens to be taken: very strong evidence in Raftery's table."""
+"""Least advantage of a fisheye's criterion over that of Brown's lens: very strong evidence in Raftery's table."""
 _DRAWS = 400
 """Draws of the bootstrap."""
 _CONDITION = 1e-10
@@ -136,7 +136,7 @@ def solve(
     Args:
         size: (width, height) px of the images.
         mount: `T_body_cam` of the camera; None means straight down with the nose at the top of the image.
-        lens: model of the lens; "auto" takes a fisheye where the views speak for it strongly.
+        lens: model of the lens; "auto" takes a fisheye where the views favour it strongly.
 
     Raises:
         BadInput: there are too few views, or no camera fits them (because of the wrong board, for example).
@@ -251,7 +251,7 @@ def _own_covariance(one: _Candidate, views: Sequence[BoardView], board: Board) -
     for k, (view, (rvec, tvec)) in enumerate(zip(views, one.poses, strict=True)):
         uv, by_pose, by_camera = _projected(board.corners_m[view.ids], rvec, tvec, one.camera)
         left, by_camera = (view.uv_px - uv).ravel(), by_camera[:, :free]
-        # The pose is eliminated by what is orthogonal to its columns.
+        # The pose is eliminated by a projection orthogonal to its columns.
         basis = np.linalg.qr(by_pose / np.linalg.norm(by_pose, axis=0))[0]
         by_camera = by_camera - basis @ (basis.T @ by_camera)
         normals[k], gradients[k] = by_camera.T @ by_camera, by_camera.T @ left

@@ -36,12 +36,12 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 _MANY = 100
-"""A log with so many parameters holds all of them: one that is missing is not in the firmware."""
+"""A log with this many parameters holds all of them: one that is missing is not in the firmware."""
 _COPTER = "ArduCopter"
 
 
 def examine_log(path: Path) -> Snapshot:
-    """Return the snapshot of a flight log, a telemetry log or a file of parameters, told apart by their content.
+    """Return the snapshot of a flight log, a telemetry log or a file of parameters, distinguished by their content.
 
     Raises:
         BadInput: the file cannot be read, is none of them, or is of a vehicle that cannot hover.
@@ -158,7 +158,7 @@ async def examine(
         seconds: how long to wait for an autopilot, and again how long to count its messages.
         say: called with a progress line for a terminal.
         links: the links of the options with their keys; None for those of the options without any key.
-        gimbal: the camera's gimbal, which is asked for its reports and left where it points; None without one.
+        gimbal: the camera's gimbal, whose reports are requested and which is left where it points; None without one.
     """
     notes = Notes()
     began = clock.now()
@@ -177,12 +177,12 @@ async def examine(
 
 
 async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
-    """Examine the autopilot over the links that a service has open; cancelled, it asks nothing more.
+    """Examine the autopilot over the links that a service has open; cancelled, it sends nothing more.
 
     The links' counters are those since they were opened; texts and events are those of this examination.
 
     Args:
-        wanted: the system id that the settings ask for; 0 for any.
+        wanted: the system id that the settings request; 0 for any.
         seconds: how long to count messages.
     """
     notes, began, events = Notes(), clock.now(), autopilot.counts["EVENT"]
@@ -239,7 +239,7 @@ def _firmware(autopilot: Autopilot) -> tuple[int, int, int] | None:
 
 
 async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
-    """Return as soon as `done`, or after so many seconds."""
+    """Return as soon as `done`, or after this many seconds."""
     began: MonoNs = clock.now()
     while not done() and seconds_between(began, clock.now()) < seconds:
         await clock.sleep(_POLL_S)
@@ -250,7 +250,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
 
     Args:
         rates: rate of each message, Hz.
-        wanted: the system id that the settings ask for; 0 for any.
+        wanted: the system id that the settings request; 0 for any.
         seconds: how long was listened.
     """
     heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))

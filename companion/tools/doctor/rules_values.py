@@ -38,7 +38,7 @@ _FIXES = {
 
 
 def arming_refused(p: Snapshot) -> Finding | None:
-    """Find an autopilot that is not armed and told why it will not be."""
+    """Find an autopilot that is not armed and reports why it cannot be."""
     a = p.autopilot
     if a is None or a.armed or p.log is not None:
         return None
@@ -180,7 +180,7 @@ class ValueRule:
     good: float
     """The value that the fix names; where bits must not be set, the fix clears these alone."""
     why: str
-    """What a wrong value does."""
+    """Effect of a wrong value."""
     low: float = -math.inf
     high: float = math.inf
     wrong: tuple[float, ...] = ()
@@ -192,12 +192,12 @@ class ValueRule:
     needed: int = 0
     """Bits that must be set."""
     over_ship: float | None = None
-    """By how much a limit of speed must exceed the ship's, m/s; None where her speed is of no matter."""
+    """Least excess of a speed limit over the ship's speed, m/s; None if her speed does not matter."""
     per_m_s: float = 1.0
     """Value of the parameter for 1 m/s."""
     severity: Severity = _WARNING
     on_ship: bool = True
-    """Whether it only matters where the pad moves."""
+    """True if it only matters where the pad moves."""
 
     def __call__(self, snapshot: Snapshot) -> Finding | None:
         """Return the finding, or None where the value is good or not known."""

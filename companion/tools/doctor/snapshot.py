@@ -18,7 +18,7 @@ class LinkSnapshot(Struct, frozen=True):
 
     url: str
     down: str | None = None
-    """Why the link is not open; None if it is."""
+    """Reason why the link is not open; None if it is."""
     bytes_in: int = 0
     messages: int = 0
     lost: int = 0
@@ -26,7 +26,7 @@ class LinkSnapshot(Struct, frozen=True):
     old_version: int = 0
     refused_signature: int = 0
     signed: bool | None = None
-    """Whether we sign our messages on it and accept only signed ones."""
+    """True if we sign our messages on it and accept only signed ones."""
     unknown_senders: int = 0
     """Number of messages from senders that are not accepted."""
     refused_time: int = 0
@@ -40,13 +40,13 @@ class LinkSnapshot(Struct, frozen=True):
 
 
 class IdConflictSnapshot(Struct, frozen=True):
-    """What is doubtful about who is the autopilot, and who we are."""
+    """Ambiguity about which component is the autopilot, or about our own id."""
 
     name: str
     what: str
     fix: str
     blocks: bool
-    """Whether nothing is commanded meanwhile."""
+    """True if nothing is commanded meanwhile."""
 
 
 class TimeSyncSnapshot(Struct, frozen=True):
@@ -86,7 +86,7 @@ class AutopilotSnapshot(Struct, frozen=True):
     with its value and the default."""
     precland_enabled: bool | None = None
     precland_healthy: bool | None = None
-    """Whether SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
+    """True if SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
 
 
 class HeardSystem(Struct, frozen=True):
@@ -99,7 +99,7 @@ class HeardSystem(Struct, frozen=True):
     kind: str
     """Its MAV_TYPE in words, such as "quadrotor" or "gcs"."""
     hovers: bool
-    """Whether it is the autopilot of a vehicle that can hover."""
+    """True if it is the autopilot of a vehicle that can hover."""
 
     def __str__(self) -> str:
         return f"system {self.system} ({self.stack} {self.kind})" if self.stack else f"system {self.system} ({self.kind})"
@@ -119,13 +119,13 @@ class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
     files_fault: str | None = None
-    """Why a key, password or certificate that the settings name cannot be used."""
+    """Reason why a key, password or certificate of the settings cannot be used."""
     without_effect: tuple[str, ...] = ()
     """Lines about settings that have no effect beside others."""
     camera_fault: str | None = None
     """Description of the fault of the camera or pad file."""
     device_fault: str | None = None
-    """Why the camera sends no frames."""
+    """Reason why the camera sends no frames."""
     frame_rate_hz: float | None = None
     frame_size: tuple[int, int] | None = None
     """Size of the frames that the device sends, px."""
@@ -134,7 +134,7 @@ class ServiceSnapshot(Struct, frozen=True):
     exposure_to_belief_s: float | None = None
     """Median delay from the exposure until the estimator has used the frame, seconds."""
     sends_ranges: bool | None = None
-    """Whether DISTANCE_SENSOR is sent."""
+    """True if DISTANCE_SENSOR is sent."""
     withheld: dict[str, int] = field(default_factory=dict)
     """Targets that were due and not sent, by reason."""
     targets_sent: int | None = None
@@ -147,7 +147,7 @@ class ServiceSnapshot(Struct, frozen=True):
     feet_below_m: float | None = None
     """Distance of an autopilot's feet below it by the settings, m; None for an AR.Drone."""
     ship_place: Contradiction | None = None
-    """What does not go together in the settings about the ship's place."""
+    """Contradiction in the settings about the ship's place."""
     places_refused: dict[str, int] = field(default_factory=dict)
     """Reports of the ship that the running service refused, by reason."""
     gimbal: GimbalSnapshot | None = None
@@ -168,15 +168,15 @@ class Snapshot(Struct, frozen=True):
     sync: TimeSyncSnapshot | None = None
     service: ServiceSnapshot = ServiceSnapshot()
     wanted_system: int = 0
-    """System id of the autopilot that was asked for; 0 for any."""
+    """System id of the autopilot that was requested; 0 for any."""
     heard: tuple[HeardSystem, ...] = ()
     """Everything that sent HEARTBEATs."""
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""
     ship_speed_m_s: float | None = None
-    """Greatest speed of the ship over the ground, m/s; None if it was not told."""
+    """Greatest speed of the ship over the ground, m/s; None if it was not reported."""
     moving_pad: bool = True
-    """Whether the pad is on something that moves."""
+    """True if the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None
     """The camera's gimbal; None if the settings name none, or no link was examined."""
     id_conflicts: tuple[IdConflictSnapshot, ...] = ()
@@ -191,7 +191,7 @@ def decode(data: bytes, where: str) -> Snapshot:
     """Return the snapshot in a JSON text.
 
     Raises:
-        BadInput: the text holds no snapshot; the message says where it is wrong.
+        BadInput: the text holds no snapshot; the message names the place.
     """
     try:
         return msgspec.json.decode(data, type=Snapshot)

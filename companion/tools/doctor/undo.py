@@ -32,7 +32,7 @@ class PlannedWrite(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class UndoFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """What was about to be written, in that order; it exists before the first write."""
+    """Parameters before a repair, in the order of the writes; the file exists before the first write."""
 
     autopilot: str
     system: int
@@ -66,7 +66,7 @@ def decode_undo(data: bytes, where: str) -> UndoFile:
     """Return the file in a JSON text.
 
     Raises:
-        BadInput: the text holds none; the message says where it is wrong.
+        BadInput: the text holds none; the message names the place.
     """
     try:
         return msgspec.json.decode(data, type=UndoFile)
@@ -83,17 +83,17 @@ OnResult = Callable[["WriteResult"], None]
 
 @dataclass(frozen=True, slots=True)
 class WriteResult:
-    """What became of one planned write."""
+    """Result of one planned write."""
 
     planned: PlannedWrite
     value: float | None
     """The parameter's value as read last; None if it was not answered."""
     refused: str | None = None
-    """Why the parameter does not have the planned value; None if it has."""
+    """Reason why the parameter does not have the planned value; None if it has."""
 
 
 async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:
-    """Return the values that the autopilot tells of these parameters at this moment; those without an answer are left out."""
+    """Return the autopilot's present values of these parameters; those without an answer are left out."""
     wanted, parameters = tuple(dict.fromkeys(names)), autopilot.parameters
     assert parameters is not None, "an autopilot is connected"
     parameters.request(wanted)
@@ -106,8 +106,8 @@ async def write_parameters(
 ) -> tuple[WriteResult, ...]:
     """Write one parameter after the other, and return what became of each.
 
-    A parameter is written only if it still has the value that the plan names, and only while the autopilot is heard and says
-    that it is disarmed; this is looked at again before each message.
+    A parameter is written only if it still has the value that the plan names, and only while the autopilot sends messages and
+    says that it is disarmed; this is looked at again before each message.
 
     Args:
         on_result: called with each result as soon as it is known.

@@ -1,4 +1,4 @@
-"""Where an installation has its files, as the installed computer names them."""
+"""Paths of an installation's files, as the installed computer names them."""
 
 PREFIX = "/opt/decklander"
 CURRENT = f"{PREFIX}/current"

@@ -21,8 +21,8 @@ class Machine:
 
     Args:
         root: the folder of its root; "/" for this computer.
-        out: where each change is told.
-        dry: tell the changes and make none.
+        out: where each change is
+        printed. dry: print the changes and make none.
     """
 
     def __init__(self, root: Path, out: TextIO, *, dry: bool = False) -> None:
@@ -32,7 +32,7 @@ class Machine:
 
     @property
     def is_this(self) -> bool:
-        """Whether it is the computer that runs this program, not the root of another."""
+        """True if it is the computer that runs this program, not the root of another."""
         return self.root == Path("/")
 
     def path(self, inside: str) -> Path:
@@ -50,7 +50,7 @@ class Machine:
         return not self.dry
 
     def exists(self, inside: str) -> bool:
-        """Return whether there is something at a path, be it a link to nothing."""
+        """Return whether there is something at a path, even a link to nothing."""
         return os.path.lexists(self.path(inside))
 
     def target(self, inside: str) -> str | None:
@@ -139,7 +139,7 @@ class Machine:
         """Run a command that changes the computer.
 
         Args:
-            outside: run it here even if the computer is only a root; the command is told the root itself.
+            outside: run it here even if the computer is only a root; the command gets the root as an argument.
 
         Raises:
             Recoverable: it failed; the text has its own last words.

@@ -36,7 +36,7 @@ from companion.tools.install.versions import Release, there
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 
 WATCHED_S = 20.0
-"""How long a restarted service is watched after it said that it is ready, seconds."""
+"""Time for which a restarted service is watched after it reports that it is ready, s."""
 _POLL_S = 1.0
 _RATES = re.compile(r"(\d+) frames and (\d+) inertial samples a second")
 
@@ -54,12 +54,12 @@ class ServiceState:
 
     @property
     def runs(self) -> bool:
-        """Whether there is a process, or will be at once."""
+        """True if there is a process, or will be at once."""
         return self.active in ("active", "activating", "reloading", "deactivating")
 
     @property
     def wanted(self) -> bool:
-        """Whether it was started and not stopped, be it that it failed."""
+        """True if it was started and not stopped, even if it failed."""
         return self.runs or self.active == "failed"
 
     def flows(self) -> tuple[bool, bool]:
@@ -127,7 +127,8 @@ def refuse_in_flight(machine: Machine, *, on_ground: bool = False) -> None:
 def start(machine: Machine, sleep: Callable[[float], None] = time.sleep, seconds: float = WATCHED_S) -> str | None:
     """Start the service again and watch it; return why it does not come up, None if it does.
 
-    It is up when it has said that it is ready, keeps its process for `seconds`, and has the frames and samples that came before.
+    It is up when it has reported that it is ready, keeps its process for `seconds`, and has the frames and samples that came
+    before.
     """
     before = state(machine)
     try:
@@ -267,7 +268,7 @@ def enable(machine: Machine, *, packaged: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class InstallOptions:
-    """What the user asks for beside the release."""
+    """Installation options of the user, beside the release."""
 
     config: Path | None = None
     """Settings to copy."""
@@ -275,9 +276,9 @@ class InstallOptions:
     """Files of secrets by name of the credential."""
     python: str = "/usr/bin/python3"
     packaged: bool = False
-    """Whether a package owns the unit, the device rules, the users and the command."""
+    """True if a package owns the unit, the device rules, the users and the command."""
     on_ground: bool = False
-    """Whether the operator sees the drone stand."""
+    """True if the operator sees the drone stand."""
     sleep: Callable[[float], None] = time.sleep
 
 

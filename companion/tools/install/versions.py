@@ -151,7 +151,7 @@ def _pip(words: list[str], what: str) -> None:
 
 
 _NEEDED_BYTES = 900_000_000
-"""What an environment takes at its largest, before it is slimmed, with pip's temporary files."""
+"""Largest size of an environment before it is slimmed, with pip's temporary files."""
 _PROBE = "import sys, struct; print(*sys.version_info[:2], 8 * struct.calcsize('P')); import ensurepip, venv"
 
 
@@ -187,7 +187,7 @@ def check_python(machine: Machine, python: str) -> None:
     """Refuse a computer whose Python cannot run the service.
 
     Raises:
-        SetupImpossible: it is of 32 bits, too old, without `venv`, or not there; the text says what helps.
+        SetupImpossible: it is of 32 bits, too old, without `venv`, or not there; the text names the cure.
     """
     done = machine.ask([python, "-c", _PROBE])
     words = done.stdout.split()

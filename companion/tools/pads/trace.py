@@ -35,7 +35,7 @@ _PHOTO_PX = 700.0
 _SPECK_PX = 9
 """Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
 _MARGIN = 0.4
-"""How far around the rectangle of a photograph the pad is looked for, in its larger side."""
+"""Margin of the search around the rectangle of a photograph, in its larger side."""
 _FIRST_OFF, _GROWS = 0.0012, 1.35
 """First deviation of a traced side over the pad's radius, and its growth until the sides are few enough."""
 
@@ -60,7 +60,7 @@ class _Part(NamedTuple):
     """(N, 2) px."""
     holes: tuple[F64, ...]
     area: float
-    """What lies within the outline, px^2."""
+    """Area within the outline, px^2."""
 
 
 class _Circle(NamedTuple):

@@ -1,4 +1,4 @@
-"""Where the filter expects the pad in a frame: with the errors of attitude and camera mount that it knows."""
+"""Expected place of the pad in a frame by the filter, with the errors of attitude and camera mount that it knows."""
 
 import math
 

@@ -18,7 +18,7 @@ class Series:
 
     name: str
     is_path: bool
-    """Whether the series is an estimator's path, drawn as a line, and not a vision method, drawn as dots."""
+    """True if the series is an estimator's path, drawn as a line, and not a vision method, drawn as dots."""
     t_s: F64
     """The (n,) times since the flight's start, s."""
     d: F64
@@ -63,10 +63,10 @@ class DeckRow:
     """One line of the table of the deck's forecast tilt against truth."""
 
     ahead_s: float
-    """How far ahead the deck was forecast; 0 is the deck as the filter has it."""
+    """Horizon of the deck's forecast; 0 is the deck as the filter has it."""
     count: int
     tilt_median_rad: float
-    """Of the angle between the forecast and the true deck."""
+    """Median angle between the forecast and the true deck."""
     tilt_p95_rad: float
     nees: float
     """The mean of the squares of the errors of roll and pitch over their variances: 1 is right."""

@@ -20,7 +20,7 @@ from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 
 HORIZONS_KEPT_S = (0.0, 1.0, 2.0)
-"""How far ahead the deck's forecast is kept, s; 0 is the deck as the filter has it."""
+"""Horizons at which the deck's forecast is kept, s; 0 is the deck as the filter has it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ class FrameRecord:
     R_level_body: Rotation | None = None
     """The roll and pitch at the exposure, which place the drawn outline; None if not known."""
     d_expected_level: F64 | None = None
-    """Where the steering path expected the pad's centre in this frame, (3,) m, levelled by `R_level_body`."""
+    """Vector at which the steering path expected the pad's centre in this frame, (3,) m, levelled by `R_level_body`."""
     R_body_cam: Rotation | None = None
     """The rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
     image: bytes | Path | VideoImage | None = None
@@ -90,9 +90,9 @@ class LoggedContact:
     """The closing speed of body and deck, positive downward."""
     lateral_speed_m_s: float
     on_pad: bool
-    """Whether the vehicle is on the disc, according to the source of the truth."""
+    """True if the vehicle is on the disc, according to the source of the truth."""
     surface: str = ""
-    """What was touched: pad, deck or water."""
+    """Touched surface: pad, deck or water."""
     p_pad_m: tuple[float, float] = (math.nan, math.nan)
     """The place on the pad: along the arrow, and to starboard of it."""
     yaw_rad: float = math.nan
@@ -108,7 +108,7 @@ class DeckSample:
     at: MonoNs
     """The instant that it is about."""
     made_at: MonoNs
-    """The instant at which it was said; `at` for what is not a forecast."""
+    """The instant of the decision; `at` for what is not a forecast."""
     height_m: float
     """The height of the pad's centre above its mean level, positive up."""
     sigma_height_m: float
@@ -120,7 +120,7 @@ class DeckSample:
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """How long one stage of one frame took."""
+    """Duration of one stage of one frame."""
 
     at: MonoNs
     """The instant of the exposure."""

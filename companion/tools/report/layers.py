@@ -39,7 +39,7 @@ class Layer:
     """One series in a plot."""
 
     name: str
-    """What it is called beside the plot, and switched off by."""
+    """Name beside the plot; a click on it hides the layer."""
     colour: str
     """A colour, or `ink` for that of the text."""
     style: Style
@@ -49,13 +49,13 @@ class Layer:
     upper: F64 | None = None
     """(n,) upper edge of a band."""
     wide: bool = False
-    """Whether the line is drawn thick and pale, as truth is."""
+    """True if the line is drawn thick and pale, as truth is."""
     fits: bool = True
-    """Whether the plot's height is chosen by it; a wild single measurement must not flatten the rest."""
+    """True if the plot's height is fitted to it; a wild single measurement must not flatten the rest."""
     read: bool = True
-    """Whether its value at the cursor is told."""
+    """True if its value at the cursor is shown."""
     shown: bool = True
-    """Whether it is shown before a person has switched anything."""
+    """True if it is shown before a person has switched anything."""
 
     def packed(self, columns: Columns) -> dict[str, Any]:
         """Return the layer for the page, thinned."""
@@ -81,15 +81,15 @@ class Plot:
     layers: list[Layer]
     log: bool = False
     zero: bool = False
-    """Whether zero is always in sight."""
+    """True if zero is always in sight."""
     least: float = 0.0
     """The least height of the plot, in its unit."""
     names: tuple[str, ...] = ()
-    """What the whole numbers from 0 on stand for, where the values are kinds and not numbers."""
+    """Names of the whole numbers from 0 on, if the values are kinds and not numbers."""
 
     @property
     def empty(self) -> bool:
-        """Whether no layer has a number."""
+        """True if no layer has a number."""
         return not any(np.isfinite(layer.y).any() for layer in self.layers)
 
     def in_words(self) -> str:

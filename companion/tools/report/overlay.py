@@ -30,7 +30,7 @@ class Overlay:
     R_level_body: Rotation | None = None
     """The roll and pitch at the exposure; the body is taken as level if they are not known."""
     d_expected_level: F64 | None = None
-    """Where the estimate expected the pad's centre in this frame, (3,) m; None to draw it where the belief has it."""
+    """Vector at which the estimate expected the pad's centre in this frame, (3,) m; None to draw it at the estimate."""
 
 
 def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:

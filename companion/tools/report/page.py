@@ -102,7 +102,7 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
 
 
 def good(log: FlightLog) -> bool:
-    """Whether the flight ended as it should."""
+    """Return whether the flight ended as it should."""
     return log.outcome == "landed" and (log.touchdown is None or log.touchdown.on_pad)
 
 

@@ -1,4 +1,4 @@
-"""What the page's script draws: sections of plots, views of the pad, the figures beside the video, and the events."""
+"""Data for the page's script: sections of plots, views of the pad, the figures beside the video, and the events."""
 
 import json
 import math
@@ -64,7 +64,7 @@ class PageFlight:
     """The time of the video's first frame on the page's axis; None without a video."""
     phases: list[tuple[float, str]]
     figures: list[tuple[str, str, int, F64, F64]] = field(default_factory=list)
-    """What is told beside the video: name, unit, digits, times and values."""
+    """Figures beside the video: name, unit, digits, times and values."""
     kinds: list[tuple[str, list[tuple[float, str]]]] = field(default_factory=list)
     """Names, and the texts that hold from each time on."""
 
@@ -88,7 +88,7 @@ def events(log: FlightLog) -> list[FlightEvent]:
 
 
 def page_flight(log: FlightLog, label: str, ink: str, video_from: MonoNs | None) -> PageFlight:
-    """Return what the page tells of a flight at its cursor."""
+    """Return the figures of a flight at the page's cursor."""
     first = None if video_from is None else seconds_between(log.started, video_from)
     phases = [(seconds_between(log.started, change.at), change.phase) for change in log.phases]
     out = PageFlight(label, ink, first, phases)

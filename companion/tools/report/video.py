@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -118,35 +119,41 @@ class FlightVideo:
         self.close()
 
 
-def film_of(log: FlightLog, fps: float = 30.0, scale: float = 1.0) -> FilmFile | None:
-    """Draw every kept frame of the log into a film; None if no frame was kept or none can be decoded."""
-    kept = [f for f in sorted(log.frames, key=lambda f: f.exposed_at) if f.image is not None]
-    if not kept:
-        return None
+def drawn_frames(log: FlightLog, scale: float = 1.0) -> Iterator[tuple[NDArray[np.uint8], MonoNs]]:
+    """Yield every kept frame that can be decoded, with its overlay, and its exposure; sizes are those of `annotated_size`."""
     by_seq: dict[int, list[Sighting]] = {}
     for sighting in log.sightings:
         by_seq.setdefault(sighting.seq, []).append(sighting)
     steered = log.steering or (log.estimates[0].path if log.estimates else None)
     states = sorted((e for e in log.estimates if e.path == steered), key=lambda e: e.at)
     instants = np.array([e.at for e in states], dtype=np.int64)
-    duration_s = max(1.0, seconds_between(kept[0].exposed_at, kept[-1].exposed_at))
+    for frame in sorted(log.frames, key=lambda f: f.exposed_at):
+        image = _decode(frame)
+        if image is None:
+            continue
+        overlay = Overlay(
+            sightings=tuple(by_seq.get(frame.seq, ())),
+            estimate=_nearest(states, instants, frame.exposed_at),
+            R_level_body=frame.R_level_body,
+            d_expected_level=frame.d_expected_level,
+        )
+        yield annotate(image, overlay, _camera(log, frame), log.pad, scale), frame.exposed_at
+
+
+def film_of(log: FlightLog, fps: float = 30.0, scale: float = 1.0) -> FilmFile | None:
+    """Draw every kept frame of the log into a film; None if no frame was kept or none can be decoded."""
+    exposures = [frame.exposed_at for frame in log.frames if frame.image is not None]
+    if not exposures:
+        return None
+    duration_s = max(1.0, seconds_between(min(exposures), max(exposures)))
     most_bit_s = max(_LEAST_BIT_S, round(8 * FILM_BYTES / duration_s))
     began: MonoNs | None = None
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         path = Path(folder) / "flight.mp4"
         with FlightVideo(path, annotated_size(log.camera.width, log.camera.height, scale), fps, most_bit_s) as video:
-            for frame in kept:
-                image = _decode(frame)
-                if image is None:
-                    continue
-                overlay = Overlay(
-                    sightings=tuple(by_seq.get(frame.seq, ())),
-                    estimate=_nearest(states, instants, frame.exposed_at),
-                    R_level_body=frame.R_level_body,
-                    d_expected_level=frame.d_expected_level,
-                )
-                if video.add(annotate(image, overlay, _camera(log, frame), log.pad, scale), frame.exposed_at) and began is None:
-                    began = frame.exposed_at
+            for image, at in drawn_frames(log, scale):
+                if video.add(image, at) and began is None:
+                    began = at
         return None if began is None else FilmFile(path.read_bytes(), began, video.frame_images)
 
 

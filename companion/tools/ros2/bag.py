@@ -13,7 +13,7 @@ from companion.tools.ros2.typestore import require_rosbags, typestore
 from estimator.contracts.errors import BadInput
 
 _METADATA_VERSION: Final = 8
-"""What ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
+"""Version that ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
 
 
 def export(recording: Recording, folder: Path) -> dict[str, int]:
@@ -96,7 +96,7 @@ def _is_fault_of_disk(why: BaseException) -> bool:
 
 
 def _kept() -> Any:
-    """Return the quality of service of a topic of which a late subscriber gets the newest message, too."""
+    """Return the quality of service of a topic whose newest message late subscribers get, too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(2147483647, 4294967295)

@@ -27,7 +27,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 _LATEST_S = 5.0
 """A header whose stamp is older than this when its message is written is of another clock."""
 _DOWN = ("down", "rangefinder", "altimeter")
-"""What the topic or frame of a range is called that looks down; a message itself does not say."""
+"""Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
 _KINDS: Final = {
     "sensor_msgs/msg/Imu": "IMU", "sensor_msgs/msg/Range": "range", "sensor_msgs/msg/Image": "camera",
     "sensor_msgs/msg/CompressedImage": "camera", "geometry_msgs/msg/TwistWithCovarianceStamped": "velocity",
@@ -70,7 +70,7 @@ def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
 
 
 def _suffix(path: Path) -> str:
-    """Return the ending by which rosbags tells files apart."""
+    """Return the ending by which rosbags distinguishes files."""
     if path.is_dir():
         return ""
     with path.open("rb") as file:

@@ -49,8 +49,8 @@ class LiveClient:
     Args:
         url: the port's address, ws://HOST:PORT.
         token: its token; None for none.
-        wanted: says of a topic whether its messages are asked for.
-        note: is told what a person should know: a connection, its loss and why.
+        wanted: says of a topic whether its messages are wanted.
+        note: receives what a person should know: a connection, its loss and why.
     """
 
     def __init__(self, url: str, token: str | None, wanted: Callable[[str], bool], note: Callable[[str], None]) -> None:

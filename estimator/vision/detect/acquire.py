@@ -3,7 +3,7 @@
 Hypotheses come from the fiducials of a pad that has some, from circles of edges in luminance, at several sizes of the frame, from
 the outlines of small areas that stand out, from the strokes of the H, and from circles in the measure of the disc's colour where
 there is colour. A pad that has fiducials and not
-disc, ring and lettering besides is searched by its fiducials alone, as nothing else tells it from other markings.
+disc, ring and lettering besides is searched by its fiducials alone, as nothing else distinguishes it from other markings.
 
 A search may be given a budget of work; what is left goes on with the next frame. The budget counts work and not time, so that the
 same frames give the same results.
@@ -48,7 +48,7 @@ _STEPS, _STEPS_FREE = 4, 8
 _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
 _ARROW_MISSING = 0.5
-"""How much surer it must be that no arrowhead is at its place than that there is none half a turn away."""
+"""Margin by which it must be surer that no arrowhead is at its place than that there is none half a turn away."""
 _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY, _WORK_TURN = 1.0, 1.2, 0.3, 0.6
 """Work of an alignment with the tilt known and unknown, of one without a step or one that is given up, and of one after a turn by
 180 degrees.
@@ -58,13 +58,11 @@ _WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
 _SMALL_PX = 30.0
 """Radius of the disc, px, up to which what covers a part of it may turn a guess."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
-"""What a place of one frame may be off from that of the next to be the same: px, radii of the disc, and by the logarithm of the
-distance.
-"""
+"""Largest differences of one place between two frames: px, radii of the disc, and the logarithm of the distance."""
 _REMEMBERED = 24
 """Most places of refused hypotheses that are remembered."""
 _BETTER = 0.05
-"""How much more of the variance than a refused guess another one in its place must explain not to come last."""
+"""Further share of the variance that another guess in the place of a refused one must explain not to come last."""
 Place = tuple[float, float, float, float]
 """The pad's centre, px from the lens' axis, the logarithm of its distance, and the fraction of the variance that is explained."""
 
@@ -89,7 +87,7 @@ class PadCandidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchMemory:
-    """What a search leaves for the next frame."""
+    """Memory of a search from frame to frame."""
 
     first: int = 0
     """The kind of hypotheses to begin with."""
@@ -176,7 +174,7 @@ def search(
 
 @dataclass(slots=True, eq=False)
 class _Task:
-    """A search in one frame: what it is given, and what it has done so far."""
+    """A search in one frame: its inputs and its progress."""
 
     view: FrameView
     sure: float

@@ -70,12 +70,12 @@ class AlignedTemplate:
 
 
 class Cover(NamedTuple):
-    """What seems to cover a part of the pad."""
+    """Possible cover over a part of the pad."""
 
     cut: F64
     """The line beyond which it lies, (3,); see `UNCUT`."""
     gain: float
-    """By how much the logarithm of the residuals' variance falls, on average, if a thing of one colour is beyond the line."""
+    """Average fall of the logarithm of the residuals' variance, if a thing of one colour is beyond the line."""
     left: float
     """Share of the light's variation on this side of the line that the drawing leaves, 0..1."""
 

@@ -1,4 +1,4 @@
-"""How much more of the disc's own colour a place has than others: one more image to search, where there is colour.
+"""Image of the disc's own colour: its excess at each place over other places. It is searched too, if there is colour.
 
 The measure is the logarithm of the disc's dominant channel minus that of the stronger of the other two. A change of brightness,
 colour temperature or white balance shifts it by the same amount all over the frame.
@@ -25,7 +25,7 @@ _MIDDLE = 80
 _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 """Steps for a factor e."""
 _COLOURED, _HAZY = 0.25 * _NAT, 0.06 * _NAT
-"""Measure from which on a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
+"""Measure from which a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
 colour: 99 of 100 discs stand out by 0.56 in any light, and by a seventh of that in haze.
 """
 _LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)

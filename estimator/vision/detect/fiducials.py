@@ -35,7 +35,7 @@ _CORNER_PX = 0.7
 _TILT_RAD = math.radians(4.0)
 """Standard deviation of the tilt between the deck and a vehicle of known attitude."""
 _SAME_SIDES = 0.25
-"""What the corners of a fiducial may be off from where another one's pose has them, in its sides in the frame."""
+"""Largest distance of a fiducial's corners from their place by another fiducial's pose, in its sides in the frame."""
 _MIRRORED = 6.0
 """Difference of two squared errors, in variances, below which a pose and its mirror image are both tried."""
 _UNIT = np.eye(3)
@@ -48,7 +48,7 @@ class _Read:
     p_pad: F64
     """Its corners on the pad, (4, 3) m."""
     uv_px: F64
-    """The same in the frame, (4, 2)."""
+    """Its corners in the frame, (4, 2) px."""
 
     @property
     def side_px(self) -> float:
@@ -60,11 +60,11 @@ class FiducialPose(NamedTuple):
 
     pose: PadPose
     off_px: float
-    """What the pad's farthest edge in view may be off by, from errors of the corners alone."""
+    """Largest error of the pad's farthest visible edge by errors of the corners alone, px."""
 
 
 def fiducial_poses(grey: U8, camera: Camera, pad: Pad, plane: Plane, window_px: int) -> list[FiducialPose]:
-    """Return poses of a pad from its fiducials, the one that most of them agree with first; none if none is read.
+    """Return poses of a pad from its fiducials, best supported first; empty if none is read.
 
     Args:
         grey: (H, W) luminance.

@@ -38,7 +38,7 @@ is one more often, whatever the area is.
 
 
 class Outline(Enum):
-    """What a circle is the outline of."""
+    """Outline that a circle belongs to."""
 
     EDGES = "edges in luminance"
     AREA = "an area that differs from what is around it"
@@ -58,7 +58,7 @@ class Guess(NamedTuple):
     drawing: float
     """Fraction of the variance that the drawing explains, 0..1."""
     score: float
-    """What guesses are ordered by."""
+    """Score by which guesses are sorted."""
     tilt_known: bool
     support: float = 0.0
     """Support of the circle that it comes from, 0..1."""
@@ -162,11 +162,11 @@ def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...
 
 
 _REACH_PX, _STEP_PX = 4.0, 1.5
-"""How far from the expected place the drawing is compared, and how far apart: alignment starts from a pixel off."""
+"""Largest and smallest shifts at which the drawing is compared with the expected place; alignment starts within a pixel."""
 _SIDES = 4
 """Directions of the half that is taken for the one in view."""
 _OUTLINE = 3
-"""Points of a half's outline, which tell the direction."""
+"""Points of a half's outline, which give the direction."""
 _MOST_TURNED_RAD = 0.5
 """Largest heading of a guess relative to the expected one, modulo half a turn."""
 

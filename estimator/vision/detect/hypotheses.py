@@ -70,7 +70,7 @@ class _Component(NamedTuple):
     contour_px: F64
     """Its outline in the whole frame, (N, 2)."""
     off: float
-    """How far its share of its hull is from the drawing's, by the logarithm."""
+    """Difference of its share of its hull from the drawing's, by the logarithm."""
     of: _Silhouette
 
 
@@ -131,7 +131,7 @@ def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, pl
     best: Guess | None = None
     turns = np.linspace(0.0, math.tau, _HEADINGS, endpoint=False).tolist() if aside > _ASIDE * pad.disc_radius_m else [None]
     for turn in turns:
-        # A component beside the centre says where that is at each heading; the drawing tells which heading is right.
+        # A component beside the centre says where that is at each heading; the drawing decides which heading is right.
         pose = flat if turn is None else _beside(flat, drawn.centroid_m, turn)
         seen = heading(pyramid[level], 1 << level, camera, pad, pose)
         if seen is None or (turn is not None and abs(math.remainder(seen.turn_rad - turn, math.tau)) > math.tau / _HEADINGS):
@@ -214,7 +214,7 @@ from one size, and how many there usually are from the full size. Of ten half di
 ten at 15 m six.
 """
 _MARGIN_PX = 8
-"""How far beyond the edge of such an image centres are looked for, px: half of the disc may be out of the frame."""
+"""Margin beyond the edge of such an image in which centres are searched, px: half of the disc may be out of the frame."""
 _NEAREST_M = 0.05
 """Least distance of a guess along the optical axis."""
 _COARSE_LEVELS, _REDUCED_LEVELS = (3, 2), (3, 2, 1)
@@ -225,7 +225,7 @@ of 112 pads up to 3 m in any light 103 had more, and of 120 frames without a pad
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
-"""How far beyond the edge of the smallest image centres are looked for, in its widths."""
+"""Margin beyond the edge of the smallest image in which centres are searched, in its widths."""
 _WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 1.6, 3.2
 WORK_COARSE, _WORK_LARGER = 1.5, 0.8
 _WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.6
@@ -242,15 +242,15 @@ class Kind(NamedTuple):
     usual: int = MOST
     """Number of guesses that there usually are in a frame without a pad."""
     covered: bool = False
-    """Whether guesses are of a pad of which a part may be covered."""
+    """True if guesses may be partly covered pads."""
     exact: bool = False
-    """Whether guesses are so near to a pose that they are tried beside a candidate without confidence, too."""
+    """True if guesses are so near to a pose that they are tried beside a candidate without confidence, too."""
     least_round: float = LEAST_DRAWING
     """Smallest fraction of the variance that a guess from a circle with an ellipse for its outline must explain to be tried."""
     least_drawing: float = LEAST_DRAWING
-    """The same of any other guess."""
+    """Smallest such fraction for any other guess."""
     by_colour: bool = False
-    """Whether guesses come from the disc's colour."""
+    """True if guesses come from the disc's colour."""
 
     @property
     def expected_work(self) -> float:
@@ -270,7 +270,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     """Return the kinds of hypotheses, quick and likely kinds first.
 
     Kinds whose guesses are often wrong are looked at twice: first for guesses that are clear, and for the others after all kinds.
-    Those that only a pad of which a part is covered needs are the last ones.
+    Those that only a partly covered pad needs are the last ones.
     """
     luminance, colour = _Images(_luminance, pyramid, _MORE_CIRCLES), _Images(lambda px: disc_colour(px, pad), pyramid, {})
     frame = _Searched(pyramid, camera, pad, plane)
@@ -315,7 +315,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Searched:
-    """What hypotheses of one frame are made of."""
+    """Images of one frame from which hypotheses are made."""
 
     pyramid: Pyramid
     camera: Camera

@@ -37,7 +37,7 @@ class Pyramid:
 
     @property
     def monochrome(self) -> bool:
-        """Whether the frame comes from a grey camera: its channels are equal, but for what a codec adds.
+        """True if the frame comes from a grey camera: its channels are equal, apart from what a codec adds.
 
         A painted pad in view of a colour camera, or anything else of some colour, makes it False.
         """

@@ -35,7 +35,7 @@ from estimator.vision.register.registration import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """What a look found: a registration, the evidence that it is the pad, and its sighting in level."""
+    """Result of a look: a registration, the evidence that it is the pad, and its sighting in level."""
 
     record: NDArray[Any]
     """The core's `looked_pad`."""
@@ -77,7 +77,7 @@ class Looked:
 
     @property
     def yaw_ambiguous(self) -> bool:
-        """Whether neither an arrowhead nor a fiducial resolved the headings."""
+        """True if neither an arrowhead nor a fiducial resolved the headings."""
         return is_ambiguous(self.record["found"], self.pad)
 
     @property

@@ -1,1 +1,1 @@
-"""What the renderer draws: deck, pad, ship, sea and the light on them."""
+"""Renderer of deck, pad, ship, sea and the light on them."""

@@ -92,7 +92,7 @@ class DeckPainter:
         self._mask = np.empty((lens.camera.height, lens.camera.width), np.uint8)
 
     def fills(self, pad_from_ray: F64) -> bool:
-        """Whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
+        """Return whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
         q = self._border.dot(self._R_deck_pad.dot(pad_from_ray).T)
         return bool(q[:, 2].min() > 0 and q.dot(self._inwards).min() > 0)
 
@@ -133,7 +133,7 @@ class DeckPainter:
         SIM.lib.sim_render_deck(place, where, drawn, covered, SIM.array("uint16_t", scene, 4 * h * w))
 
     def _near(self, deck_from_ray: F64) -> bool:
-        """Whether all of the frame shows the pad's surroundings."""
+        """Return whether all of the frame shows the pad's surroundings."""
         q = (self._corners @ deck_from_ray.T).tolist()
         return all(z > 0 and max(abs(x), abs(y)) < _NEAR_M * z for x, y, z in q)
 

@@ -53,7 +53,7 @@ _BUDGET = 16_000
 _PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "triangle": 4, "letter": 4, "fiducial": 4}
 """Index in `pad_paint_kind` of the paint of each part."""
 _UPPER = 5
-"""That of lettering of a second paint."""
+"""Index of the upper side of lettering of a second paint."""
 
 Pose = tuple[F64, F64]
 """Rotation (3, 3) of the pad and its centre (3,) m in `cam`."""
@@ -76,7 +76,7 @@ class Stroke:
 
     @property
     def in_front(self) -> bool:
-        """Whether the camera sees the pad's upper side all the time."""
+        """True if the camera sees the pad's upper side all the time."""
         poses = (self.middle,) if self.first is self.middle is self.last else (self.first, self.middle, self.last)
         return all(float(R[:, 2].dot(t)) > 1e-3 for R, t in poses)
 
@@ -89,7 +89,7 @@ class PadPainter:
         self._change = lens.jacobian if lens.camera.distorted else np.ascontiguousarray(lens.jacobian[0, 0])
         self._regions = regions_of(pad)
         self._reference = np.concatenate([np.zeros((1, 3)), pad.circle(pad.disc_radius_m, 8)])
-        # Room for a frame's pad: asking for its memory each time costs as much as filling it.
+        # Room for a frame's pad: requesting its memory each time costs as much as filling it.
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
         self._kinds = np.empty((lens.camera.height, lens.camera.width), np.uint8)
         self._view = SIM.new(

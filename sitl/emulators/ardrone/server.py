@@ -33,7 +33,10 @@ DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
 TRUTH_TICKS = 2
 CATCH_UP_MAX_S = 0.25
-"""After a host stood still for longer than this the datagrams it missed are not sent late; the physics runs up to now."""
+"""Longest standstill of a host that is caught up.
+
+After a longer one missed datagrams are not sent late; the physics runs up to now.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ class Habits:
 
 
 class ArDroneServer:
-    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and speaks for it.
+    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and answers for it.
 
     `server.ports` holds the ports in use, `server.drone` what is behind them, `server.counters` what passed. A bug inside takes
     the body of the `async with` down with an ExceptionGroup.
@@ -237,7 +240,7 @@ class ArDroneServer:
             await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
             config = self.drone.state.config
             period_s = 1.0 / config.number(self._habits.generation.frame_rate)
-            # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
+            # A host too slow to render them all films fewer, evenly numbered: only lost frames leave a gap.
             due = max(after(due, period_s), after(self._clock.now(), -period_s))
             if not self._video.busy or not config.flag("general:video_enable"):
                 continue
@@ -254,7 +257,7 @@ class ArDroneServer:
     def _shoot(
         self, expose: Callable[[], RenderedFrame], R_ned_body: Rotation, number: int, fps: float, keys: Mapping[str, str]
     ) -> tuple[RenderedFrame, Shot, WirePicture]:
-        """Runs in the pool's thread, and touches nothing of the world's but what was fixed for it."""
+        """Expose and encode one frame, in the pool's thread. It uses only arguments and what `expose` fixed before."""
         image = expose()
         timestamp_ms = self._drone_clock.milliseconds(after(image.exposed_at, image.stamp_error_s))
         shot = Shot(image.px, R_ned_body, number, timestamp_ms, fps, keys)

@@ -15,7 +15,7 @@ Address = tuple[str, int]
 
 NAVDATA_CLIENTS_MAX = 8
 NAVDATA_LEASE_S = 10.0
-"""How long a navdata client is served after it was heard of last; every client asks again when navdata stops."""
+"""Time for which a navdata client is served after its last datagram; every client repeats its request when navdata stops."""
 CONTROL_CLIENTS_MAX = 8
 _BACKLOG_MAX = 1 << 18
 _VIDEO_SEND_BUFFER = 1 << 16
@@ -35,7 +35,7 @@ class _BufferedDatagrams(Protocol):
 
 
 class NavdataPort(asyncio.DatagramProtocol):
-    """UDP 5554: whoever asks is sent every datagram until nothing is heard of it any more."""
+    """UDP 5554: every client is sent each datagram until it falls silent."""
 
     def __init__(self, now: Callable[[], MonoNs], counters: Counter[str]) -> None:
         self._now = now
@@ -107,7 +107,7 @@ class VideoPort:
 
     @property
     def busy(self) -> bool:
-        """Whether somebody is watching."""
+        """True if somebody is watching."""
         return self._client is not None
 
     async def listen(self, host: str, port: int, stack: AsyncExitStack) -> int:
@@ -153,7 +153,7 @@ class VideoPort:
 
 
 class VideoDatagramPort(asyncio.DatagramProtocol):
-    """UDP 5555 of a 1.0: whoever asked last is sent every picture until nothing is heard of it any more."""
+    """UDP 5555 of a 1.0: the newest client is sent every picture until it falls silent."""
 
     def __init__(self, now: Callable[[], MonoNs], counters: Counter[str]) -> None:
         self._now = now
@@ -163,7 +163,7 @@ class VideoDatagramPort(asyncio.DatagramProtocol):
 
     @property
     def busy(self) -> bool:
-        """Whether somebody is watching."""
+        """True if somebody is watching."""
         if self._client is not None and seconds_between(self._client[1], self._now()) > NAVDATA_LEASE_S:
             self._client = None
             self._counters["video_client_expired"] += 1

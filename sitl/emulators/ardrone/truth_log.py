@@ -1,4 +1,4 @@
-"""What really happened, one JSON object a line, in instants of the simulating host's monotonic clock.
+"""Log of the truth, one JSON object a line, in instants of the simulating host's monotonic clock.
 
 Another process of the same host reads the same clock, so its own stamps compare directly.
 """

@@ -130,7 +130,7 @@ _SEA_NEAR, _SEA_FAR = np.array([80.0, 60.0, 30.0]), np.array([130.0, 112.0, 85.0
 
 _GRAIN = np.random.default_rng(0).normal(0.0, 3.0, (1024, 1024, 1)).astype(np.float32)
 _STEP = 331, 197
-"""How far the grain moves from one frame to the next, px."""
+"""Shift of the grain from one frame to the next, px."""
 
 
 def front_view(R_ned_body: Rotation, width: int = 640, height: int = 360, number: int = 0) -> NDArray[np.uint8]:
@@ -155,8 +155,11 @@ def front_view(R_ned_body: Rotation, width: int = 640, height: int = 360, number
 U8 = NDArray[np.uint8]
 FRONT_OF_THE_FIRST = 320, 240
 _STREAM_ID = 5
-"""As in one of the captured streams of real drones. With the other one seen, 1, the header holds bytes that ffmpeg, which clients
-read the stream with as plain H.264, takes for a start code."""
+"""Stream id of one of the captured streams of real drones.
+
+With the other one, 1, the header holds bytes that ffmpeg, which clients read the stream with as plain H.264, takes for a start
+code.
+"""
 _BOTTOM_INSET = 88, 72
 _FRONT_INSET = 56, 42
 
@@ -236,7 +239,7 @@ class PavePictures:
 class UvlcPictures:
     """The 1.0's: UVLC pictures of 176x144 px of the bottom camera or 320x240 of the front one, with the other one inset or not.
 
-    There is no encoder of P264 here: a client that asks for it gets the headers of its pictures alone.
+    There is no encoder of P264 here: a client that requests it gets the headers of its pictures alone.
     """
 
     def make(self, shot: Shot) -> WirePicture:

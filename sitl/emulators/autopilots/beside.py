@@ -65,7 +65,7 @@ class FlightDaemon:
 
     @property
     def open(self) -> bool:
-        """Whether its link to the vehicle is open."""
+        """True if its link to the vehicle is open."""
         return bool(self._opened)
 
     @property

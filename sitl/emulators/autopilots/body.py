@@ -62,7 +62,7 @@ class BodyTouchdown:
     t_s: float
     on_deck: bool
     on_pad: bool
-    """Whether the vehicle is on deck with the body's origin over the pad's disc."""
+    """True if the vehicle is on deck with the body's origin over the pad's disc."""
     lateral_m: float
     """Distance from the pad's centre along the deck, m."""
     yaw_rad: float
@@ -149,7 +149,7 @@ class Body:
         return Rotation(np.array(self._ground.R))
 
     def landing(self) -> BodyTouchdown | None:
-        """The landing, or None before the first contact."""
+        """Return the landing, or None before the first contact."""
         v = self._vehicle
         if v.touched_what not in (DECK, SEA):
             return None
@@ -161,12 +161,12 @@ class Body:
 
     @property
     def upright(self) -> bool:
-        """Whether the vehicle can still fly: it is neither turned over nor in the water."""
+        """True if the vehicle can still fly: it is neither turned over nor in the water."""
         return self._vehicle.phase != VehiclePhase.EMERGENCY
 
     @property
     def flying(self) -> bool:
-        """Whether its motors turn."""
+        """True if its motors turn."""
         return self._vehicle.phase == VehiclePhase.FLYING
 
     @property
@@ -245,7 +245,7 @@ class Silence:
     """Height over the deck then, m."""
     lasted_s: float = 0.0
     modes: list[str] = field(default_factory=list)
-    """Modes of the autopilot in their order, as a ground station heard them."""
+    """Modes of the autopilot in their order, as a ground station received them."""
     sank_m: float = 0.0
     """Largest loss of altitude, m."""
     lowest_m: float = 0.0
@@ -255,7 +255,7 @@ class Silence:
     stopped_s: float | None = None
     """Time until its velocity over the ground fell below 0.3 m/s and stayed there, s; None if it did not."""
     touched: bool = False
-    """Whether it touched anything."""
+    """True if it touched anything."""
     _p_ned: F64 | None = None
     _contacts: int = 0
 
@@ -265,7 +265,7 @@ class Silence:
         Args:
             since_s: time since its begin, s.
             height_m: height over the deck, m.
-            mode: the autopilot's mode, as a ground station heard it.
+            mode: the autopilot's mode, as a ground station received it.
             contacts: number of contacts so far.
         """
         if self._p_ned is None:

@@ -78,7 +78,7 @@ class AutopilotProgram:
     parameters: tuple[tuple[str, float], ...] = ()
     """Parameters of the program, in addition to those with which it is always started."""
     unaided: bool = False
-    """Whether it lands by its own landing mode, and nothing of the daemon's reaches it: the control flight."""
+    """True for the control flight: it lands by its own landing mode, and nothing of the daemon's reaches it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +103,11 @@ class FlightEnd:
     armed_after_contact_s: float | None = None
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
     silences: tuple[Silence, ...] = ()
-    """What the vehicle did while the service was killed."""
+    """Flight of the vehicle while the service was killed."""
 
     @property
     def without_outcome(self) -> str:
-        """Why a flight without an outcome ended."""
+        """Reason for the end of a flight without an outcome."""
         return "time ran out" if self.upright else "turned over or fell into the water"
 
     @property
@@ -150,7 +150,7 @@ class AutopilotFlight:
     _silences: list[Silence] = field(default_factory=list)
     _stepped_at: float = 0.0
     _stopped_s: float | None = None
-    """When the motors stopped, by the physics' time."""
+    """Time when the motors stopped, by the physics' time."""
     _told: MonoNs | None = None
     """Instant of the newest truth that `on_truth` got."""
     _told_exposures: int = 0
@@ -166,7 +166,7 @@ class AutopilotFlight:
         self._reporter = VesselReporter(self.graded)
 
     def service_settings(self, port: int) -> Settings:
-        """Return the settings that the daemon flies with, which hears the autopilot at a UDP port of this machine."""
+        """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""
         response = "px4" if self.autopilot.name == "px4" else None
         return beside_autopilot(self.settings, f"udpin://{HOST}:{port}", response=response)
 

@@ -60,7 +60,7 @@ class AutopilotPose:
     w_body: F64
     """(3,) angular velocity, rad/s; zeros if no source reports it."""
     is_truth: bool
-    """Whether the position is the simulator's true one; otherwise it is the autopilot's estimate."""
+    """True if the position is the simulator's true one; otherwise it is the autopilot's estimate."""
 
 
 class PoseSource:
@@ -95,7 +95,7 @@ class PoseSource:
         ]
 
     def truthful(self, now: MonoNs) -> bool:
-        """Whether the simulator reported the true position recently."""
+        """Return whether the simulator reported the true position recently."""
         return self._truth_at is not None and seconds_between(self._truth_at, now) < _TRUTH_LAST_S
 
     def on_message(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
@@ -177,7 +177,7 @@ class FollowEnd:
     """Time since the vehicle was first seen flying, s."""
     health: Health
     by_truth: bool
-    """Whether the simulator reported the true position; otherwise it is the autopilot's estimate."""
+    """True if the simulator reported the true position; otherwise it is the autopilot's estimate."""
     failure: str = ""
 
 

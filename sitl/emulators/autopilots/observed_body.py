@@ -80,7 +80,7 @@ class GradedBody(NullObserver):
 
     @property
     def reached(self) -> bool:
-        """Whether a service's commands reach the vehicle."""
+        """True if a service's commands reach the vehicle."""
         return not (self.streams.commands.silent or self.active("service_killed"))
 
     def active(self, kind: str) -> bool:

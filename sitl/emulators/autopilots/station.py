@@ -29,7 +29,7 @@ _HEAVE_M = 2.0
 _CLIMB_M_S = 1.0
 _ON_DECK_M = 0.15
 _REST_S = 4.0
-"""How far ahead of the start a vehicle stops that is to begin at rest: the way of the start in this time, s."""
+"""Distance ahead of the start at which a vehicle stops that is to begin at rest: the way of the start in this time, s."""
 
 
 class Task(Enum):
@@ -76,7 +76,7 @@ class OperatorView:
     v_deck_level: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) velocity of the deck, m/s."""
     rests: bool = False
-    """Whether the landing begins at rest over the ground instead of with the velocity of the start."""
+    """True if the landing begins at rest over the ground instead of with the velocity of the start."""
 
 
 class GroundStation:

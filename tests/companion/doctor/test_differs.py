@@ -1,4 +1,4 @@
-"""What an autopilot's parameters differ in from its firmware's defaults: which, by the names and units of each release."""
+"""Differences of an autopilot's parameters from its firmware's defaults, by the names and units of each release."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def test_what_no_landing_feels_is_left_out() -> None:
 
 @pytest.mark.parametrize("stack", ["ArduPilot", "PX4"])
 def test_the_tables_say_what_the_set_ups_of_the_programs_have(stack: str) -> None:
-    """The good set-ups were read from the programs; what differs there is what the documentation of each stack asks for."""
+    """The good set-ups were read from the programs; what differs there is what the documentation of each stack requests."""
     snapshot: Snapshot = set_up(stack, "defaults")
     assert snapshot.autopilot is not None
     asked_for = {

@@ -30,7 +30,7 @@ GOOD = {stack: {r.parameter: r.good for r in rules_values.RULES if r.stack == st
 
 
 def quiet(stack: str, **wrong: float) -> MiniatureAutopilot:
-    """An autopilot that stands disarmed on deck, with the parameters of its stand-in and those that are wrong."""
+    """Return an autopilot that stands disarmed on deck, with the parameters of its stand-in and those that are wrong."""
     stand_in = (CopterStandIn if stack == "ArduPilot" else Px4StandIn)(SystemClock())
     own = {n: stand_in.parameters.get(n, GOOD[stack].get(n, 0)) for n in PARAMETERS[stack]} | wrong
     kind = Stack.ARDUPILOT if stack == "ArduPilot" else Stack.PX4
@@ -40,7 +40,7 @@ def quiet(stack: str, **wrong: float) -> MiniatureAutopilot:
 
 @contextmanager
 def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
-    """The autopilot alive on a thread with a loop of its own; yields the link's URL."""
+    """Yield the autopilot alive on a thread with a loop of its own; yields the link's URL."""
     ready, url, stop = threading.Event(), [""], asyncio.Event()
     loops: list[asyncio.AbstractEventLoop] = []
 
@@ -65,7 +65,7 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
 
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """What the person at the terminal types."""
+    """Return the input that the person types at the terminal."""
     return lambda text: monkeypatch.setattr("sys.stdin", io.StringIO(text))
 
 

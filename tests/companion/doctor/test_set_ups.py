@@ -25,7 +25,7 @@ BROKEN_ONES = [(stack, name) for stack, data in DATA.items() for name in data["b
 
 
 def set_up(stack: str, good: str, **changes: float) -> Snapshot:
-    """A good set-up, which begins with the defaults, and changes to it."""
+    """Return a good set-up, which begins with the defaults, and changes to it."""
     values = DATA[stack]["good"]["defaults"] | DATA[stack]["good"][good] | changes
     asked = {name: float(value) for name, value in values.items() if name in PARAMETERS[stack]}
     return replace(GOOD, autopilot=replace(ARDUPILOT if stack == "ArduPilot" else PX4, parameters=asked))

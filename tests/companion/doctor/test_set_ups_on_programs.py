@@ -37,12 +37,12 @@ CASES = [(stack, name) for stack, names in DANGEROUS.items() for name in names]
 
 
 OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
-"""What a program's own start-up for simulations sets wrongly: PX4's makes 3 of COM_LOW_BAT_ACT, whatever it was told."""
+"""Wrong settings of a program's own start-up for simulations: PX4's sets COM_LOW_BAT_ACT to 3 in every case."""
 
 
 @asynccontextmanager
 async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
-    """Run the program with parameters over the doctor's good ones; yield it and the URL at which it is heard."""
+    """Run the program with parameters over the doctor's good ones; yield it and the URL of its link."""
     asked = {name: float(value) for name, value in (DATA[stack]["good"]["defaults"] | dict(parameters)).items()}
     binary = Path(PROGRAMS[stack])
     if stack == "ArduPilot":

@@ -16,7 +16,7 @@ from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PX4
 
 
 def stand_in(stack: str, **changes: float) -> Snapshot:
-    """A set-up with the parameters of a stand-in: the program's defaults, and those with which `simulate` starts it."""
+    """Return a set-up with the parameters of a stand-in: the program's defaults, and those with which `simulate` starts it."""
     clock: Clock = LockStepClock()
     flown = CopterStandIn(clock, changes) if stack == "ArduPilot" else Px4StandIn(clock, changes)
     of = ARDUPILOT if stack == "ArduPilot" else PX4
@@ -25,7 +25,7 @@ def stand_in(stack: str, **changes: float) -> Snapshot:
 
 
 def documented(stack: str) -> Snapshot:
-    """A set-up that has what each fix names."""
+    """Return a set-up with the values that each fix names."""
     of = ARDUPILOT if stack == "ArduPilot" else PX4
     fixed = {rule.parameter: rule.good for rule in RULES if rule.stack == stack}
     return replace(GOOD, autopilot=replace(of, parameters=of.parameters | fixed))

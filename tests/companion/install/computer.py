@@ -19,7 +19,7 @@ FLYING, STANDS, UNKNOWN = True, False, None
 
 
 def wheel(folder: Path, version: str, behaviour: str = GOOD) -> Release:
-    """A wheel as `make wheels` makes it, so far as the installer reads it."""
+    """Return a wheel as `make wheels` makes it, so far as the installer reads it."""
     path = folder / f"decklander-{version}-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as made:
         made.writestr(

@@ -25,7 +25,7 @@ def first(tmp_path: Path) -> Release:
 
 
 def installed(tmp_path: Path, first: Release) -> Computer:
-    """A computer on which the first version runs."""
+    """Return a computer on which the first version runs."""
     computer = Computer(tmp_path / "root")
     computer.settings()
     steps.install(computer, first, options())

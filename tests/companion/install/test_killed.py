@@ -18,7 +18,7 @@ OPTIONS = InstallOptions(sleep=lambda _: None)
 
 
 def killed(root: Path, step: int, do: Callable[[Computer], None]) -> bool:
-    """Whether a child process that is killed before its n-th change got so far. Nothing of it is cleared away."""
+    """Return whether a child process that is killed before its n-th change got so far. Nothing of it is cleared away."""
     child = os.fork()
     if child == 0:
         try:
@@ -30,7 +30,7 @@ def killed(root: Path, step: int, do: Callable[[Computer], None]) -> bool:
 
 
 def started_at(root: Path) -> Computer:
-    """The computer after it was switched off and on: what is current is started."""
+    """Return the computer after a power cycle: the current version is started."""
     computer = Computer(root)
     name = versions.current(computer)
     assert name is not None
@@ -41,7 +41,7 @@ def started_at(root: Path) -> Computer:
 
 @pytest.fixture
 def before(tmp_path: Path) -> tuple[Path, Release, Release]:
-    """A computer on which version 1.1 runs, which was an update of 1.0."""
+    """Return a computer on which version 1.1 runs, which was an update of 1.0."""
     root, first, second = tmp_path / "before", wheel(tmp_path, "1.0"), wheel(tmp_path, "1.1")
     computer = Computer(root)
     computer.settings()

@@ -49,7 +49,7 @@ NAMED: dict[str, st.SearchStrategy[Any]] = {
 
 
 def frame(cls: Any, payload: bytes, source: tuple[int, int] = AUTOPILOT, sequence: int = 0) -> bytes:
-    """A MAVLink 2 frame with this payload and the right checksum."""
+    """Return a MAVLink 2 frame with this payload and the right checksum."""
     header = struct.pack("<BBBBBBB", len(payload), 0, 0, sequence, *source, cls.id & 0xFF) + struct.pack("<H", cls.id >> 8)
     crc = mav.x25crc(header + payload + bytes([cls.crc_extra]))
     return b"\xfd" + header + payload + struct.pack("<H", crc.crc)
@@ -154,7 +154,7 @@ class Border:
 
 @asynccontextmanager
 async def bordered(*more_links: str, clock: Clock | None = None, **options: Any) -> AsyncIterator[Border]:
-    """The service's MAVLink side with its autopilot found on the first of its links."""
+    """Yield the service's MAVLink side with its autopilot found on the first of its links."""
     clock, tower = clock or SystemClock(), Tower()
     pad = np.array([0.3, -0.2, 4.0])
 

@@ -1,6 +1,6 @@
 """The golden vectors: 8 headings x 3 tilts x both stacks, as bytes on the wire.
 
-    python -m tests.companion.mavlink.golden     writes golden_landing_target.json anew
+    python -m tests.companion.mavlink.golden     writes golden_landing_target.json again
 
 The fields are computed here with one turn after the other (tests.companion.mavlink.receivers), not by the codec under test.
 """
@@ -46,7 +46,7 @@ CASES = [Case(stack, h, *tilt) for stack in ("ardupilot", "px4") for h in HEADIN
 
 
 def wire(case: Case) -> str:
-    """The bytes of one case, hexadecimal."""
+    """Return the bytes of one case, hexadecimal."""
     x, y, z = ned_to_body(case.rpy, D_NED)
     distance = math.sqrt(x * x + y * y + z * z)
     size = 2 * math.atan(RADIUS_M / distance)

@@ -1,4 +1,4 @@
-"""What each autopilot does with a LANDING_TARGET, written anew from its published source in plain trigonometry.
+"""Receivers of LANDING_TARGET as each autopilot has them, written independently from its published source.
 
 ArduPilot: AC_PrecLand_MAVLink::handle_msg (4.0 and current), AC_PrecLand::construct_pos_meas_using_rangefinder and the inertial
 ring. PX4: MavlinkReceiver::handle_message_landing_target and LandingTargetEstimator. Nothing of the project's geometry is used.
@@ -25,7 +25,7 @@ def body_to_ned(rpy: Euler, v: Vector) -> Vector:
 
 
 def ned_to_body(rpy: Euler, v: Vector) -> Vector:
-    """The same turns back."""
+    """Return the inverse of the same rotations."""
     x, y, z = v
     roll, pitch, yaw = rpy
     x, y = x * math.cos(yaw) + y * math.sin(yaw), -x * math.sin(yaw) + y * math.cos(yaw)
@@ -53,7 +53,7 @@ class ArduPilotReceiver:
         self._ring.append(rpy)
 
     def on_message(self, m: Any) -> Vector | None:
-        """The target from the vehicle in north, east, down, as the filter is given it; None when the message is dropped."""
+        """Return the target from the vehicle in north, east, down for the filter; None when the message is dropped."""
         distance = max(0.0, m.distance)
         if self.angles_only or m.position_valid != 1:
             ray = (-math.tan(m.angle_y), math.tan(m.angle_x), 1.0)

@@ -48,7 +48,7 @@ class Stage:
     """Measured distances that came from the autopilot."""
 
     def believe(self, now: MonoNs) -> RelativeState | None:
-        """The truth, as long as it is `seen`."""
+        """Return the truth, as long as it is `seen`."""
         attitude = self.autopilot.attitude
         if not self.seen or attitude is None:
             return None

@@ -1,4 +1,4 @@
-"""What comes in over MAVLink never ends the service: any fields, right checksum, from socket to socket."""
+"""No MAVLink input ends the service: any fields, right checksum, from socket to socket."""
 
 import asyncio
 import logging

@@ -36,7 +36,7 @@ def stamp(at: MonoNs) -> Stamp:
 
 
 class Station:
-    """What a ground station hears of a drone, and tells it."""
+    """Ground station that receives from a drone and sends to it."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []
@@ -57,7 +57,7 @@ class Station:
         return None
 
     def drone(self, *, flying: bool, mode: str, seconds: float = 1.0, yaw_deg: float = 90.0) -> None:
-        """The drone flies forward at half a metre a second at 1.2 m."""
+        """Fly forward at half a metre a second at 1.2 m."""
         for n in range(round(seconds * 50)):
             self.now = MonoNs(self.now + S // 50)
             if n % 10 == 0:
@@ -139,7 +139,7 @@ def test_arm_take_off_hold_and_land() -> None:
 
 @asynccontextmanager
 async def bridged(operators: str = "", **options: Any) -> AsyncIterator[tuple[BridgePart, Links, list[OperatorOrder]]]:
-    """The bridge listening on a port of its own, with a drone that stands."""
+    """Yield the bridge listening on a port of its own, with a drone that stands."""
     clock, orders = SystemClock(), list[OperatorOrder]()
     links = [LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))]
     part = BridgePart(BridgeOptions(system_id=7, operators=operators), links, clock, order=orders.append, **options)

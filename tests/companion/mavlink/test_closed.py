@@ -1,4 +1,4 @@
-"""Closed by default: who is not asked for hears nothing, commands nothing and is nobody else."""
+"""Closed by default: strangers receive nothing, command nothing and impersonate nobody."""
 
 import asyncio
 import logging

@@ -33,7 +33,7 @@ class Scene:
     v_body_ned: F64 = field(default_factory=lambda: np.array([0.4, -0.3, 0.2]))
     t_s: float = 1.0
     sighted_s: float | None = None
-    """When the pad was last seen; None for just now."""
+    """Time when the pad was last seen; None for just now."""
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
 
     @property

@@ -31,7 +31,7 @@ class Clock:
 
 
 class Said:
-    """What goes out over the links."""
+    """Messages that go out over the links."""
 
     def __init__(self, clock: Clock) -> None:
         self.contained = Containment(clock)

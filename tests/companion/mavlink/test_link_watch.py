@@ -1,4 +1,4 @@
-"""What a running service says of its links within seconds: by the doctor's rules, in the log and in health."""
+"""Link faults that a running service reports within seconds: by the doctor's rules, in the log and in health."""
 
 import asyncio
 import logging
@@ -31,7 +31,7 @@ KEY = SigningKey(bytes(range(32)))
 
 @asynccontextmanager
 async def watched(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) -> AsyncIterator[tuple[Health, tuple[str, int]]]:
-    """A watch ten times as fast as in flight, beside the links."""
+    """Yield a watch ten times as fast as in flight, beside the links."""
     for name in ("_EACH_S", "_WINDOW_S", "_FIRST_S"):
         monkeypatch.setattr(make, name, 0.1 * getattr(make, name))
     clock = SystemClock()

@@ -29,7 +29,7 @@ def free_port() -> int:
 
 @asynccontextmanager
 async def met() -> AsyncIterator[tuple[Stage, Any]]:
-    """A stage, and MAVSDK's view of its system."""
+    """Yield a stage, and MAVSDK's view of its system."""
     from mavsdk import ComponentType, Configuration
 
     port = free_port()

@@ -43,7 +43,7 @@ def free_udp_port() -> int:
 
 
 def grey_video(path: Path) -> None:
-    """A camera that sees nothing: half a minute of grey."""
+    """Make the video of a camera that sees nothing: half a minute of grey."""
     with av.open(str(path), "w") as out:
         stream = out.add_stream("mpeg4", rate=10)
         stream.width, stream.height = 640, 360
@@ -103,7 +103,7 @@ def ours(craft: MiniatureAutopilot, kind: str) -> list[mav.MAVLink_message]:
 
 
 async def told(craft: MiniatureAutopilot, command: int, param1: float = 0.0) -> int:
-    """The answer to a command."""
+    """Return the answer to a command."""
     before = len(craft.of("COMMAND_ACK"))
     craft.send(mav.MAVLink_command_long_message(7, US, command, 0, param1, 0, 0, 0, 0, 0, 0))
     await until(lambda: any(m.command == command for m in craft.of("COMMAND_ACK")[before:]))

@@ -1,4 +1,4 @@
-"""Nothing around the real service stops its flight: its log's reader, its terminal, signals, a standstill."""
+"""The surroundings of the real service do not stop its flight: its log's reader, its terminal, signals, a standstill."""
 
 import asyncio
 import fcntl
@@ -24,13 +24,13 @@ _SLOW_S = 0.7
 
 
 def longest_gap_s(craft: MiniatureAutopilot, since: float) -> float:
-    """The longest time without a command since an instant of the craft's clock, up to now."""
+    """Return the longest time without a command since an instant of the craft's clock, up to now."""
     times = [since, *(at for at, _ in craft.setpoints if at > since), craft.now_s]
     return max(b - a for a, b in pairwise(times))
 
 
 def drained(reading: int) -> str:
-    """What waits in a pipe or terminal."""
+    """Return the bytes that wait in a pipe or terminal."""
     said = b""
     with suppress(BlockingIOError, OSError):
         while data := os.read(reading, 65536):

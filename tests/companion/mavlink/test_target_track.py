@@ -33,7 +33,7 @@ def rpy(t: float) -> Euler:
 
 
 def d_ned(t: float) -> F64:
-    """The pad from a body at 5 m that swings as its roll makes it."""
+    """Return the pad from a body at 5 m that swings as its roll makes it."""
     return np.array([0.4 + 0.2 * math.sin(1.1 * t), -0.3 + 0.18 * math.sin(2 * math.pi * 0.7 * t), 5.0])
 
 

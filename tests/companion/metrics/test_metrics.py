@@ -38,7 +38,7 @@ class Clock:
 
 
 def samples(page: bytes) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
-    """Every sample that Prometheus' own parser finds."""
+    """Return every sample that Prometheus' own parser finds."""
     found = {}
     for family in text_string_to_metric_families(page.decode()):
         for sample in family.samples:
@@ -156,7 +156,7 @@ async def test_a_taken_port_is_waited_for() -> None:
 
 
 async def dialled(endpoint: MetricsEndpoint, said: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    """A connection on which so much was sent."""
+    """Return a connection after this much was sent."""
     reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.port)
     writer.write(said)
     return reader, writer

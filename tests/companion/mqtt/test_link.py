@@ -1,4 +1,4 @@
-"""Against a real mosquitto with TLS, a password file and an ACL: what arrives, what is answered, and what trouble costs."""
+"""Tests with a real mosquitto with TLS, a password file and an ACL: deliveries, answers, and the cost of trouble."""
 
 import asyncio
 import json

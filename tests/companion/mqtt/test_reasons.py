@@ -1,4 +1,4 @@
-"""What a broker says when it ends a connection, who else has our name, a clock that is set late: with a broker of a few lines."""
+"""Reasons with which a broker ends a connection, a second client of our name, and a clock that is set late."""
 
 import asyncio
 import struct

@@ -87,7 +87,7 @@ async def flown(settings: MqttSettings, folder: Path, enough: Callable[[RunningP
 
 
 def failed(times: int) -> Callable[[RunningPart], bool]:
-    """Whether connecting has failed so many times."""
+    """Return whether connecting has failed this many times."""
     return lambda rig: rig.count("connection_failures") >= times
 
 
@@ -234,7 +234,7 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
 
 
 async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> float:
-    """How long the part takes to end once `enough` holds, s."""
+    """Return the time that the part takes to end once `enough` holds, s."""
     async with running(settings, folder) as rig:
         await until(lambda: enough(rig))
         began = time.monotonic()

@@ -1,4 +1,4 @@
-"""Who commands the vehicle: every order in every situation, and what may never happen whatever people press."""
+"""Command of the vehicle: every order in every situation, and what no input of people may ever cause."""
 
 from dataclasses import dataclass, field
 from enum import Enum

@@ -1,4 +1,4 @@
-"""What an operator may ask of a real pilot."""
+"""Orders of an operator to a real pilot."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Which page's connections the operator page takes: its own, by the names that this computer has."""
+"""Connections that the operator page accepts: its own page's, by the names that this computer has."""
 
 import socket
 

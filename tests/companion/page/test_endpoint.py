@@ -106,7 +106,7 @@ async def test_each_browser_gets_the_pictures_that_it_can_decode(tmp_path: Path)
         assert len(shown) == 6
         assert np.abs(shown[-1].astype(int) - 90).max() < 6
         assert (await old.read("picture"))["codec"] == "jpeg"
-        # Its decoder has failed with both pictures on their way: it begins anew, and nothing waits for them.
+        # Its decoder has failed with both pictures on their way: it begins again, and nothing waits for them.
         await until(lambda: not service.page._viewers[1].ready)
         await new.send(kind="picture", codec="h264")
         while (await new.read("picture"))["codec"] in ("", "jpeg"):

@@ -1,4 +1,4 @@
-"""What is drawn over the live picture lies where the filter expects it in the frame, and what the page shows of the place."""
+"""Overlay of the live picture: it lies where the filter expects the pad, and the page shows the same place."""
 
 import math
 

@@ -19,7 +19,7 @@ BEGAN_NS = 1_700_000_000_000_000_000
 
 
 def write_ros1(path: Path, *, late_s: float = 0.01, seconds: int = 2) -> None:
-    """A bag of ROS 1 with an IMU of 100 Hz that turns, a camera of 10 Hz with a brighter image each time, and a range ahead."""
+    """Write a bag of ROS 1 with an IMU of 100 Hz that turns, a camera of 10 Hz that brightens, and a range ahead."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 

@@ -1,4 +1,4 @@
-"""Without the extra, one line says how to install it."""
+"""A missing extra is reported in one line that names its installation."""
 
 from pathlib import Path
 

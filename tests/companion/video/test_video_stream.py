@@ -44,7 +44,7 @@ class Clock:
 
 @pytest.fixture
 def station() -> Iterator[socket.socket]:
-    """The socket of a ground station, with room for a whole test."""
+    """Yield the socket of a ground station, with room for a whole test."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         sock.bind((HOST, 0))
@@ -58,7 +58,7 @@ def address(sock: socket.socket) -> str:
 
 @pytest.fixture
 def closed_port(station: socket.socket) -> int:
-    """A port on which nobody listens."""
+    """Return a port on which nobody listens."""
     port = int(station.getsockname()[1])
     station.close()
     return port

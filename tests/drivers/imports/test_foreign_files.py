@@ -1,4 +1,4 @@
-"""Files as the world has them: told apart by content, with damage and steps told; only what looks down gives a height."""
+"""Files as the world has them: distinguished by content, with damage and steps told; only what looks down gives a height."""
 
 import tempfile
 from collections.abc import Callable, Iterable
@@ -29,7 +29,7 @@ PARAMETERS = {
 
 
 def heard(read: Callable[[Path, Tell], Iterable[Sample]], path: Path, data: bytes) -> tuple[list[Sample], str]:
-    """The samples of a file with these bytes, and what was told of it."""
+    """Return the samples of a file with these bytes, and what was told of it."""
     path.write_bytes(data)
     told: list[str] = []
     samples = list(read(path, told.append))
@@ -237,7 +237,7 @@ def _images(folder: Path, names: Iterable[str]) -> None:
 
 
 def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
-    """The instants of a folder's frames, the grey of each over ten, and what was told."""
+    """Return the instants of a folder's frames, the grey of each over ten, and what was told."""
     told: list[str] = []
     frames = list(image_folder.frames(folder, tell=told.append))
     return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(told)

@@ -1,4 +1,4 @@
-"""What others recorded: real logs and captures read with the right axes, units and times, and refused in one line when broken."""
+"""Recordings of others: real logs and captures read with the right axes, units and times, or refused in one line."""
 
 import gc
 import itertools
@@ -103,7 +103,7 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
     (word,) = struct.unpack_from("<I", one, at)
 
     def later(milliseconds: int) -> bytes:
-        """The same datagram with another time and a checksum that fits."""
+        """Return the same datagram with another time and a checksum that fits."""
         data = bytearray(one)
         us = (word >> 21) * 1_000_000 + (word & 0x1FFFFF) + 1000 * milliseconds
         struct.pack_into("<I", data, at, (us // 1_000_000) << 21 | us % 1_000_000)

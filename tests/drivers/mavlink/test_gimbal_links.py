@@ -1,4 +1,4 @@
-"""Whose reports and answers count as the gimbal's, and what it is asked for."""
+"""Reports and answers that count as the gimbal's, and the requests to it."""
 
 import math
 from types import SimpleNamespace

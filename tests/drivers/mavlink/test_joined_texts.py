@@ -11,7 +11,7 @@ REFUSAL = "Arming denied: Resolve system health failures first"
 
 
 def chunks(text: str, number: int) -> list[Message]:
-    """As an autopilot sends them: a full last chunk is followed by an empty one."""
+    """Return the chunks as an autopilot sends them: a full last chunk is followed by an empty one."""
     return [
         mav.MAVLink_statustext_message(2, text[k * CHUNK : (k + 1) * CHUNK].encode(), number, k)
         for k in range(len(text) // CHUNK + 1)
@@ -19,7 +19,7 @@ def chunks(text: str, number: int) -> list[Message]:
 
 
 def heard(message: Message) -> Message:
-    """Through the wire."""
+    """Return the texts after a passage through the wire."""
     sender = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     return mav.MAVLink(None).decode(bytearray(message.pack(sender)))
 

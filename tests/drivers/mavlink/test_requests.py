@@ -1,4 +1,4 @@
-"""Streams and parameters are asked for until they are answered, and refusals are kept."""
+"""Streams and parameters are requested until they are answered, and refusals are kept."""
 
 import struct
 

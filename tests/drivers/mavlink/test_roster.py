@@ -1,4 +1,4 @@
-"""Who is meant by "the autopilot": each case that is doubtful is named with the setting that chooses, and blocks or does not."""
+"""Choice of the autopilot: each ambiguous case is reported with the setting that resolves it, and blocks or does not."""
 
 from dataclasses import replace
 

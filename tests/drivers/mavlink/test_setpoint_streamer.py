@@ -1,4 +1,4 @@
-"""Who has the vehicle, and what is sent in each period."""
+"""Holder of the vehicle, and the message that is sent in each period."""
 
 import math
 
@@ -33,7 +33,7 @@ class Flight:
         self.streamer.on_condition(self.condition)
 
     def periods(self, seconds: float, command: Velocity | Hover | Land | None = None, *, seen: bool = True) -> list[Message]:
-        """Every message of that long at 25 Hz, the command repeated in each period."""
+        """Return every message of that long at 25 Hz, the command repeated in each period."""
         out: list[Message] = []
         for _ in range(round(seconds * 25)):
             self.now = MonoNs(self.now + S // 25)
@@ -152,6 +152,22 @@ def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again
     assert flight.streamer.hand is Hand.OURS, "handed back by choosing the mode"
 
 
+@pytest.mark.parametrize(("stack", "ours", "back", "number"), [
+    (Stack.ARDUPILOT, "guided", "rtl", (6, 0)), (Stack.PX4, "offboard", "auto.rtl", (4, 5)),
+])  # fmt: skip
+def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
+    stack: Stack, ours: str, back: str, number: tuple[float, float]
+) -> None:
+    flight = Flight(stack, ours)
+    assert flight.periods(1.0, Hover(returns=True)) == [], "not ours yet"
+    flight.periods(3.0, GO)
+    flight.told(ours)
+    assert modes(flight.periods(0.5, Hover(returns=True))) == [number]
+    flight.told(back)
+    assert flight.periods(3.0, Hover(returns=True)) == []
+    assert flight.streamer.hand is Hand.RELEASED
+
+
 def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
     flight = Flight(Stack.ARDUPILOT, "guided")
     flight.periods(0.2, GO)
@@ -165,7 +181,7 @@ def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
 
 @pytest.mark.parametrize(("down", "flown"), [(0.125, 0.0), (-0.5, -0.5)])
 def test_without_a_heading_it_holds_over_the_deck_or_climbs_and_never_descends(down: float, flown: float) -> None:
-    """WHY: an autopilot that hears nothing flies on with its last setpoint, ArduCopter for 3 s: most of a metre down."""
+    """WHY: an autopilot that receives nothing flies on with its last setpoint, ArduCopter for 3 s: most of a metre down."""
     flight = Flight(Stack.ARDUPILOT, "guided")
     flight.periods(0.2, GO)
     flight.told("guided")

@@ -185,7 +185,7 @@ def test_on_the_ground_it_is_over_unless_it_is_about_to_take_off() -> None:
 
 
 def sinking(t: float = 0, **options: object) -> Flight:
-    """A landing by velocity since `t`, over a deck that makes 1 m/s ahead, two metres below its origin's height."""
+    """Return a landing by velocity since `t`, over a deck that makes 1 m/s ahead, two metres below its origin's height."""
     flight = Flight(Stack.PX4, "offboard", **options)
     flight.take(Velocity(np.array([1.0, 0.5, 0.25]), 0.1), t)
     flight.told("offboard")
@@ -389,7 +389,7 @@ def test_a_landing_by_the_autopilots_own_mode_goes_on_for_as_long_as_it_is_renew
 
 
 def standing(armed: bool | None = True) -> Flight:
-    """On the deck after a landing that felt it, at 1000 ms."""
+    """Return a streamer on the deck after a landing with a felt contact, at 1000 ms."""
     flight = sinking(900)
     flight.take(Land(on_deck=True), 1000)
     flight.told("offboard", armed=armed)

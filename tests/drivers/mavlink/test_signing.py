@@ -87,7 +87,7 @@ def test_a_restart_with_a_clock_set_back_goes_on_after_the_last_time(tmp_path: P
 
 
 def crossing(times: SigningTimes, messages: list[bytes]) -> int:
-    """How many of these are believed by a link that keeps these times."""
+    """Return the number of these that a link with these times accepts."""
     codec = Codec(1, 191, datagrams=True, signing=Signing(SigningKey(SECRET), times, 0))
     return sum(len(codec.feed(message)) for message in messages)
 

@@ -12,7 +12,7 @@ TARGET = (7, 1)
 
 
 def exchange(sync: TimeSync, count: int, *, offset_ns: int, at: int = 100 * S, ppm: float = 0.0, seed: int = 1) -> int:
-    """Requests answered with exponential delays on both ways (mean 3 ms above 0.3 ms); the time at the end."""
+    """Return requests answered with exponential delays on both ways (mean 3 ms above 0.3 ms); the time at the end."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         (request,) = sync.due(MonoNs(at), TARGET)

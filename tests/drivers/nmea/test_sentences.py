@@ -20,7 +20,7 @@ GGA = "$GPGGA,134658.00,5106.9792,N,11402.3003,W,2,09,1.6,1048.47,M,-16.27,M,08,
 
 
 def line(body: str) -> bytes:
-    """The sentence with its checksum."""
+    """Return the sentence with its checksum."""
     check = 0
     for letter in body:
         check ^= ord(letter)

@@ -1,4 +1,4 @@
-"""How a ship's sentences arrive: cut anywhere, from any port of her computer, by UDP, TCP and a serial port."""
+"""Arrival of a ship's sentences: cut anywhere, from any port of her computer, by UDP, TCP and a serial port."""
 
 import asyncio
 import os

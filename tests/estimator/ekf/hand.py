@@ -70,7 +70,7 @@ def diagonal(**var: float) -> F64:
 
 
 def learned(*, t: int = T, heave_m_s: float = 0.0) -> deck_motion_bank.DeckMotionBank:
-    """A sea that was looked at just now, with so much heave rate; the other directions move otherwise."""
+    """Return a sea after a look just now, with this heave rate; the other directions move differently."""
     sigma, w = np.array([0.3, 0.4, 0.0, 0.02, 0.03]), np.array([0.7, 0.9, 0.8, 1.1, 1.2])
     sigma[2] = heave_m_s / w[2]
     return deck_motion_bank.unknown()._replace(t=t, sigma=sigma, w_rad_s=w)

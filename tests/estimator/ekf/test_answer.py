@@ -1,4 +1,4 @@
-"""What the native core says of an instant is what the numpy oracle says."""
+"""Answers of the native core for an instant equal those of the numpy oracle."""
 
 import math
 from dataclasses import replace
@@ -87,7 +87,7 @@ def test_an_answer_is_the_oracle_s(seed: int, later_ms: int, chosen: FilterParam
 
 @pytest.mark.parametrize("later_ms", [0, 4, 30, 200])
 def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
-    """What gathered since the covariance was propagated last is in it: IMU samples, a jolt, a coast."""
+    """The answer includes all changes since the last propagation of the covariance: IMU samples, a jolt, a coast."""
     seen = 0
     for seed in range(12):
         packed = PackedBelief.of(beginning(seed)._replace(sighted=T - 20 * MS))
@@ -126,7 +126,7 @@ def test_an_answer_is_worked_out_once_for_all_that_ask() -> None:
 
 
 def test_an_answer_holds_through_later_samples_and_no_longer_after_one_that_was_before_its_instant() -> None:
-    """Vision asks for the estimate at an exposure, and the guard again when the sighting comes, after some more samples."""
+    """Vision requests the estimate at an exposure, and the guard again when the sighting comes, after some more samples."""
 
     def turning(at_ns: int) -> Imu:
         return imu(at_ns, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))

@@ -96,7 +96,7 @@ def same_outcome(ours: Outcome, oracle: Outcome) -> None:
 
 
 def sample(rng: np.random.Generator, t: int, wild: float) -> Sample:
-    """A sample of any kind at an instant; the larger `wild`, the more of them no filter should believe."""
+    """Return a sample of any kind at an instant; the larger `wild`, the more of them no filter should believe."""
     far = rng.random() < wild
     kind = rng.integers(8)
     size = 30.0 if far else 1.0

@@ -27,6 +27,8 @@ from estimator.ekf.state import (
     VEL,
     VEL_SCALE,
     VELOCITY,
+    VESSEL_EAST,
+    VESSEL_NORTH,
     VESSEL_VEL,
     WAVES,
     Belief,
@@ -64,7 +66,7 @@ from tests.estimator.ekf.test_core_sightings import agrees
 
 
 def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: float = 0.0) -> Belief:
-    """Return the belief after a sighting that followed others of these ages and ratios, off down by so many sigmas."""
+    """Return the belief after a sighting that followed others of these ages and ratios, off down by this many sigmas."""
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
     values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)), 0.0, 0.0, 0.0) for ratio in ratios)
@@ -105,6 +107,19 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
     assert len(missed((60 * MS,), (1.0,), sigmas).excesses.t) == 1 + counted
 
 
+@pytest.mark.parametrize(("before", "steers"), [(6.0, True), (4.9, False), (-6.0, False)])
+def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(before: float, steers: bool) -> None:
+    P = diagonal(d=1e-4)
+    P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
+    excesses = InnovationExcesses((T - 33 * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
+    b = belief(x=under(), P=P, excesses=excesses)
+    after, _ = agrees(b, sighting((0.05, 0.0, 2.0)), TOOLS)
+    assert after.steered == (T if steers else -1)
+    assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers
+    assert bool(abs(after.x[VESSEL_NORTH]) > 0.1) is steers
+    assert after.P[VESSEL_EAST, VESSEL_EAST] < 1e-3, "the other axis shows nothing"
+
+
 def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:
     for used in (EXCESSES_MAX - 1, EXCESSES_MAX):
         after = missed(tuple((used - k) * 5 * MS for k in range(used)), tuple(0.01 * k for k in range(used)))
@@ -127,7 +142,7 @@ def test_the_delay_is_corrected_while_the_rate_of_the_place_is_known_along_all_a
 
 
 def test_the_vessel_s_velocity_is_part_of_the_rate_of_the_place() -> None:
-    """Over level axes and a camera that looks straight down the derivative by it is one."""
+    """The derivative is one over level axes and a camera that looks straight down."""
     x, P = under(), diagonal(d=0.01, delay=1e-3)
     x[VEL] = 1.0, -0.5, 0.3
     P[VESSEL_VEL, VESSEL_VEL] = np.eye(2) * 0.1
@@ -150,7 +165,7 @@ def test_a_sea_looked_at_in_the_first_instant_was_looked_at(t: int) -> None:
 
 
 def shown(b: Belief, **fields: Any) -> Sighting:
-    """A sighting a little beside where the belief has the pad; all of its orientation where `pose6` is given."""
+    """Return a sighting a little beside where the belief has the pad; all of its orientation where `pose6` is given."""
     d = levelling(b.R, b.levelled_by) @ so3.exp(-b.x[CAMERA_MOUNT]) @ b.R.T @ b.x[POS_REL]
     return sighting(d + np.array([0.01, -0.02, 0.015]), **fields)
 

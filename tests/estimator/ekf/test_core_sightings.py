@@ -48,7 +48,7 @@ ALL = (TOOLS, EXACT, EASILY_RESET, TURNED_PAD)
 
 
 def learned_sea(seed: int, looks: int, t: int) -> DeckMotionBank:
-    """A bank after some looks at some sea, the newest a while before `t`."""
+    """Return a bank after some looks at some sea, the newest a while before `t`."""
     rng = np.random.default_rng(seed)
     sea = deck_motion_bank.unknown()
     t -= int(rng.integers(0, 400)) * MS
@@ -60,7 +60,7 @@ def learned_sea(seed: int, looks: int, t: int) -> DeckMotionBank:
 
 
 def sighted_belief(seed: int) -> Belief:
-    """A belief about a pad with a history of any kind."""
+    """Return a belief about a pad with a history of any kind."""
     rng = np.random.default_rng(seed + 7)
     b = beginning(seed)
     n = int(rng.integers(0, 7))
@@ -83,7 +83,7 @@ def sighted_belief(seed: int) -> Belief:
 
 
 def look(rng: np.random.Generator, b: Belief, t: int) -> Sighting:
-    """A sighting of any kind: of about where the pad is believed, beside it, or with its heading turned round."""
+    """Return a sighting of any kind: of about where the pad is believed, beside it, or with its heading turned round."""
     A = levelling(b.R, b.levelled_by)
     d = A @ so3.exp(-b.x[CAMERA_MOUNT]) @ b.R.T @ b.x[POS_REL] + rng.choice([0.005, 0.3, 3.0], p=[0.6, 0.2, 0.2]) * rng.normal(
         size=3

@@ -1,4 +1,4 @@
-"""What leaves the filter, of a belief made by hand: place, velocity, heading, covariance, and when it is called consistent."""
+"""Outputs of the filter from a state made by hand: position, velocity, heading, covariance, and the consistency flag."""
 
 import math
 from dataclasses import fields, replace
@@ -59,7 +59,7 @@ def told(b: Belief, now: int = T) -> RelativeState:
 
 
 def test_place_and_velocity_are_of_the_pad_as_it_is_now_in_axes_that_turn_with_the_body() -> None:
-    """Where the deck was when the camera showed it, less what it has moved in the delay; velocities are of the same deck."""
+    """The place is that of the deck at exposure less its motion in the delay; velocities are those of the same deck."""
     b = belief(TILTED, x=state())
     found = told(b)
     into_level = about_down(-0.8)

@@ -27,7 +27,7 @@ FIELDS = [name for name in Forecast.__dataclass_fields__ if name != "at"]
 
 
 def learned(seed: int, looks: int, size: float) -> DeckMotionBank:
-    """A bank that has seen a deck for a while: at rest where `size` is zero; every third time no tilt."""
+    """Return a bank that has seen a deck for a while: at rest where `size` is zero; every third time no tilt."""
     rng, sea = np.random.default_rng(seed), bank.unknown()
     w = math.tau / rng.uniform(3.0, 12.0, 5)
     swing = size * np.array([0.2, 0.3, 0.5, 0.04, 0.06])
@@ -69,7 +69,7 @@ def same_forecast(b: Belief, now: int, horizons_s: tuple[float, ...], chosen: Fi
 def test_a_forecast_is_the_oracle_s(
     seed: int, later_ms: int, chosen: FilterParams, looks: int, size: float, horizons_s: tuple[float, ...]
 ) -> None:
-    """Over random beliefs and banks: one or many horizons; no look, one or many; at rest and moving."""
+    """The states and banks are random: one or many horizons; no look, one or many; at rest and moving."""
     sea = learned(seed % 1000, looks, size) if looks else deck_motion_bank.unknown()
     b = beginning(seed)._replace(sighted=T - 20 * MS, sea=sea)
     same_forecast(b, b.t + later_ms * MS, horizons_s, chosen)
@@ -92,7 +92,7 @@ def test_a_motion_of_a_micrometre_is_foretold_by_the_skill_in_foretelling_it() -
 
 
 def test_a_bank_from_after_the_instant_is_taken_as_it_is() -> None:
-    """A sighting may be newer than the instant asked for, by the camera's clock."""
+    """A sighting may be newer than the instant requested, by the camera's clock."""
     sea = learned(5, 6, 1.0)
     b = beginning(5)._replace(sighted=T, sea=sea._replace(t=T + 30 * MS))
     same_forecast(b, T, (0.0, 1.0), TOOLS)

@@ -28,7 +28,7 @@ def shifted(s: Sighting, by: np.ndarray) -> Sighting:
 
 
 def level(flight: TruthFlight, t_s: float, ned: np.ndarray) -> np.ndarray:
-    """A vector fixed to the world, in the axes that turn with the body."""
+    """Return a vector fixed to the world, in the axes that turn with the body."""
     R = flight.attitude(np.array([t_s]))[0]
     c, s = R[:2, 0] / np.hypot(*R[:2, 0])
     return np.array([c * ned[0] + s * ned[1], c * ned[1] - s * ned[0], ned[2]])

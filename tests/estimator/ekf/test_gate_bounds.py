@@ -34,7 +34,7 @@ def test_a_mean_nis_of_two_is_no_longer_consistent() -> None:
 
 @pytest.mark.parametrize(("off_m", "wanted"), [(0.006, True), (0.03, False)])
 def test_close_to_the_deck_no_sighting_contradicts_by_less_than_a_landing_notices(off_m: float, wanted: bool) -> None:
-    """Of sightings that claim a millimetre, six millimetres are six sigmas, and would end a commit within some cycles."""
+    """Six millimetres are six sigmas of a sighting that claims a millimetre. They would end a commit within some cycles."""
     b = belief(x=under(), P=diagonal(d=1e-6), agreed=10, nis_mean=1.0)
     for n in range(8):
         seen = sighting(b.x[POS_REL] + [off_m if n % 2 else -off_m, 0.0, 0.0], t=b.t, var=1e-6)
@@ -65,7 +65,7 @@ def flown_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bo
 
 
 def offset(x: float, z: float) -> F64:
-    """Return an offset with so many metres sideways, most of them to the east."""
+    """Return an offset with this many metres sideways, most of them to the east."""
     return np.array([0.6 * x, 0.8 * x, z])
 
 

@@ -163,7 +163,7 @@ def test_samples_that_are_all_late_do_not_keep_the_memory_of_what_came_after_eac
 
 
 def blocks(ekf: Ekf) -> list[np.ndarray]:
-    """Every block of memory that the history's beliefs refer to."""
+    """Return every block of memory that the history's beliefs refer to."""
     packed = [node.packed for node in ekf.history.nodes if node.packed is not None]
     found = [block for p in packed for block in map(_whole, (p.numbers, p.P, p.sea.record))]
     return list({id(block): block for block in found}.values())

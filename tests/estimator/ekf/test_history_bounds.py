@@ -27,7 +27,7 @@ def baro(measured_at: int, received_at: int | None = None) -> Baro:
 
 
 def after(*events: Event) -> tuple[History, list[Verdict]]:
-    """Nothing has told which way is down, so the filter itself makes nothing of these and the past alone is seen."""
+    """The filter ignores these events without a known vertical, so only the history is seen."""
     history, verdicts = History(), []
     for event in events:
         history, outcome = put(history, event, TOOLS)
@@ -99,7 +99,7 @@ def test_what_is_no_measurement_is_named() -> None:
 
 
 def test_a_late_one_is_taken_into_the_belief_before_it() -> None:
-    """By the belief two before, the attitude would be missing and nothing be made of it."""
+    """The attitude is missing in the state two before, so the event would be ignored there."""
     level = Attitude(stamp(T), Rotation.identity(), 1e-4 * np.eye(3))
     late = Sighting(stamp(T + 5), 0, "fused", np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
     history, verdicts = after(baro(T - 1), level, baro(T + 9), late)

@@ -71,7 +71,7 @@ def random_belief(seed: int) -> Belief:
 
 
 def moved(b: Belief, dx: F64) -> Belief:
-    """The belief with an error put in as a correction would be."""
+    """Return the belief with an error put in as a correction would be."""
     x = b.x + dx
     x[ATT_ERR] = 0.0
     R = b.R @ so3.exp(dx[ATT_ERR])
@@ -132,7 +132,7 @@ def test_sighting_place(seed: int, pose6: bool) -> None:
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=20)
 def test_sighting_orientation(seed: int, pose6: bool) -> None:
-    """At no delay: what the orientation's columns leave out is a delay times a rate."""
+    """The delay is zero: the orientation's columns leave out a delay times a rate."""
     b = random_belief(seed)
     x = b.x.copy()
     x[CAMERA_DELAY] = 0.0

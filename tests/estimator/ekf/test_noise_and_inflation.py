@@ -1,4 +1,4 @@
-"""What widens a covariance does so, in its direction and by its amount; what ties two errors ties them with the right sign."""
+"""Inflation of a covariance: its direction and amount, and the sign of the correlation between two errors."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_a_stamp_that_is_not_sure_adds_what_the_image_moves_in_that_time() -> No
 
 
 def test_an_attitude_taken_as_given_errs_by_its_own_constant_error_with_the_opposite_sign() -> None:
-    """What the next attitude reads is attitude plus constant error: of the second nothing must show in it yet."""
+    """The next attitude reads attitude plus constant error; the constant error must not show in it yet."""
     options = EkfOptions()
     b = belief(fed(attitude(0.0, yaw=1.0), options=options))
     var = options.sigma_attitude_bias_rad**2

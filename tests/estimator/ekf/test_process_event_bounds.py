@@ -99,7 +99,7 @@ def test_an_attitude_begins_as_it_is_told_and_levels_what_is_seen() -> None:
 
 
 def moving(**fields: object) -> Belief:
-    """A sample of 10 ms ago holds: accelerating ahead and turning a little."""
+    """Return a sample of 10 ms ago holds: accelerating ahead and turning a little."""
     fields = {"t_imu": T, "w": (0.1, 0.2, 0.3), "w_smooth": (0.0, 0.1, 0.2), "f": (0.5, 0.5, 0.5 - G), **fields}
     return belief(**fields)  # type: ignore[arg-type]
 
@@ -265,7 +265,7 @@ def test_an_attitude_known_to_less_than_twenty_degrees_is_replaced_outright(axis
 
 
 def _with_attitude_told(P: F64, R: F64) -> F64:
-    """What is believed of all else, and of an attitude just told with a constant error."""
+    """Return the state after an attitude with a constant error."""
     P = P.copy()
     down, tilt_var, heading_var = R[2], OPTIONS.sigma_initial_tilt_rad**2, OPTIONS.sigma_initial_heading_rad**2
     bias = OPTIONS.sigma_attitude_bias_rad**2

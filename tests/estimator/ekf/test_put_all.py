@@ -95,7 +95,7 @@ def test_a_row_is_one_memory_and_chunks_are_filled_before_the_next() -> None:
 
 @pytest.mark.parametrize(("late_ms", "copied"), [(21, False), (20, True)])
 def test_a_row_of_which_few_beliefs_are_left_is_freed(late_ms: int, copied: bool) -> None:
-    """Of a row of 80 a late event leaves the first; a quarter of them or fewer are copied."""
+    """A late event leaves the first of 80 states; a quarter of them or fewer are copied."""
     history, _ = put_all(begun(), [baro(k * MS) for k in range(1, 81)], TOOLS)
     row = history.nodes[1].row
     after, _ = put(history, attitude(late_ms * MS + 1, 81 * MS), TOOLS)

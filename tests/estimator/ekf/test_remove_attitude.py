@@ -1,4 +1,4 @@
-"""What an attitude's errors added to a measurement's covariance is taken out of it, and no more than that."""
+"""Removal of an attitude's errors from a measurement's covariance: exactly what they added."""
 
 import math
 
@@ -31,12 +31,12 @@ def drawn(m: int, seed: int) -> tuple[F64, F64, F64]:
 
 
 def fractions(part: F64, cov: F64) -> F64:
-    """Of the whole's variance in the directions in which both are independent, what the part is."""
+    """Return the part's share of the whole variance, in the directions in which both are independent."""
     return np.asarray(eigh(part, cov, eigvals_only=True))
 
 
 def part_of(cov: F64, J: F64, cov_attitude: F64, largest: float) -> F64:
-    """The attitude's covariance in such a size that its part is so much of the whole in the direction in which it is most."""
+    """Return the attitude's covariance, scaled so that its largest share of the whole is as given."""
     return cov_attitude * largest / fractions(J @ cov_attitude @ J.T, cov)[-1]
 
 

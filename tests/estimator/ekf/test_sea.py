@@ -85,7 +85,7 @@ def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
 
 
 def run(s: Setting) -> tuple[TruthFlight, Ekf, list[float]]:
-    """The flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
+    """Return the flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
     flight, ekf, nees, next_s = TruthFlight(s), start(), [], 6.0
     for event in events(flight):
         while event.stamp.received_at > ns(next_s):

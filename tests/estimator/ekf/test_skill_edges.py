@@ -53,7 +53,7 @@ def test_the_best_member_sets_the_scale_whichever_it_is(best: int) -> None:
     ],
 )
 def test_forecasts_are_compared_issued_and_dropped_at_their_ages(ages_ns: tuple[int, ...], compared: int, issued: int) -> None:
-    """Of forecasts of these ages: how many pairs are compared with a look, and how many are kept, the new one among them."""
+    """The counts are of the pairs compared with a look and of the forecasts kept, the new one included."""
     rng = np.random.default_rng(len(ages_ns))
     told = tuple([IssuedForecast(T - age, rng.normal(size=(3, 5, 2))) for age in ages_ns])
     known = Skill(told, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), *rng.uniform(1.0, 2.0, (2, 3, 5, 2)))

@@ -173,7 +173,7 @@ def test_a_heaving_deck_teaches_the_camera_s_place_and_delay_by_a_share(heave_m_
 
 
 def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, Outcome]:
-    """A sighting whose place is right and whose heading is off by so much; what was believed, what is, what became of it."""
+    """Return a sighting with the right place and this error of heading; the state before, the truth, the result."""
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), **fields)
     return b, *fuse_sighting(b, sighting((0.1, 0.0, 2.0), wrong_by), TOOLS)
 

@@ -8,7 +8,7 @@ RNG = np.random.default_rng(3)
 
 
 def noisy(level: int = 100) -> np.ndarray:
-    """A still scene as a sensor sees it."""
+    """Return a still scene as a sensor sees it."""
     return RNG.normal(level, 2.0, (360, 640, 3)).astype(np.uint8)
 
 

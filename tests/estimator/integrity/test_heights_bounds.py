@@ -33,7 +33,7 @@ def received_at(state: HeightWatch, range_m: float, t: int = T, sigma_m: float =
 
 
 def speaks(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> bool | None:
-    """Whether a range agrees; None where it counts for nothing."""
+    """Return whether a range agrees; None where it counts for nothing."""
     after = received_at(state, range_m, t, sigma_m)
     assert after.range_at == t
     return True if after.agreed_at == t else False if after.against_s > 0.0 else None
@@ -71,7 +71,7 @@ def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(
 
 
 def leaning(cx: float, cy: float, foot_m: tuple[float, float] = (0.0, 0.0), height_m: float = 2.0) -> HeightWatch:
-    """The sensor's axis meets the deck so far from the pad."""
+    """Return a state in which the sensor's axis meets the deck this far from the pad."""
     cz = math.sqrt(1.0 - cx * cx - cy * cy)
     d = (cx * height_m / cz + foot_m[0], cy * height_m / cz + foot_m[1], height_m)
     return replace(OVER, d_level=d, down_level=(cx, cy, cz))

@@ -1,4 +1,4 @@
-"""Which pad: motion explains a place, or it is another one, and the track is never moved to it."""
+"""Identity of the pad: motion explains a place, or it is another pad; the track never moves to another pad."""
 
 import numpy as np
 import pytest
@@ -90,7 +90,7 @@ def test_a_pad_followed_from_frame_to_frame_stays_the_tracked_one_while_the_esti
 
 
 def test_a_step_as_far_as_another_pad_is_not_followed() -> None:
-    """At 15 m the allowed step reaches a pad beside the tracked one."""
+    """The allowed step at 15 m reaches a pad beside the tracked one."""
     high, beside = (0.1, 0.0, 15.0), (0.1 + LIMITS.pads_apart_m, 0.0, 15.0)
     tracks, _ = follow(Tracks(), steady(0, 2, high))
     explained = []

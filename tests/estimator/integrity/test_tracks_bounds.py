@@ -1,4 +1,4 @@
-"""Which pad, at each edge: how far motion explains a place, how often and how long another one is seen until it counts."""
+"""Identity of the pad at each edge: how far motion explains a place, and how often and long another one must be seen."""
 
 import math
 

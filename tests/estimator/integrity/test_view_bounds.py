@@ -25,7 +25,7 @@ def looked(
     height_m: float = 2.0,
     own: float = 0.0,
 ) -> ViewWatch:
-    """The body rolls to and fro by `swing_rad` at each look; the bearing in the body moves by `own` of that."""
+    """Return the watch after a roll to and fro by `swing_rad` at each look; the body's bearing moves by `own` of that."""
     state = ViewWatch()
     for i, ms in enumerate(instants_ms):
         t = MonoNs(10 * S + round(ms * MS))

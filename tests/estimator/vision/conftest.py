@@ -9,11 +9,11 @@ from tests.support.shipped import shipped_camera, shipped_pad
 
 @pytest.fixture(scope="session")
 def pad() -> Pad:
-    """The pad of the thesis."""
+    """Return the pad of the thesis."""
     return shipped_pad("thesis")
 
 
 @pytest.fixture(scope="session")
 def camera() -> Camera:
-    """The camera of the thesis' simulator."""
+    """Return the camera of the thesis' simulator."""
     return shipped_camera("sim")

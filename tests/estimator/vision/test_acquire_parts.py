@@ -1,4 +1,4 @@
-"""What acquisition is made of: circles of edges, headings, strokes, and laying the drawing on the frame."""
+"""Parts of acquisition: circles of edges, headings, strokes, and alignment of the drawing with the frame."""
 
 import math
 

@@ -37,7 +37,7 @@ def test_any_other_number_makes_another_camera() -> None:
 
 
 def test_a_camera_read_again_shares_what_was_made_for_the_first() -> None:
-    """Each flight of a soak reads its camera file anew; a map for each would be kept for as many flights as the cache is long."""
+    """Each flight of a soak reads its camera file again; a map for each would fill the cache."""
     assert ray_map(camera()) is ray_map(camera())
     assert lens_of(camera()) is lens_of(camera())
 

@@ -1,4 +1,4 @@
-"""What a codec does to frames is in the covariance of what is found in them."""
+"""Effects of a codec on frames are included in the covariance of finds."""
 
 import math
 

@@ -23,7 +23,7 @@ def corners_of(scene: PadPlacement, camera: Camera, pad: Pad, seed: int = 0) -> 
 
 
 def wedge(u: float, v: float, heading: float, inner: bool) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """A corner at (u, v): a quarter plane of paint, or all but a quarter, turned by `heading`."""
+    """Return a corner at (u, v): a quarter plane of paint, or all but a quarter, turned by `heading`."""
     n = 8
     x = (np.arange(60 * n) + 0.5) / n - 0.5
     dx, dy = x[None, :] - u, x[:, None] - v

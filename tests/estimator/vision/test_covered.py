@@ -214,7 +214,7 @@ def test_looking_for_what_covers_a_pad_counts_as_work(camera: Camera, pad: Pad) 
 
 @pytest.mark.parametrize("first", range(17))
 def test_a_search_over_frames_leaves_every_kind_of_guesses_again(camera: Camera, pad: Pad, first: int) -> None:
-    """After a lens that was covered: some kinds have more guesses than a search remembers to have refused."""
+    """Some kinds have more guesses than a search remembers to have refused. The lens was covered before."""
     rng = np.random.default_rng([first, 0xC08])
     scene = seen(camera, pad, "plain", 2.0, 1)
     memory, best = SearchMemory(first, ()), 0.0

@@ -188,7 +188,7 @@ def test_limits_of_the_thesis_in_whole_numbers() -> None:
 
 @pytest.mark.skipif(not (DATA / "pad_photos").is_dir(), reason="the photographs of the pad are not here")
 def test_photographs_of_the_real_pad() -> None:
-    """With the thesis' own indoor limits. Its code: 81 % found, 32 % of range off in the median."""
+    """The limits are the thesis' own for indoors. Its code: 81 % found, 32 % of range off in the median."""
     camera, pad = shipped_camera("photos"), shipped_pad("printed")
     with (DATA / "pad_photos" / "pose.csv").open() as text:
         rows = list(csv.DictReader(text))[::3]

@@ -68,7 +68,7 @@ def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad:
 
 
 def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_image_of_the_centre(camera: Camera, pad: Pad) -> None:
-    """At 1.3 m and 15 degrees the two lie 3 px apart, that is 1 cm on deck."""
+    """The two lie 3 px apart at 1.3 m and 15 degrees, that is 1 cm on deck."""
     scene = PadPlacement((0.0, -0.35, 1.3), 0.4, math.radians(15.0), math.radians(-6.0))
     s = detect(image(scene, camera, pad, samples=5), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
     assert s is not None

@@ -38,7 +38,7 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
 
 @pytest.mark.parametrize("name", ["h", "x"])
 def test_a_letter_is_not_seen_on_decks_and_sea_without_one(name: str) -> None:
-    """Why: a bare H was seen on 37 of 40 of these, an X on 25."""
+    """A bare H used to be seen on 37 of 40 of these, an X on 25."""
     config = TrackerConfig(load_camera("sim"), shipped_pad(name), TrackerOptions(method="registration"))
     sure = 0
     for i in range(12):
@@ -53,7 +53,7 @@ def test_a_letter_is_not_seen_on_decks_and_sea_without_one(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "sigma"), [("h", 0.004), ("h", 0.02), ("x", 0.02)])
 def test_a_letter_that_is_followed_is_at_its_place_or_doubted(name: str, sigma: float) -> None:
-    """Why: of fits that began beside a distant letter half took the bare deck for one of another size, at a confidence of 1."""
+    """Half of the fits beside a distant letter used to take the bare deck for one of another size, at a confidence of 1."""
     pad = shipped_pad(name)
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
     renderer, rng, sure = Renderer(PLAIN, pad), np.random.default_rng(17), 0

@@ -1,4 +1,4 @@
-"""What crosses to the core has the type, the size and the strides that the core reads."""
+"""Arguments of the native core have the type, the size and the strides that the core reads."""
 
 import numpy as np
 import pytest

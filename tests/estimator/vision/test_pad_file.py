@@ -126,7 +126,7 @@ def test_the_edges_of_shipped_pads_lie_between_their_paints(name: str) -> None:
 
 
 def test_strokes_that_cross_are_one_shape() -> None:
-    """Where two strokes cross, neither has an edge, and the ground that both cover counts once."""
+    """Neither of two crossing strokes has an edge there, and the ground that both cover counts once."""
     arms = [PaintedStroke("white", (-0.2, 0.0), (0.2, 0.0), 0.04), PaintedStroke("white", (0.0, -0.15), (0.0, 0.15), 0.04)]
     area = sum((x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in rectangles_of(arms))
     assert area == pytest.approx(0.4 * 0.04 + 0.3 * 0.04 - 0.04 * 0.04)

@@ -158,7 +158,7 @@ def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
 
 
 def half_hidden(view: RenderedView, pad: Pad, camera: Camera, towards_rad: float) -> NDArray[np.uint8]:
-    """A grey tarpaulin over one half of the pad, its edge through a point beside the centre."""
+    """Return a grey tarpaulin over one half of the pad, its edge through a point beside the centre."""
     out = np.array([math.cos(towards_rad), math.sin(towards_rad)])
     side = np.array([-out[1], out[0]])
     corners = np.array([0.03 * out + side, 0.03 * out - side, 1.5 * out - side, 1.5 * out + side])
@@ -183,7 +183,7 @@ def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> No
 
 
 def test_half_of_the_distant_pad_hidden_is_said(camera: Camera, pad: Pad) -> None:
-    """Where edges merge all paints are found together, and half a disc looks like a smaller one: the covariance says so."""
+    """All paints are found together where edges merge. Half a disc looks like a smaller one, and the covariance includes it."""
     stage = Stage(camera, pad)
     for height_m in (10.0, 14.0):
         for n in range(6):
@@ -244,7 +244,7 @@ def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> Non
 
 
 def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
-    """At 12 cm only a piece of the H is in the frame: what it fixes is right, and what not is said."""
+    """Only a piece of the H is in the frame at 12 cm: resolved parameters are right, unresolved ones are marked."""
     stage = Stage(camera, pad)
     nees = []
     for _ in range(12):

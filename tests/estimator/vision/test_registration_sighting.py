@@ -23,7 +23,7 @@ TRACK = RegistrationOptions(coarse=False)
 
 
 def believed(view: RenderedView, rng: np.random.Generator, sigma_rad: float, sigma_deck_rad: float) -> Orientation:
-    """The attitude as an instrument of that quality says it."""
+    """Return the attitude as an instrument of that quality says it."""
     roll, pitch = view.roll_rad + rng.normal(0.0, sigma_rad), view.pitch_rad + rng.normal(0.0, sigma_rad)
     return Orientation(roll, pitch, np.eye(2) * sigma_rad**2, sigma_deck_rad, True)
 
@@ -74,7 +74,7 @@ def test_errors_of_attitude_and_deck_are_in_the_covariance(
 
 
 def test_a_level_deck_in_the_image_corrects_the_attitude(camera: Camera, pad: Pad) -> None:
-    """Where the deck is known to be level, the frame's tilt is the attitude's error, and the place gains from it."""
+    """The frame's tilt over a level deck is the attitude's error, and correcting it improves the place."""
     stage = Stage(camera, pad)
     plain, better = [], []
     for _ in range(10):

@@ -51,7 +51,7 @@ def belief_at(place: PadPlacement) -> RelativeState:
 
 
 def said(network: SecondOpinion, name: str, shown: str, turned_rad: float = 0.0) -> float:
-    """The network's confidence that the pad `name` is where the pad `shown` was rendered, turned by an angle."""
+    """Return the network's confidence that the pad `name` is where the pad `shown` was rendered, turned by an angle."""
     scene = pad_scene(np.random.default_rng(4), CAMERA, shipped_pad(shown), 2.0, "plain", 0.1)
     assert scene.truth is not None
     log_odds = network.log_odds(Pyramid(scene.px), CAMERA, shipped_pad(name), scene.truth.turned(turned_rad))

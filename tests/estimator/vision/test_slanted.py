@@ -96,7 +96,7 @@ def integrated(region: Region, blur_m2: tuple[float, float, float], at: F64, m: 
 @pytest.mark.parametrize("sigma_m", [0.005, 0.03, 0.15])
 @pytest.mark.parametrize(("slant", "longer"), [(0.0, 1.0), (0.6, 1.4), (-0.7, 0.8)])
 def test_slanted_sides_are_blurred_exactly(region: Region, sigma_m: float, slant: float, longer: float) -> None:
-    """At corners and along sides, for round and for slanted blur, far smaller and larger than the shape."""
+    """The comparison covers corners and sides, round and slanted blur, far smaller and larger than the shape."""
     rng = np.random.default_rng(4)
     blur = (sigma_m**2, slant * longer * sigma_m**2, (longer * sigma_m) ** 2)
     start, end = sides_of(region)

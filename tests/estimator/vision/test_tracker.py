@@ -110,7 +110,7 @@ def test_a_belief_that_is_old_or_doubted_or_blunt_excludes_no_place(
 
 
 def two_pads(height_m: float, hidden: float) -> tuple[Shown, np.ndarray, RelativeState, Attitude]:
-    """The pad with another one 1.1 m beside it and a part of its disc hidden, a belief that is right, and both places."""
+    """Return the pad with another one 1.1 m beside it and a part of its disc hidden, a belief that is right, and both places."""
     seen = shown(CAMERA, PAD, height_m, aside=(-0.5 / height_m, 0.0))
     R, t = seen.truth.R_cam_pad, seen.truth.t_cam_pad
     other = t + R @ np.array([0.0, 1.1, 0.0])

@@ -40,11 +40,11 @@ class Peer:
         return received_at
 
     def waiting(self) -> bool:
-        """Whether a datagram lies in the socket unread."""
+        """Return whether a datagram lies in the socket unread."""
         return bool(select.select([self.navdata], [], [], 0)[0])
 
     async def until(self, done: Callable[[Navdata], bool], timeout_s: float = 60.0) -> Navdata:
-        """The first datagram that satisfies `done`."""
+        """Return the first datagram that satisfies `done`."""
         async with asyncio.timeout(timeout_s):
             while True:
                 received_at = await self.on_message()
@@ -52,7 +52,7 @@ class Peer:
                     return received_at
 
     async def configure(self, key: str, value: str) -> None:
-        """With the whole handshake; the peer has asked for navdata."""
+        """Configure the drone with the whole handshake, after a request for navdata."""
         self.say(at.Ctrl(at.CTRL_ACK))
         await self.until(lambda n: not n.state & NavdataState.COMMAND_ACK)
         self.say(at.Config(key, value))

@@ -76,7 +76,7 @@ async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer:
 
 @pytest.mark.parametrize(("demo", "low_hz", "high_hz"), [("TRUE", 13.0, 18.0), ("FALSE", 170.0, 215.0)])
 async def test_rates(server: ArDroneServer, peer: Peer, world: PointMass, demo: str, low_hz: float, high_hz: float) -> None:
-    """In the drone's own time, which a busy machine does not stretch."""
+    """Rates are in the drone's own time, which a busy machine does not stretch."""
     peer.ask()
     await peer.configure("general:navdata_demo", demo)
     first = (await peer.on_message()).sequence
@@ -185,7 +185,7 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & NavdataState.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    # By the drone's own clock, from the last command on that it took: a busy machine hears and says late.
+    # By the drone's own clock, from the last command on that it took: a busy machine receives and says late.
     spoken_us = server._drone_clock.microseconds(server.drone.state._received_at or world.now)
     hovered_us, landing_us = (t.time_us for n in (hovering, landing) if (t := n.get(navdata.NavdataTime)) is not None)
     assert 1.0e6 <= hovered_us - spoken_us < 1.1e6

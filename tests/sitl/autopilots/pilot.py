@@ -11,7 +11,7 @@ from sitl.vehicle.airframe import Airframe
 
 
 def command_of(share: float, curve: float) -> float:
-    """The command that gives this share of the largest thrust."""
+    """Return the command that gives this share of the largest thrust."""
     s = min(max(share, 0.0), 1.0)
     if curve == 0.0:
         return s
@@ -27,11 +27,11 @@ class Cascade:
     curve: float
     dt_s: float = 0.0025
     most_m_s2: float = 3.0
-    """Of the horizontal acceleration asked for; 1 m/s^2 is 6 degrees of tilt."""
+    """Limit of the commanded horizontal acceleration; 1 m/s^2 is 6 degrees of tilt."""
     against_wind: F64 = field(default_factory=lambda: np.zeros(3))
 
     def motors(self, p: F64, v: F64, body: Rotation, w: F64, p_wanted: F64, v_wanted: F64) -> Motors:
-        """For a state in ned and body axes; the nose is held where it is."""
+        """Return the motors for a state in ned and body axes, holding the nose where it is."""
         f = self.airframe
         v_asked = v_wanted + np.clip(0.8 * (p_wanted - p), -1.0, 1.0)
         self.against_wind = np.clip(self.against_wind + 0.6 * self.dt_s * (v_asked - v), -2.0, 2.0)

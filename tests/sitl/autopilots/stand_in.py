@@ -26,7 +26,7 @@ STEP_S = 0.00125
 
 
 def state_of(said: dict[str, Any]) -> BodyState:
-    """The state in a line of JSON."""
+    """Return the state in a line of JSON."""
     imu = said["imu"]
     p, v, w, f = (np.array(x) for x in (said["position"], said["velocity"], imu["gyro"], imu["accel_body"]))
     return BodyState(said["timestamp"], p, v, Rotation.from_quat(said["quaternion"]), w, f, said.get("rng_1"))

@@ -26,12 +26,12 @@ _HOVER = Airframe().mass_kg * G_M_S2 / Airframe().thrust_max_n
 
 
 def heartbeat(component: int) -> bytes:
-    """A received HEARTBEAT as ArduPilot hands it to a script: its own structure, little-endian and packed."""
+    """Return a received HEARTBEAT as ArduPilot hands it to a script: its own structure, little-endian and packed."""
     return struct.pack("<HBBBBBBB3sBB", 0x1234, 0xFD, 9, 0, 0, 7, 1, component, b"\0\0\0", 0, 0)
 
 
 class Scripting:
-    """What ArduPilot gives a script, made of a stand-in; only what is documented is there."""
+    """Stand-in for ArduPilot's scripting interface, with documented functions alone."""
 
     def __init__(self, pilot: CopterStandIn, **parameters: float) -> None:
         self.pilot = pilot
@@ -89,7 +89,7 @@ class Scripting:
 
 
 def aboard(deck: Deck, **parameters: float) -> Scripting:
-    """Put the script aboard; a companion is heard each second until `deck.silent` is set."""
+    """Put the script aboard; a companion's message arrives each second until `deck.silent` is set."""
     pilot = deck.pilot
     assert isinstance(pilot, CopterStandIn)
     script, fly, steps, per = Scripting(pilot, **parameters), pilot.fly, [0], round(PERIOD_S / STEP_S)

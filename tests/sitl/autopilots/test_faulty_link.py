@@ -87,7 +87,7 @@ def lost(driver: Autopilot) -> int:
 
 
 def ages_s(samples: list[Sample]) -> list[float]:
-    """How old the samples were on arrival. A busy machine makes any of them older, but hardly all."""
+    """Return the ages of the samples on arrival, s. A busy machine makes any of them older, but hardly all."""
     return [s.stamp.delay_s for s in samples if isinstance(s, Imu | Attitude | BodyVelocity)]
 
 

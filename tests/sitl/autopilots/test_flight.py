@@ -22,7 +22,7 @@ REAL = os.environ.get("DECKLANDER_ARDUCOPTER", "")
 
 
 def program(folder: Path, body: str) -> str:
-    """A program that can be run, as a shell script."""
+    """Return a program that can be run, as a shell script."""
     path = folder / "arducopter"
     path.write_text(f"#!/bin/sh\n{body}\n")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)

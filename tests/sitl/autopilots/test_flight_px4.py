@@ -40,7 +40,7 @@ class Px4(Px4StandIn):
         self._flight = flight
 
     def controls(self) -> Message:
-        """The motors for the state as it is."""
+        """Return the motors for the state as it is."""
         assert self._flight.body is not None
         motors = self.step(self._flight.body.state())
         return mav.MAVLink_hil_actuator_controls_message(0, [*motors, *[0.0] * 12], 129 if self.armed else 1, 0)
@@ -58,7 +58,7 @@ class Px4(Px4StandIn):
 
 
 async def until_closed(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """What the physics sends; closed while an answer is still on its way, the stream ends in a reset."""
+    """Yield the messages of the physics. A stream that closes before its answer arrives ends in a reset."""
     with suppress(ConnectionResetError):
         while data := await reader.read(4096):
             yield data
@@ -83,7 +83,7 @@ async def pretend(flight: AutopilotFlight) -> None:
 
 
 def build(folder: Path) -> Path:
-    """A folder as a PX4 build leaves it."""
+    """Return a folder as a PX4 build leaves it."""
     binary = folder / "bin" / "px4"
     binary.parent.mkdir()
     binary.write_text('#!/bin/sh\nprintenv > environment; echo "$@" > arguments; exec sleep 600\n')

@@ -53,7 +53,7 @@ async def test_a_sleeper_that_was_cancelled_is_passed_over() -> None:
 
 
 async def filmed(timing: CameraTiming, eyes_s: float | None, seconds: float) -> tuple[LockStepCamera, list[Frame], LockStepClock]:
-    """A camera over the deck; eyes that take so long of wall time for each frame, or wait for the time to go on."""
+    """Return a camera over the deck; eyes that take so long of wall time for each frame, or wait for the time to go on."""
     clock, frames, done = LockStepClock(), [], [0]
     scenario = load("calm")
     body = Body(replace(scenario, start=replace(scenario.start, height_m=1.0)), 1, STEP_S)

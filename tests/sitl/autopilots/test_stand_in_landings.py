@@ -45,7 +45,7 @@ async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
     assert end.landing is not None
     assert end.landing.on_pad
     assert end.landing.lateral_m < 0.12
-    # On a starved machine the stand-in of ArduCopter hears late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
+    # On a starved machine the stand-in of ArduCopter receives late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
     assert end.landing.slide_m_s < (0.8 if stack == "arducopter" else 0.3)
     assert abs(math.degrees(end.landing.yaw_rad)) < 8.0, "from 20 degrees off the arrow"
     assert end.armed_after_contact_s is not None
@@ -85,7 +85,7 @@ async def test_it_finds_the_ship_by_her_reports_and_lands(tmp_path: Path) -> Non
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the speeds over the ground alone this one is not felt: it goes around after it."""
+    """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
     scenario = load("sea_state_5")
     program = AutopilotProgram("px4", None)

@@ -54,12 +54,12 @@ class Deck:
         raise AssertionError("nothing sleeps here")
 
     def tell(self, message: Message) -> None:
-        """As from a companion."""
+        """Send a message as a companion would."""
         received: Any = SimpleNamespace(message=message, system=1, component=191, link=0)
         getattr(self.pilot, f"_on_{message.get_type().lower()}")(message, received)
 
     def order(self, command: int, *params: float) -> int:
-        """The result of a command."""
+        """Return the result of a command."""
         self.tell(mav.MAVLink_command_long_message(1, 1, command, 0, *[*params, *[0.0] * (7 - len(params))]))
         return next(int(m.result) for m in reversed(self.said) if m.get_type() == "COMMAND_ACK")
 

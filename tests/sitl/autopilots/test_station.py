@@ -17,7 +17,7 @@ FAR = OperatorView(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.arra
 
 
 def spoken(message: Message, component: int = 1, system: int = 1) -> Message:
-    """As heard from that component."""
+    """Return a message as received from that component."""
     sender = mav.MAVLink(None, srcSystem=system, srcComponent=component)
     return mav.MAVLink(None).decode(bytearray(message.pack(sender)))
 
@@ -47,7 +47,7 @@ class CommandHandler:
         return out
 
     def arm(self) -> None:
-        """As the autopilot tells it."""
+        """Send the armed state as the autopilot does."""
         for mode, armed in (("stabilize", False), ("guided", False), ("guided", True)):
             self.on_message(beat(mode, armed))
             self.wait(1.0)

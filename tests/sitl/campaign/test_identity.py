@@ -1,4 +1,4 @@
-"""What makes a campaign this one and no other: the files behind its files, and settings that follow the scenario."""
+"""Identity of a campaign: the files behind its files, and settings that follow the scenario."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ ROWS = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"
 
 
 def recorded(folder: Path, heave_m: float) -> Path:
-    """A scenario on a vessel that moves as recorded."""
+    """Return a scenario on a vessel that moves as recorded."""
     rows = "".join(f"{0.5 * n},0,0,{heave_m if n == 7 else 0},0,0,0\n" for n in range(200))
     (folder / "motion.csv").write_text(ROWS + rows)
     (folder / "boat.toml").write_text(

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="t
 
 
 def made(n: int, memory: float = 0.0, descriptors: float = 0.0, tasks: float = 0.0) -> list[Reading]:
-    """A warm-up that grows by half, then `n` readings that grow by so much each."""
+    """Return a warm-up that grows by half, then `n` readings that grow by this much each."""
     warm = [Reading(float(i), 0, 100.0 + 10.0 * i, 10, 3, 5, 0.5 * i) for i in range(5)]
     grown = [
         Reading(5.0 + i, i, 150.0 + memory * i, int(20 + descriptors * i), 4, int(8 + tasks * i), 2.5 + 0.3 * i) for i in range(n)

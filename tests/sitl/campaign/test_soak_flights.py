@@ -1,4 +1,4 @@
-"""What a soak makes of its flights: failed ones fail it, a machine that is too slow is named and not the product."""
+"""Result of a soak's flights: failed ones fail it; a machine that is too slow is reported, not the product."""
 
 from collections import Counter
 from pathlib import Path

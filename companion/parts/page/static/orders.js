@@ -12,6 +12,7 @@ export class Orders {
   #number = 0;
   #waiting = new Map();
   #buttons = [...document.querySelectorAll("[data-order]")];
+  #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
   #slide;
 
@@ -53,6 +54,7 @@ export class Orders {
       button.setAttribute("aria-disabled", String(why !== null));
       button.title = why ?? "";
     }
+    this.#begin.classList.toggle("primary", !message.landing);
     document.getElementById("reset").hidden = message.situation !== "emergency";
     document.getElementById("emergency").hidden = message.situation === "emergency";
   }

@@ -33,7 +33,7 @@ DEFAULTS: dict[str, float] = {
     "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0, "IMU_INTEG_RATE": 250,
     "PLD_HACC_RAD": 0.2, "PLD_BTOUT": 5.0, "LTEST_MODE": 0, "RTL_PLD_MD": 0, "NAV_RCL_ACT": 2, "COM_RC_IN_MODE": 3,
 }  # fmt: skip
-"""PX4's defaults of the parameters that the stand-in reads or that are asked for."""
+"""PX4's defaults of the parameters that the stand-in reads or that are requested."""
 _HORIZONTAL_DRIFT, _VERTICAL_DRIFT, _HORIZONTAL_SPEED = 1 << 5, 1 << 6, 1 << 7
 """Bits of EKF2_GPS_CHECK that compare what GNSS says with a vehicle at rest."""
 _SPEED_S = 10.0
@@ -42,8 +42,7 @@ _NO_POSITION = "Arming denied: Resolve system health failures first"
 """The words that came in two chunks; the second held one letter."""
 _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
 _LOW_THRUST, _NO_THRUST = 0.6, 0.1
-"""How far above the least thrust, on the way to that of hovering, the land detector takes contact with the ground for possible,
-and the thrust for none."""
+"""Thrusts of the land detector between the least and hovering: possible contact with the ground, and no thrust."""
 _WANTS_UP_M_S = 0.3
 
 
@@ -61,7 +60,7 @@ class Px4StandIn(StandIn):
         self._contact_s = self._still_s = self._landed_s = 0.0
         self._lifted = False
 
-    # What is asked of it
+    # Commands to it
 
     def why_not_armed(self) -> str | None:
         """Return the refusal while there is no position: GNSS is not used before its checks have passed for a while."""
@@ -120,7 +119,7 @@ class Px4StandIn(StandIn):
 
     @property
     def ground_contact(self) -> bool:
-        """Whether its land detector takes it to touch the ground."""
+        """True if its land detector reports contact with the ground."""
         return self._contact_s >= self.parameter("LNDMC_TRIG_TIME") / 3.0
 
     # What it does
@@ -165,9 +164,9 @@ class Px4StandIn(StandIn):
         return v, np.zeros(3)
 
     def _take_off_ramp(self, v_down: float) -> tuple[float, float | None]:
-        """Return the limits of thrust and lean: after arming the rotors spool up, and after the wish to climb thrust ramps up.
+        """Return the limits of thrust and tilt: after arming the rotors spool up, and after the wish to climb thrust ramps up.
 
-        The horizontal loops act during the ramp already, so a vehicle that holds its place over the ground leans on a deck that
+        The horizontal loops act during the ramp already, so a vehicle that holds its place over the ground tilts on a deck that
         carries it away.
         """
         if self._lifted:

@@ -1,4 +1,4 @@
-"""What the filter says of an instant, in numpy: the oracle of estimator/core/filter/answer.c."""
+"""Answers of the filter for an instant, in numpy: the oracle of estimator/core/filter/answer.c."""
 
 from typing import NamedTuple
 

@@ -5,7 +5,7 @@ from enum import Enum
 
 
 class DurabilityPolicy(Enum):
-    """Whether late subscribers get what was published before."""
+    """True if late subscribers get what was published before."""
 
     VOLATILE = 2
     TRANSIENT_LOCAL = 1
@@ -13,7 +13,7 @@ class DurabilityPolicy(Enum):
 
 @dataclass(frozen=True)
 class QoSProfile:
-    """How a topic is published."""
+    """Publishing rules of a topic."""
 
     depth: int
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE

@@ -1,4 +1,4 @@
-"""Which signals the library handles."""
+"""Signals that the library handles."""
 
 from enum import Enum
 

@@ -1,0 +1,149 @@
+"""A short animated image (GIF) of a landing: the deck camera with its overlay, the track from above and the height."""
+
+import math
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.filter
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.recording.palette import OUTLINE, THREE, bgr
+from companion.tools.report.figures import body_over_pad
+from companion.tools.report.flight_log import FlightLog
+from companion.tools.report.plots import steering_states
+from companion.tools.report.video import drawn_frames
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+
+U8 = NDArray[np.uint8]
+
+RATE_HZ = 8
+SPEED = 2.0
+"""Seconds of flight in a second of the image."""
+_FILM_WIDTH_PX = 440
+_SIDE_PX = 200
+_STRIP_PX = 96
+_STILL_S = 3.0
+"""Duration of the last image before the animation begins again, s."""
+_COLOURS = 96
+_INK, _PALE, _PAPER = (230, 230, 230), (110, 110, 110), (32, 26, 22)
+_ABOVE_M = 1.0
+"""Half the side of the map: the pad's neighbourhood, in which the landing is decided."""
+
+
+def write_animation(log: FlightLog, path: Path) -> int:
+    """Write the flight of a log as an animated GIF and return its size in bytes.
+
+    Raises:
+        BadInput: no frame was kept, nothing was estimated, or the file cannot be written.
+    """
+    states = steering_states(log)
+    if not states:
+        raise BadInput(f"{path}: the recording holds no estimate to draw")
+    at_s = np.array([seconds_between(log.started, state.at) for state in states])
+    yaw_rad = np.array([math.nan if state.yaw_rad is None else state.yaw_rad for state in states])
+    over_pad = body_over_pad(np.array([state.d_body_pad_level for state in states]), yaw_rad)
+    scale = _FILM_WIDTH_PX / log.camera.width
+    images: list[U8] = []
+    due: MonoNs | None = None
+    for image, at in drawn_frames(log, scale):
+        if due is None or at >= due:
+            due = MonoNs(at + round(SPEED / RATE_HZ * NS_PER_S))
+            images.append(_sheet(log, image, seconds_between(log.started, at), at_s, over_pad))
+    if not images:
+        raise BadInput(f"{path}: the recording holds no frames to draw; record with --record-frames jpeg or h264")
+    try:
+        _encode(path, images + images[-1:] * round(_STILL_S * RATE_HZ))
+    except OSError as why:
+        raise BadInput(f"{path}: cannot write the animation: {why}") from why
+    return path.stat().st_size
+
+
+def _sheet(log: FlightLog, film: U8, now_s: float, at_s: F64, over_pad: F64) -> U8:
+    """Return one image: the film, right of it the map, below both the height over time."""
+    height, width = film.shape[:2]
+    sheet = np.full((height + _STRIP_PX, width + _SIDE_PX, 3), _PAPER, np.uint8)
+    # A median takes the sensor's noise away, which a palette of few colours would only spread.
+    sheet[:height, :width] = cv2.medianBlur(film, 3)
+    past = at_s <= now_s
+    _draw_map(sheet[:height, width:], log.pad.disc_radius_m, over_pad[past])
+    _draw_height(sheet[height:], at_s, over_pad[:, 2], now_s)
+    phase = next((change.phase for change in reversed(log.phases) if seconds_between(log.started, change.at) <= now_s), "")
+    if past.any():
+        x, y, up_m = over_pad[past][-1]
+        _write(sheet, f"{now_s:.1f} s  {phase}", (8, 18))
+        _write(sheet, f"height {max(up_m, 0.0):.2f} m  beside {math.hypot(x, y):.2f} m", (8, height - 8))
+    return sheet
+
+
+def _draw_map(panel: U8, radius_m: float, track: F64) -> None:
+    """Draw the pad from above, its arrow up, and the track of the drone over it."""
+    height, width = panel.shape[:2]
+    px_m = min(height, width) / (2.0 * _ABOVE_M)
+    centre = (width // 2, height // 2)
+    cv2.circle(panel, centre, round(radius_m * px_m), bgr(OUTLINE), 1, cv2.LINE_AA)
+    cv2.drawMarker(panel, centre, _PALE, cv2.MARKER_CROSS, 10, 1)
+    if len(track):
+        along, starboard = track[:, 0], track[:, 1]
+        points = np.round(np.stack([centre[0] + starboard * px_m, centre[1] - along * px_m], axis=1))
+        points = points[np.isfinite(points).all(axis=1)].astype(np.int32)
+        cv2.polylines(panel, [points], False, bgr(THREE[0]), 1, cv2.LINE_AA)
+        if len(points):
+            cv2.circle(panel, (int(points[-1][0]), int(points[-1][1])), 4, bgr(THREE[1]), -1, cv2.LINE_AA)
+    _write(panel, "from above, 2 m", (8, 18))
+
+
+def _draw_height(strip: U8, at_s: F64, height_m: F64, now_s: float) -> None:
+    """Draw the height above the pad over the whole flight, the past bright."""
+    rows, width = strip.shape[:2]
+    margin = 8
+    highest = max(float(np.nanmax(height_m)), 0.1)
+    span_s = max(float(at_s[-1] - at_s[0]), 0.1)
+    x = margin + (at_s - at_s[0]) / span_s * (width - 2 * margin)
+    y = rows - margin - np.clip(height_m / highest, 0.0, 1.0) * (rows - 2 * margin)
+    line = np.round(np.stack([x, y], axis=1)).astype(np.int32)
+    cv2.polylines(strip, [line], False, _PALE, 1, cv2.LINE_AA)
+    cv2.polylines(strip, [line[at_s <= now_s]], False, bgr(THREE[1]), 2, cv2.LINE_AA)
+    _write(strip, f"height above the deck, {highest:.1f} m to 0 in {span_s:.0f} s", (width - 340, 18))
+
+
+def _write(image: U8, text: str, at: tuple[int, int]) -> None:
+    for thickness, ink in ((3, (0, 0, 0)), (1, _INK)):
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, ink, thickness, cv2.LINE_AA)
+
+
+def _encode(path: Path, images: list[U8]) -> None:
+    """Encode BGR images of one size with one palette for all of them."""
+    height, width = images[0].shape[:2]
+    graph = av.filter.Graph()
+    source = graph.add_buffer(width=width, height=height, format=av.VideoFormat("bgr24"), time_base=Fraction(1, RATE_HZ))
+    split = graph.add("split")
+    palette = graph.add("palettegen", f"max_colors={_COLOURS}:stats_mode=full")
+    use = graph.add("paletteuse", "dither=none:diff_mode=rectangle")
+    sink = graph.add("buffersink")
+    source.link_to(split)
+    split.link_to(palette, 0, 0)
+    split.link_to(use, 1, 0)
+    palette.link_to(use, 0, 1)
+    use.link_to(sink)
+    graph.configure()
+    with av.open(str(path), "w", format="gif") as container:
+        stream = container.add_stream("gif", rate=RATE_HZ)
+        stream.width, stream.height, stream.pix_fmt = width, height, "pal8"
+        for index, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+            frame.pts, frame.time_base = index, Fraction(1, RATE_HZ)
+            source.push(frame)
+        source.push(None)
+        while True:
+            try:
+                indexed = sink.pull()
+            except (av.EOFError, av.BlockingIOError):
+                break
+            assert isinstance(indexed, av.VideoFrame)
+            container.mux(stream.encode(indexed))
+        container.mux(stream.encode(None))
