@@ -56,7 +56,7 @@ class ViewWatch(NamedTuple):
     reversed: bool = False
     """True if the pad moves in the image against the rotation of the body, along some axis."""
     lags: F64 | None = None
-    """For each of `_LAGS_S` the sums of squares of the view, of the rotation, and of their product, (17, 3) rad^2, older ones less."""
+    """For each of `_LAGS_S` the sums of squares of view and rotation, and of their product, (17, 3) rad^2, older ones less."""
     lags_shown: int = 0
     """Number of sightings in a row that show a delay."""
     late_s: float = 0.0
@@ -95,8 +95,8 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
 def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64) -> ViewWatch:
     """Compare the view in the middle of half a second with the rotation at instants before and after.
 
-    The delay is where both agree best (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE Trans.
-    ASSP 24(4), 1976).
+    The delay is where both agree best (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE
+    Trans. ASSP 24(4), 1976).
 
     Args:
         at: instants (n,), s.
