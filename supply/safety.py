@@ -1,7 +1,7 @@
-"""Write docs/safety.md: hazards by STPA, each with its constraint, the tests that carry its mark and the figure that measures it.
+"""Write docs/safety.md: hazards by STPA, each with its constraint, its marked tests and the command that measures it.
 
-`python -m supply.safety` prints the page. A test shows a hazard's constraint by `@pytest.mark.hazard("H1")`. Source of the method:
-N. Leveson and J. Thomas, STPA Handbook, 2018, chapter 2.
+`python -m supply.safety` prints the page. A test that shows a hazard's constraint carries `@pytest.mark.hazard("H1")`.
+Source of the method: N. Leveson and J. Thomas, STPA Handbook, 2018, chapter 2.
 """
 
 import ast
@@ -44,21 +44,24 @@ HAZARDS = {
         "The drone descends to something that is not its pad",
         "L1 L2 L3",
         "descend is provided for a false pad or another pad",
-        "A pose is used above a confidence that clutter reaches less than once in 10,000 frames; a second pad is a person's decision.",
+        "A pose is used above a confidence that clutter reaches less than once in 10,000 frames; a second pad is "
+        "a person's decision.",
         "`python -m benches.false_pads`, `decklander pad check FILE`",
     ),
     "H3": Hazard(
         "The drone touches the deck too fast, tilted or beside the pad",
         "L2 L3",
         "commit is provided outside its limits, or go around is not provided when they are left",
-        "The gate and the commit ask for the error, speed and tilt that the contact will have; a deck or wind beyond them is waited for.",
+        "The gate and the commit ask for the error, speed and tilt that the contact will have; a deck or wind "
+        "beyond them is waited for.",
         "`decklander campaign weather_4 --runs 100 --perception model`",
     ),
     "H4": Hazard(
         "Motors turn on a deck where the drone stands, or stop in the air",
         "L1 L2",
         "stop is provided without a contact, too late after it, or not at all",
-        "Motors stop by an agreement of contact witnesses or by a person's confirmed order, and the order is repeated until it is obeyed.",
+        "Motors stop by an agreement of contact witnesses or by a person's confirmed order, and the order is "
+        "repeated until it is obeyed.",
         "`armed_after_contact_s` of `decklander simulate SCENARIO --autopilot arducopter --json`",
     ),
     "H5": Hazard(
@@ -86,7 +89,8 @@ HAZARDS = {
         "Somebody else's vehicle is commanded, or somebody else commands",
         "L1 L2 L3",
         "a command goes to another autopilot, or comes from a peer without the right",
-        "One place decides who is the autopilot; while it is not clear nothing is commanded. Orders need their key, token or local user.",
+        "One place decides who is the autopilot; while it is not clear nothing is commanded. Orders need their "
+        "key, token or local user.",
         "[security.md](security.md)",
     ),
     "H9": Hazard(
@@ -126,14 +130,22 @@ NOT_COVERED = (
     "Real decks: all figures come from simulation, recordings of others and photographs ([limits.md](limits.md)).",
 )
 SORA = {
-    "Containment (step 8)": "a fence of any polygon around the start or the ship, height limits, and a radius of return ([configuration.md](configuration.md)); "
+    "Containment (step 8)": "a fence of any polygon around the start or the ship, height limits, and a radius of return "
+    "([configuration.md](configuration.md)); "
     "tests of H7. The product is no independent containment: use the autopilot's own fence beside it.",
-    "Command and control link (OSO 6)": "what each lost link leads to, and after which time: [limits.md](limits.md), [mavlink.md](mavlink.md); tests of H5 and H11.",
-    "Protection from human error (OSO 18, 19)": "orders are judged by one table of situations; dangerous ones ask for a confirmation ([operator.md](operator.md)); tests of H6.",
-    "Human-machine interface (OSO 20)": "one page with state, cause, error and delay ([page.md](page.md)); tests of H9. No study with operators was made.",
-    "Weather (OSO 23, 24)": "what lands, by wind and sea, for a vehicle: `decklander campaign --map`; tests of H3. The drone's own rating is its maker's.",
-    "Procedures, training, maintenance (OSO 1 to 4, 7 to 9)": "yours; [first-hour.md](first-hour.md) and `decklander doctor` are material for them.",
-    "Ground risk (steps 2, 3)": "yours: mass, speed and who is on deck. The product flies to a pad that it sees and does not descend without it.",
+    "Command and control link (OSO 6)": "what each lost link leads to, and after which time: [limits.md](limits.md), "
+    "[mavlink.md](mavlink.md); tests of H5 and H11.",
+    "Protection from human error (OSO 18, 19)": "orders are judged by one table of situations; dangerous ones need a "
+    "confirmation "
+    "([operator.md](operator.md)); tests of H6.",
+    "Human-machine interface (OSO 20)": "one page with state, cause, error and delay ([page.md](page.md)); tests of H9. No "
+    "study with operators was made.",
+    "Weather (OSO 23, 24)": "what lands, by wind and sea, for a vehicle: `decklander campaign --map`; tests of H3. The drone's "
+    "own rating is its maker's.",
+    "Procedures, training, maintenance (OSO 1 to 4, 7 to 9)": "yours; [first-hour.md](first-hour.md) "
+    "and `decklander doctor` are material for them.",
+    "Ground risk (steps 2, 3)": "yours: mass, speed and who is on deck. The product flies to a pad that it sees and does not "
+    "descend without it.",
 }
 
 
@@ -160,12 +172,15 @@ def page() -> str:
     lines = [
         "# Safety case",
         "",
-        "Hazards of a drone over a deck, found by STPA (system-theoretic process analysis), and what keeps the product out of each. `python -m supply.safety`",
-        "writes this page from the marks of the tests; a hazard without a test fails the tests of the documentation. It is no certificate.",
+        "Hazards of a drone over a deck, found by STPA (system-theoretic process analysis), and what keeps the "
+        "product out of each. `python -m supply.safety`",
+        "writes this page from the marks of the tests; a hazard without a test fails the tests of the "
+        "documentation. It is no certificate.",
         "",
         "Losses: " + "; ".join(f"{name} {text}" for name, text in LOSSES.items()) + ".",
         "",
-        "The controller is guidance, or the person who has the hand. Its actions are: descend, commit, go around, hold, stop the motors, hand over. Its feedback is",
+        "The controller is guidance, or the person who has the hand. Its actions are: descend, commit, go around, "
+        "hold, stop the motors, hand over. Its feedback is",
         "the estimate of the pad, the contact witnesses, the vehicle's own state and the orders of people.",
         "",
     ]
