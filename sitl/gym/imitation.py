@@ -29,15 +29,15 @@ _FLYING, _LANDED = (ENDS.index(name) for name in ("goes_on", "landed"))
 
 
 class TeacherOptions(Struct, frozen=True, kw_only=True):
-    """What the teacher flies."""
+    """Controller of the teacher."""
 
     weights: TiltWeights = TiltWeights(p_m=0.015, w_m_s=4.1, u_m_s2=0.3)
-    """Of the regulator: softer than the law's, as an estimate is not the truth."""
+    """Weights of the regulator: softer than the law's, as an estimate is not the truth."""
     speed_max_m_s: float = 1.5
     rate_m_s: float = 0.4
     """Down against the deck, over the pad."""
     cone_m: float = 0.12
-    """How far beside the pad it still goes down near the deck, and how much farther with each metre of height."""
+    """Distance beside the pad at which it still goes down near the deck, and the increase with each metre of height."""
     cone_slope: float = 0.2
     yaw_gain_1_s: float = 0.8
     push_time_s: float = 0.1

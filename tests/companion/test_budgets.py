@@ -1,4 +1,4 @@
-"""A landing ends by itself: whatever is seen, felt and believed, within the time that docs/limits.md states."""
+"""A landing ends by itself: whatever the sensors and estimates are, within the time that docs/limits.md states."""
 
 from pathlib import Path
 

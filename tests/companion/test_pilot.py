@@ -110,7 +110,7 @@ def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -
     assert cockpit.tick(sighted=False) == Hover()
 
 
-def test_it_waits_for_the_start_when_told_to() -> None:
+def test_it_waits_for_the_start_when_ordered() -> None:
     cockpit = Cockpit(automatic=False)
     assert not any(sinks(cockpit.tick(sighted=True)) for _ in range(50))
     cockpit.pilot.begin()
@@ -258,8 +258,8 @@ def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from:
         now = after(some[-1].stamp.received_at, 0.001)
         decisions = [pilot.decide(now) for pilot in pilots]
         assert repr(decisions[0]) == repr(decisions[1]) == repr(decisions[2])
-        told = {id(sample): [r.verdict for r in results] for sample, results in pilots[2].fused()}
-        assert [told.get(id(sample), []) for sample in some] == [[r.verdict for r in of_one] for of_one in together]
+        reported = {id(sample): [r.verdict for r in results] for sample, results in pilots[2].fused()}
+        assert [reported.get(id(sample), []) for sample in some] == [[r.verdict for r in of_one] for of_one in together]
         known = [pilot._knowledge(now, pilot.believed(now)) for pilot in pilots]
         assert repr(known[0]) == repr(known[1]) == repr(known[2])
         assert pilots[0].landing.vessel_counts() == pilots[1].landing.vessel_counts()

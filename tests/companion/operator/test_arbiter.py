@@ -255,7 +255,7 @@ def test_a_take_off_is_sent_once_and_again_if_the_link_did_not_take_it() -> None
     assert bridge.cycle() is GUIDED, "not a second later, unexpectedly"
 
 
-def test_an_emergency_cuts_until_the_vehicle_says_so_and_only_reset_leaves_it() -> None:
+def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it() -> None:
     bridge = bridge_in(ControlSituation.MANUAL)
     assert bridge.order(OperatorOrder.EMERGENCY, OTHER) is None
     assert bridge.cycle() == CutMotors()

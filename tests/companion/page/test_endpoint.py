@@ -188,7 +188,7 @@ async def refused_with(service: PageService, token: str) -> None:
         assert [message["kind"] for message in browser.messages] == ["refused"]
 
 
-async def test_without_the_token_nothing_is_told_and_nothing_is_obeyed(tmp_path: Path) -> None:
+async def test_without_the_token_nothing_is_reported_and_nothing_is_obeyed(tmp_path: Path) -> None:
     async with serving(tmp_path) as service:
         tokens = ("", "another-token-of-sixteen", TOKEN[:-1], TOKEN + "x")
         await asyncio.gather(*(refused_with(service, token) for token in tokens))
@@ -289,7 +289,7 @@ async def test_no_more_browsers_than_the_settings_allow(tmp_path: Path) -> None:
         assert (await browser.order("hold"))["accepted"]
 
 
-async def test_a_silent_connection_is_asked_for_its_token_in_time(tmp_path: Path) -> None:
+async def test_a_silent_connection_must_send_its_token_in_time(tmp_path: Path) -> None:
     limits = ConnectionLimits(connection_s=0.3)
     async with serving(tmp_path, limits) as service, aiohttp.ClientSession() as session:
         socket = await session.ws_connect(f"{service.address}/live", origin=service.address)

@@ -52,7 +52,7 @@ def test_of_two_that_fly_or_stand_nobody_is_commanded(flying: tuple[int, ...]) -
     assert names(roster, SEVEN, 9.0) == {}, "the others are gone"
 
 
-def test_the_first_that_flies_is_meant_and_not_the_first_that_is_heard() -> None:
+def test_the_first_that_flies_is_meant_and_not_the_first_that_is_received() -> None:
     roster = roster_of()
     assert roster.chosen(7, None, at(0.0)), "one that is heard is listened to"
     heard(roster, 2.0, 1)

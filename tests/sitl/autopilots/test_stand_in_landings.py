@@ -19,12 +19,12 @@ from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
 
 
-def test_what_is_said_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
+def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
     """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
     scenario = load("calm")
     given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
-    for said, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
-        _, settings = given.with_values([given.parse(text, "--set") for text in said], "--set")
+    for output, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
+        _, settings = given.with_values([given.parse(text, "--set") for text in output], "--set")
         flight = AutopilotFlight(scenario, 1, settings, AutopilotProgram("px4", None), tmp_path)
         assert flight.service_settings(14540).guidance.tries.heading == heading
 
