@@ -56,11 +56,11 @@ class ViewWatch(NamedTuple):
     reversed: bool = False
     """True if the pad moves in the image against the rotation of the body, along some axis."""
     lags: F64 | None = None
-    """For each of `_LAGS_S` the sums of squares of view and rotation, and of their product, (17, 3) rad^2, older ones less."""
+    """Sums for each of `_LAGS_S`: squares of view and rotation, and of their product, (17, 3) rad^2, older ones less."""
     lags_shown: int = 0
     """Number of sightings in a row that show a delay."""
     late_s: float = 0.0
-    """By how much the attitude is late against the image, s; 0 while nothing shows that it is."""
+    """Delay of the attitude against the image, s; 0 while nothing shows that it is."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
