@@ -102,6 +102,14 @@ def _known(pad: Pad, blur: int) -> NDArray[np.int8]:
     return np.where((most >= _PURE) & (leak <= _LEAK * light[own]), own, -1).astype(np.int8)
 
 
+@lru_cache(maxsize=16)
+def _lettered(pad: Pad, blur: int) -> NDArray[np.bool_]:
+    """Return which cells show lettering for the most part at one of `BLURS_M`."""
+    maps = template(pad).coverage[blur]
+    at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
+    return np.asarray(maps[at[:, 0], at[:, 1], 0] >= 0.6 * TEMPLATE_ONE)
+
+
 def checked_deck(
     memory: DeckMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
 ) -> DeckMemory | None:
@@ -125,7 +133,7 @@ def checked_deck(
     wanted_m = 1.3 * math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
     blur = next((k for k, blur_m in enumerate(BLURS_M) if blur_m >= wanted_m), len(BLURS_M) - 1)
     paint = _known(pad, blur)
-    difference, seen = _differences(pyramid, level, camera, pad, pose, paint)
+    difference, seen = _differences(pyramid, level, camera, pad, pose, blur)
     now_s = at * 1e-9
     if memory is None or not 0.0 <= since_s < LASTS_S:
         total, weight, seen_at = np.zeros_like(difference), np.zeros(len(paint), np.float32), np.full(len(paint), -np.inf)
@@ -139,21 +147,24 @@ def checked_deck(
 
 
 def _differences(
-    pyramid: Pyramid, level: int, camera: Camera, pad: Pad, pose: PadPose, paint: NDArray[np.int8]
+    pyramid: Pyramid, level: int, camera: Camera, pad: Pad, pose: PadPose, blur: int
 ) -> tuple[F32, NDArray[np.bool_]]:
     """Return the difference of each cell from its paint, (cells, 3) of the paint's light, and which cells were read."""
-    xy = _cells(pad)[0]
+    xy, paint = _cells(pad)[0], _known(pad, blur)
     R = pose.R_cam_pad.matrix
     uv = camera.project(xy @ R[:, :2].T + pose.t_cam_pad)
     px, scale = pyramid[level], 1.0 / (1 << level)
     on_level = ((uv + 0.5) * scale - 0.5).astype(np.float32)
     values = cv2.remap(px, on_level[None], np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     h, w = px.shape[:2]
-    seen = (paint >= 0) & (values.max(axis=1) < _BRIGHT)
-    seen &= (on_level > 1.0).all(axis=1) & (on_level[:, 0] < w - 2.0) & (on_level[:, 1] < h - 2.0)
+    shown = (on_level > 1.0).all(axis=1)
+    shown &= (on_level[:, 0] < w - 2.0) & (on_level[:, 1] < h - 2.0)
+    seen, letters = shown & (paint >= 0) & (values.max(axis=1) < _BRIGHT), shown & _lettered(pad, blur)
     light, out = _LIGHT[values], np.zeros((len(xy), 3), np.float32)
     cells = [np.flatnonzero(seen & (paint == one)) for one in range(_PAINTS)]
-    own = [np.median(light[of], axis=0) for of in cells if len(of) >= _LEAST_CELLS]
+    if np.count_nonzero(letters) < _LEAST_CELLS:
+        return out, np.zeros_like(seen)
+    own = [np.median(light[of], axis=0) for of in (np.flatnonzero(letters), *cells) if len(of) >= _LEAST_CELLS]
     white = max(own, key=lambda bgr: float(bgr.sum()), default=np.ones(3, np.float32))
     for of in cells:
         if len(of) < _LEAST_CELLS:
