@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.believed import BelievedPlace, expected, in_camera, near_enough, sigma_of
@@ -153,27 +153,36 @@ def by_paint(
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
     registered, left = _registered(now, belief, place)
-    if tracker.options.method == "registration":
-        best = registered.settled().tracked
-        found = None if best is None else best.sighting
+    thesis = None
+    if tracker.options.method != "registration":
+        thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
+    best = registered.settled().tracked
+    deck = _deck_of(now, best, belief)
+    found = None if best is None else _outlined(best, deck, tracker.camera)
+    opinions = None if best is None else best.opinions
+    if thesis is None:
         methods: dict[Method, Sighting | None] = {"registration": found}
-        opinions = None if best is None else best.opinions
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
-        thesis = by_thesis(tracker, frame, attitude)
-        thesis, registered = _verify_cues(now, thesis, registered, place)
-        best = registered.settled().tracked
-        opinions = None if best is None else best.opinions
-        seen = together(thesis, None if best is None else best.sighting, opinions, place.excludes)
+        seen = together(thesis, found, opinions, place.excludes)
     elsewhere = registered.settled().elsewhere
     if elsewhere is not None:
         seen = replace(seen, elsewhere=elsewhere.sighting)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
-    deck = _deck_of(now, best, belief)
     if deck is not None:
         seen = replace(seen, on_pad=deck.check)
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad, deck=deck)
+
+
+def _outlined(best: _Registered, deck: DeckMemory | None, camera: Camera) -> Sighting:
+    """Return a registration's sighting, with the outline of what lies on the pad among its features."""
+    thing = None if deck is None else deck.check.thing
+    if thing is None or best.found is None:
+        return best.sighting
+    around = thing.width_m / 2.0 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
+    uv_px = camera.project(best.found.pose.points(around + np.array([thing.forward_m, thing.right_m, 0.0])))
+    return replace(best.sighting, features=(*best.sighting.features, Feature("outline", "thing", uv_px)))
 
 
 def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory | None:

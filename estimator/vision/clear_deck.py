@@ -236,11 +236,9 @@ def _largest(pad: Pad, odd: NDArray[np.bool_], mean: F32) -> PadThing | None:
     """
     if np.count_nonzero(odd) < _CELLS_LEAST:
         return None
-    square = np.zeros(ACROSS * ACROSS, np.uint8)
-    square[_cells(pad)[1]] = odd
-    square, off = square.reshape(ACROSS, ACROSS), np.full(ACROSS * ACROSS, _NONE, np.float32)
-    off[_cells(pad)[1]] = mean
-    off = off.reshape(ACROSS, ACROSS)
+    square, off = np.zeros((ACROSS, ACROSS), np.uint8), np.full((ACROSS, ACROSS), _NONE, np.float32)
+    np.put(square, _cells(pad)[1], odd)
+    np.put(off, _cells(pad)[1], mean)
     falls = off - cv2.erode(off, np.ones((5, 5), np.uint8))
     # Edges of the drawing, which no cell knows, divide what lies across them.
     joined = cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
