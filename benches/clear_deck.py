@@ -1,15 +1,16 @@
 """Measure what is seen on the pad in rendered approaches: `python -m benches.clear_deck [--runs N] [--clear N] [--photos]`.
 
-The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis; the tracker has a prediction
-that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are random.
-Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by `--contrast`; a
-third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame.
+The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis. The tracker has a
+prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
+random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
+`--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame.
 """
 
 import argparse
 import math
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,13 +19,18 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benches.photographs import FOLDER, read_labels  # noqa: E402
 from benches.tracked import SIGMA_YAW_RAD  # noqa: E402
 from estimator.contracts.estimates import RelativeState  # noqa: E402
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.clear_deck import DeckMemory, checked_deck  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.detection import PadCheck  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.register.registration import register  # noqa: E402
 from estimator.vision.srgb import LUMA, linear_light  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
 from sitl.camera.camera import Exposure, Renderer  # noqa: E402
@@ -53,9 +59,7 @@ def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
     rng = np.random.default_rng([50, seed])
     lit = random_light(rng, "shadow" if light == "mast" else light)
     if light == "mast":
-        lit = type(lit)(
-            **{**{n: getattr(lit, n) for n in lit.__slots__}, "mast": Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6)}
-        )
+        lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6))
     around = Surroundings(Deck(8.0, 5.0, (0.0, 0.0), 0.0, paint=DECK_PAINTS[seed % 4], seed=seed % 7), decals=things)
     sensor = Sensor(float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)))
     renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
@@ -86,11 +90,11 @@ def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
     return check, first_m
 
 
-def with_things(runs: int, contrast: float, tracker: TrackerConfig) -> None:
+def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
     seen: dict[tuple[str, str], list[bool]] = defaultdict(list)
     heights: list[float] = []
-    for seed in range(runs):
+    for seed in runs:
         rng = np.random.default_rng([51, seed])
         size_m, hue = float(rng.uniform(0.1, 0.5)), HUES[seed % 3]
         light = LIGHTS[int(rng.integers(len(LIGHTS)))]
@@ -109,10 +113,10 @@ def with_things(runs: int, contrast: float, tracker: TrackerConfig) -> None:
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: int, tracker: TrackerConfig) -> None:
+def without(runs: range, tracker: TrackerConfig) -> None:
     """Print the number of clear approaches in which something is seen at any time."""
     wrong: dict[str, list[bool]] = defaultdict(list)
-    for seed in range(runs):
+    for seed in runs:
         light = LIGHTS[seed % len(LIGHTS)]
         check, first_m = approach(10_000 + seed, light, (), tracker)
         wrong[light].append(first_m > 0.0)
@@ -122,18 +126,41 @@ def without(runs: int, tracker: TrackerConfig) -> None:
         print(f"clear, {light}: {sum(each)} of {len(each)} with something seen", flush=True)
 
 
+def photographs() -> None:
+    """Print in which photographs of the real pad something is seen, each read as often as a standing camera would read it."""
+    camera, pad, wrong = load_camera("photos"), load_pad("printed"), 0
+    labels = read_labels()
+    for name, of in labels.items():
+        pyramid = Pyramid(np.asarray(cv2.imread(str(FOLDER / "images" / name)), np.uint8))
+        found = register(pyramid[0], camera, pad, PadPose(Rotation.from_rotvec(of.start[3:]), of.start[:3]), pyramid=pyramid)
+        if found is None:
+            print(f"  {name}: not registered")
+            continue
+        memory: DeckMemory | None = None
+        for k in range(8):
+            at = MonoNs(1_000_000_000 + 100_000_000 * k)
+            memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
+        if memory is None or memory.check.thing is not None:
+            wrong += memory is not None
+            print(f"  {name}: {found.pose.range_m:.1f} m, {'not read' if memory is None else memory.check}", flush=True)
+    print(f"photographs: {wrong} of {len(labels)} with something seen", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
     parser.add_argument("--clear", type=int, default=60, help="approaches without one")
-    parser.add_argument(
-        "--contrast", type=float, default=0.1, help="difference of luminance from the disc (default: %(default)s)"
-    )
+    parser.add_argument("--first", type=int, default=0, help="number of the first of both")
+    parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
+    parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
     args = parser.parse_args()
     cv2.setNumThreads(1)
+    if args.photos:
+        photographs()
+        return
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
-    without(args.clear, tracker)
-    with_things(args.runs, args.contrast, tracker)
+    without(range(args.first, args.first + args.clear), tracker)
+    with_things(range(args.first, args.first + args.runs), args.contrast, tracker)
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ _WHITE_MOST, _PURER = 2.0, 0.8
 median that may be such light."""
 _SKY_MOST = 0.3
 """Largest change of blue against red that shade makes, of the paint's light."""
-_LEAST, _SPREADS = 0.1, 6.0
+_LEAST, _SPREADS = 0.17, 6.0
 """Difference of a cell that is none of the paint: of the paint's light, and in spreads of the paint's own cells."""
 _CELLS_LEAST, _SHARP = 14, 0.5
 """Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
