@@ -10,7 +10,7 @@ BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 
-.PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins
+.PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
 
 demo: $(VENV)/.report $(VENV)/.compare $(CORE)
 	$(BIN)/decklander demo
@@ -45,6 +45,13 @@ test-install: deb
 deb: $(VENV)/.supply $(VENV)/.compiler
 	SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)} \
 	  $(BIN)/python -m supply.deb $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE)) $(if $(WHEELS),--wheels $(WHEELS))
+
+# Everything that a release hands out, in dist/, the same bytes from the same commit: wheels, source, Debian package, site,
+# bills of materials, and their checksums. The image is built from the Dockerfile of the source archive.
+release: export SOURCE_DATE_EPOCH := $(shell git log -1 --format=%ct)
+release: wheels deb sbom docs
+	tar --sort=name --mtime=@$(SOURCE_DATE_EPOCH) --owner=0 --group=0 --numeric-owner -cf - site | gzip -n9 > dist/decklander-site.tar.gz
+	cd dist && sha256sum *.whl *.tar.gz *.deb *.json > SHA256SUMS && sha256sum --check --quiet SHA256SUMS
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)

@@ -2,7 +2,7 @@
 
 A camera looks at a printed board from views as a person takes them, set after set. The corners have a tenth of a pixel of noise
 that half is common to a view's neighbours; with `--images` the board is rendered and its corners are found. The output is how
-often the true distances lie within "Distances are right to" (95 % is said), how large that is, and the same of a flat set.
+often the true distances lie within "Distances are right to" (95 % is claimed), how large that error is, and both for a flat set.
 """
 
 import argparse
@@ -96,9 +96,9 @@ def main() -> None:
         if not rows:
             print(f"{name}: all refused")
             continue
-        said, middle, worst, most = 100.0 * np.abs(np.array(rows)).T
-        within = [100.0 * np.mean(off <= said) for off in (worst, middle, most)]
-        print(f"{name}: right to {np.median(said):.2f} % (median), {said.max():.2f} at most")
+        shown, middle, worst, most = 100.0 * np.abs(np.array(rows)).T
+        within = [100.0 * np.mean(off <= shown) for off in (worst, middle, most)]
+        print(f"{name}: right to {np.median(shown):.2f} % (median), {shown.max():.2f} at most")
         print(
             "  truth within it: {:.0f} % at the place that is said, {:.0f} % in the middle, {:.0f} % at all five".format(*within)
         )

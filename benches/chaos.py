@@ -47,7 +47,7 @@ LASTING_S = 16.0
 """Duration of the watch over a flight, s."""
 NAMED_S = 10.0
 GAP_S, LINES = 0.2, 300
-"""The limits asked for: of a gap that is not the link's own, s, and of the lines in the log."""
+"""The required limits: of a gap that is not the link's own, s, and of the lines in the log."""
 HOST = "127.0.0.1"
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 _WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))
@@ -266,7 +266,7 @@ class Around:
             self._stare(self.ports[name], path)
 
     def _stare(self, port: int, path: str) -> None:
-        """Open a connection, ask, and read nothing of what comes."""
+        """Open a connection, ask, and read none of the answer."""
         watcher = socket.socket()
         watcher.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         watcher.settimeout(2.0)

@@ -43,7 +43,7 @@ TRIES = 3
 LATE_MS = 150.0
 SANK_M = 0.5
 STARVED_S = 0.15
-"""Delay of this program while the drone is alone from which on a flight is no measurement, seconds."""
+"""Delay of this program while the drone is alone from which a flight is no measurement, seconds."""
 BEFORE_S = 4.0
 """Time before the kill in which a starved machine is looked for, seconds."""
 SLOW_GUIDANCE_S = 0.4
@@ -95,7 +95,7 @@ class Case:
 
     name: str
     phases: tuple[str, ...]
-    """Phases of guidance, one of which must be reached."""
+    """Phases of guidance; the flight must reach one."""
     after_s: float = 0.0
     below_m: float = math.inf
     """True height of the body over the pad below which the daemon is killed, metres."""

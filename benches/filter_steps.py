@@ -28,7 +28,7 @@ from tests.support.estimator_truth import Setting, TruthFlight, events
 HORIZONS_S = tuple(0.25 * k for k in range(1, 13))
 REPEATED = 8
 SHARE = 20
-"""One sample out of so many is measured; every sighting is."""
+"""One sample out of this many is measured; every sighting is."""
 
 
 def shortest_s(call: Callable[[], object], times: int = REPEATED) -> float:

@@ -40,7 +40,7 @@ HOST = "127.0.0.1"
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("companion", "drivers", "estimator")
 CARRIED = (Frame, Sighting, Detection, ProcessedFrame, RelativeState, FusionResult, av.VideoFrame, av.Packet)
-"""Types of the frame, and of what is made of it on its way to the message."""
+"""Types of the frame, and of its results on the way to the message."""
 FRAMES = 150
 VISION = "estimator.vision"
 _CAMERA = {"_Reader.next", "StreamChannel._play"}

@@ -1,6 +1,6 @@
 """Measure the shape of the code: `python -m benches.house [COMMIT ...]`.
 
-Prints one row a figure: what is asked, one column for each commit and one for the working tree. Without a commit the first column
+Prints one row a figure: its name, one column for each commit and one for the working tree. Without a commit the first column
 is that of the commit from which the house was rebuilt, where the clone has it.
 """
 

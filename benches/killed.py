@@ -48,7 +48,7 @@ def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
 
 
 def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
-    """Fly once, and return what is told of it."""
+    """Fly once, and return the result."""
     scenario = scenario_of(args.scenario, phase, args.for_s)
     binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
     program = AutopilotProgram(args.autopilot, binary)

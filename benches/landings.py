@@ -109,7 +109,7 @@ def _loaded(name: str, method: str) -> tuple[Scenario, Settings]:
 
 
 def fly_all(args: argparse.Namespace) -> int:
-    """Fly the seeds, print the rate, and append the flights to a file if asked."""
+    """Fly the seeds, print the rate, and append the flights to a file if requested."""
     seeds = range(args.first, args.first + args.flights)
     call = partial(one, args.scenario, args.perception, args.method, args.perception_model)
     began = time.monotonic()

@@ -138,7 +138,7 @@ def photographs(every: int) -> list[Row]:
         off += [e] if good else []
         by = by_contours(px)
         if by is not None:
-            # The ring's outer edge is what it takes for the pad: the rim of the disc hardly shows.
+            # It takes the ring's outer edge for the pad: the rim of the disc hardly shows.
             e = 100.0 * (camera.fx * pad.markings.ring_outer_m / by[1] / float(t_cam[2]) - 1.0)
             theirs += abs(e) < 100 * RIGHT_RANGE
             their_off += [e] if abs(e) < 100 * RIGHT_RANGE else []

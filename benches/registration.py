@@ -68,7 +68,7 @@ def bound(stage: Stage, height_m: float) -> F64:
 
 
 def camera_mask(stage: Stage, pose: PadPose, times: float) -> np.ndarray:
-    """Return (H, W) whether a pixel sees a point within so many times the disc's radius."""
+    """Return (H, W) whether a pixel sees a point within this many times the disc's radius."""
     mask = np.zeros((stage.camera.height, stage.camera.width), np.uint8)
     uv = stage.camera.project(pose.points(stage.pad.circle(times * stage.pad.disc_radius_m, 180)))
     cv2.fillPoly(mask, [np.round(uv).astype(np.int32)], 1)

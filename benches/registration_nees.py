@@ -1,10 +1,10 @@
 """Measure how well registration's covariance holds by what surrounds the pad: `python -m benches.registration_nees`.
 
 Registration starts half a pixel off, as from a track; the vehicle's attitude has an error of half a degree and the deck one of a
-degree, both drawn and said. The normalised squared errors are of registration's six (place and rotation in `cam`) and of the four
-that a sighting has (place and heading in `level`). One outlier makes a mean, so the median and the 95th percentile stand beside
-it, all divided by what chi-square gives: 1 is right, above 1 the sigma is too small, below 1 too large. The band holds 95 % of
-such means.
+degree, both drawn at random and reported. The normalised squared errors are of registration's six (place and rotation in `cam`)
+and of the four that a sighting has (place and heading in `level`). One outlier makes a mean, so the median and the 95th
+percentile stand beside it, all divided by what chi-square gives: 1 is right, above 1 the sigma is too small, below 1 too large.
+The band holds 95 % of such means.
 """
 
 import argparse

@@ -106,7 +106,7 @@ def plot(path: Path) -> None:
 
 
 def main() -> None:
-    """Read the options and do what they ask for."""
+    """Read the options and do what they request."""
     parser = argparse.ArgumentParser(description="How vessels move in each sea state.")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the spectra of generated seas")
     parser.add_argument("--table", metavar="VESSEL", help="print a shipped vessel's response as a table")

@@ -54,7 +54,7 @@ async def fly(ports: dict[str, int]) -> None:
     loop.add_signal_handler(signal.SIGUSR2, fall_silent)
     names: dict[str, Any] = {f"{name}_port": port for name, port in ports.items()} | {"video_port": 1}
     async with open_ardrone(ArDroneOptions(host="127.0.0.1", **names), SystemClock()) as link:
-        while not link.ready:  # noqa: ASYNC110 - what is waited for is the drone's answer
+        while not link.ready:  # noqa: ASYNC110 - it waits for the drone's answer
             await asyncio.sleep(0.02)
         print(link.sender_pid, flush=True)
         while True:

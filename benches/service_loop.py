@@ -1,7 +1,7 @@
 """Measure the CPU time of the service's event loop without video, in virtual time: python -m benches.service_loop.
 
 200 navdata datagrams of 28 options a second pass the driver, guard, filter, health and 50 guidance cycles a second. No second is
-waited for, so a loaded machine tells it as well as a quiet one; reading sockets and waking up are left out.
+waited for, so a loaded machine measures it as well as a quiet one; reading sockets and waking up are left out.
 """
 
 import argparse

@@ -4,7 +4,7 @@ The pad tracker processes rendered frames with a prediction that is off by 0.4 %
 at least, the heading by 0.02 rad; the attitude is known to a degree. The output is the frames with a confidence of 0.5 or more,
 in %, and how many of all frames are off by more than a tenth of the height. With `--times` it is the processor time of the whole
 look by height, in floors (one BGR to HSV conversion and one inRange), the smallest of 25 of both, the median of six frames. With
-`--lost` it is that of frames without a pad where one is believed, at the median and at most.
+`--lost` it is that of frames without a pad where one is expected, at the median and at most.
 """
 
 import argparse
@@ -84,7 +84,7 @@ def times(tracker: TrackerConfig) -> None:
 
 
 def lost(tracker: TrackerConfig, frames: int) -> None:
-    """Print what whole looks cost, within a flight's budget of a search, where a pad is believed and none is there."""
+    """Print what whole looks cost, within a flight's budget of a search, where a pad is expected and none is there."""
     attitude = Attitude(STAMP, Rotation.from_rpy(0.02, -0.03, 0.4), np.eye(3) * SIGMA_ATTITUDE_RAD**2)
     for height_m in TIMED_M:
         sigma_m = max(0.02, 0.004 * height_m)

@@ -2,7 +2,7 @@
 
 FOLDER holds what `python -m benches.verifier_examples` rendered; every eighth chunk of it is held out. The network is a small
 convolutional one that says by how much more likely a patch shows the pad than not (log-odds). Each step turns and mirrors frame
-and drawing together, exchanges their channels, adds noise and covers a part, none of which makes a pad another one. Needs the
+and drawing together, exchanges their channels, adds noise and covers a part, and the pad stays the same pad. Needs the
 distributions of `requirements/benches.txt`, on a CPU; the same examples, seed and machine give the same file.
 """
 
@@ -59,7 +59,7 @@ def load(folder: Path) -> tuple[NDArray[np.int8], NDArray[np.float32], NDArray[n
 
 
 def whole(stored: Any, pixel: Any) -> Any:
-    """Return the network's input (n, CHANNELS, SIDE, SIDE) from what is stored of it."""
+    """Return the network's input (n, CHANNELS, SIDE, SIDE) from its stored part."""
     x = stored.astype(jnp.float32) * _STEP
     size = jnp.broadcast_to(pixel[:, None, None, None], (len(pixel), 1, SIDE, SIDE))
     return jnp.concatenate([x[:, :6], x[:, 0:3] * x[:, 3:6], x[:, 6:], size], axis=1)

@@ -5,7 +5,7 @@
 From the AR.Drone 2.0 flight with motion capture: rotor drag (body-axis specific force against velocity over the ground, indoors)
 and the lag of thrust behind the motors. Its log has no commands, so that its tilt response and delay cannot be identified.
 From the ArduCopter dataflash log (a quadcopter of unknown size, hand-flown in loiter): the response of roll and pitch to the
-angle asked for, as gain, delay, natural frequency and damping of a second-order system.
+angle requested, as gain, delay, natural frequency and damping of a second-order system.
 """
 
 import argparse

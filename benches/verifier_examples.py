@@ -47,7 +47,7 @@ _HEIGHTS_M = (0.25, 30.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A candidate, what is true of it, and what it was drawn from."""
+    """A candidate with its truth and its source."""
 
     patch: Patch
     right: bool

@@ -7,7 +7,7 @@ floor. The two crystals drift against each other, so an old least difference is 
 Source: Mills, RFC 5905 section 10 (clock filter by minimum delay); Moon, Skelly and Towsley, Estimation and removal of clock skew
 from network delay measurements, INFOCOM 1999 (the lower envelope).
 
-A map believes its source only as far as arrival bears it out. Where the source's stamps go back and stay back, its clock was set:
+A map trusts its source only as far as arrivals confirm it. Where the source's stamps go back and stay back, its clock was set:
 the map begins again. Where they run at another rate than ours, they are invented or of another clock: the samples are stamped by
 arrival until the rates agree again. Both are logged.
 """
@@ -28,14 +28,14 @@ _FADE = 0.95
 _PRIOR = 5
 """The number of messages whose weight `unknown_s` has."""
 _BACK_S = 0.02
-"""The step back from which on a clock may have been set; stamps of several sensors in one stream are out of order by less."""
+"""The step back from which a clock may have been set; stamps of several sensors in one stream are out of order by less."""
 _BACK_FOR, _BACK_FOR_S = 5, 2.0
 """The messages and the time for which stamps stay back before the clock counts as set: one late datagram is no step."""
 _BLOCK_S, _BLOCKS = 2.0, 8
-"""The least differences of so many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
+"""The least differences of this many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
 slow clock for a while, and its stamps are right; no queue fills evenly for so long."""
 _RATE_OFF, _RATE_AGREES = 0.01, 0.003
-"""The disagreement of the rates from which on a source is not believed, and below which it is again. Crystals differ by 1e-4."""
+"""The disagreement of the rates from which a source is not trusted, and below which it is again. Crystals differ by 1e-4."""
 
 log = logging.getLogger(__name__)
 
@@ -203,7 +203,7 @@ class ClockMap:
 
 @dataclass(slots=True)
 class _StepBack:
-    """A step back of the remote clock that is not believed yet."""
+    """A step back of the remote clock that is not accepted yet."""
 
     since: int
     least: int
@@ -223,12 +223,12 @@ class _RateWatch:
         """The fraction by which the remote clock is faster; None while the rates agree."""
 
     def forget(self) -> None:
-        """Begin again after a restart of the remote clock; a source that was not believed stays so until it is measured."""
+        """Begin again after a restart of the remote clock; a source that was not trusted stays so until it is measured."""
         self._least.clear()
         self._block_begin = None
 
     def disagrees(self, remote: int, now: int) -> bool:
-        """Note one message, and return whether its source is not believed."""
+        """Note one message, and return whether its source is not trusted."""
         if self._block_begin is None or now - self._block_begin >= _BLOCK_S * NS_PER_S:
             self._judge()
             self._block_begin = now

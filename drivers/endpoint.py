@@ -45,7 +45,7 @@ def parse_endpoint(url: str) -> Endpoint:
     """Return the endpoint that a URL means.
 
     Raises:
-        BadInput: it is not an endpoint; the text says what is wrong and how one is written.
+        BadInput: it is not an endpoint; the text names the fault and how one is written.
     """
     scheme, separator, rest = url.strip().partition("://")
     known: tuple[Scheme, ...] = get_args(Scheme)

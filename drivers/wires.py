@@ -48,7 +48,7 @@ _CONNECT_TIMEOUT_S = 3.0
 SILENT_S = 10.0
 """Silence after which a TCP peer is connected to again, and the name of a UDP peer looked up again: ten heartbeats."""
 _REFUSED_S = 2.0
-"""The same for a UDP peer that refuses."""
+"""Time after which the name of a UDP peer that refuses is looked up again, s."""
 _WATCH_S = 0.5
 
 
@@ -153,7 +153,7 @@ class _Datagrams(_Breakable, asyncio.DatagramProtocol):
         self._listening = listening
         self._transport: Any = None  # the loops' datagram transports share no class that has both methods used here
         self.refused_at: MonoNs | None = None
-        """When the other side refused last; None since it was heard."""
+        """Time when the other side last refused; None since its last message."""
 
     @property
     def local(self) -> Address | None:
@@ -198,7 +198,7 @@ class _Paced(_Breakable, ABC):
         super().__init__(clock, received, counts)
         self._queue = SendQueue(counts)
         self._written: deque[tuple[MonoNs, int]] = deque()
-        """When bytes were given to the kernel, and their number with all those before."""
+        """Time when bytes were given to the kernel, and their number with all those before."""
         self._total = 0
         self._timer: asyncio.TimerHandle | None = None
 

@@ -15,7 +15,7 @@ from estimator.contracts.time import Stamp, seconds_between
 DOWN = Rotation.from_rpy(0.0, -0.5 * math.pi, 0.0)
 """A gimbal that points straight down, in `body`."""
 _GAP_S = 0.25
-"""Longest time between two reports that are interpolated: MAVLink asks for 5 Hz at least."""
+"""Longest time between two reports that are interpolated: MAVLink requests 5 Hz at least."""
 _SPAN_S = 1.0
 _CURVE = 0.1
 """Standard deviation of an interpolated attitude, as a fraction of the angle turned between the two reports."""
@@ -37,7 +37,7 @@ class GimbalHistory(Struct, frozen=True):
     """The gimbal's rotations in place of the body's: `R_ned_body` is `R_frame_gimbal`."""
 
     def add(self, *samples: GimbalAttitude) -> GimbalHistory:
-        """Return the history with `samples` added in turn; one in another frame begins it anew."""
+        """Return the history with `samples` added in turn; one in another frame begins it again."""
         frame, attitudes = self.frame, self.attitudes
         for sample in samples:
             if sample.frame != frame:

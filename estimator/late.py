@@ -7,7 +7,7 @@ T = TypeVar("T")
 
 
 class Late(Sequence[T]):
-    """So many items, which `make` returns when the first of them is read.
+    """A sequence of known length whose items `make` returns when the first of them is read.
 
     There are hundreds of results of samples a second, and what reads them reads many at once: together they are put together in a
     fraction of the time.

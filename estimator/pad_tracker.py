@@ -74,7 +74,7 @@ class PadTracker:
                 it during the call.
             stamp: the instant of the exposure; the sighting carries it. Needed only where sightings go into an estimator.
             attitude: the vehicle's attitude at the exposure. None takes the vehicle as level, and the covariance grows to match.
-            expected: where the pad is believed to be at the exposure, from `RelativeEstimator.at`. The search then begins there,
+            expected: the expected place of the pad at the exposure, from `RelativeEstimator.at`. The search then begins there,
                 which is faster; it is used only together with `attitude`. None searches the whole image.
 
         Returns:

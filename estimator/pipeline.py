@@ -156,7 +156,7 @@ def _sighted(memory: Memory, sighting: Sighting) -> tuple[Memory, tuple[FusionRe
 
 
 def _begun_again(memory: Memory) -> tuple[Path, ...]:
-    """Return the paths with the filter begun again: what it believes was made with a sensor that lies."""
+    """Return the paths with the filter begun again: its state was made with a faulty sensor."""
     return tuple([_path(path.name, memory.options) if path.name == "ekf" else path for path in memory.paths])
 
 

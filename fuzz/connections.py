@@ -12,7 +12,7 @@ from companion.base.server_log import ServerLog
 ANSWER_S = 10.0
 """Time limit for the end of a connection on a machine under load, s."""
 _TURNS = 4
-"""Turns of the loop between two pieces: so many the other end needs to answer one, such as a handshake, before the next."""
+"""Turns of the loop between two pieces: this many the other end needs to answer one, such as a handshake, before the next."""
 HOST = b"Host: 127.0.0.1\r\n"
 
 

@@ -12,7 +12,7 @@ _MMSI = 211_234_560
 
 
 def run_nmea(data: bytes) -> None:
-    """Read datagrams: nothing raises, and what is taken is a place and a velocity that there can be."""
+    """Read datagrams: nothing raises, and every accepted place and velocity is possible."""
     choices, reader, now = Choices(data), NmeaReader(_MMSI), 0
     while choices:
         seal, now = bool(choices.number(1) & 1), now + 10_000_000 * choices.number(1)

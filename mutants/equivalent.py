@@ -1,4 +1,4 @@
-"""Mutants that no test can tell from the original, file by file, with the reason.
+"""Mutants that no test can distinguish from the original, file by file, with the reason.
 
 A change is written as `python -m mutants` prints it, with the C function before it where others have the same line. A run counts
 these apart, and says so when a test kills one of them.

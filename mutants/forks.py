@@ -20,7 +20,7 @@ from mutants.tally import Tally
 _ELSEWHERE = 255
 """Exit code of a fork that failed elsewhere than in a test."""
 _PATIENCE, _PATIENCE_S = 3.0, 5.0
-"""CPU time after which a mutant counts as hanging: so many times the time of the tests on the original, and some seconds."""
+"""CPU time after which a mutant counts as hanging: this many times the time of the tests on the original, and some seconds."""
 
 
 class Forks(ABC):
@@ -30,7 +30,7 @@ class Forks(ABC):
         self.tally = tally
         self.failed_on_original: list[str] = []
         self.after_tests: Callable[[], object] = lambda: None
-        """What a fork does when no test failed."""
+        """Action of a fork when no test failed."""
         self._ended_by = "no tests"
 
     @pytest.hookimpl(tryfirst=True)
@@ -111,7 +111,7 @@ class Forks(ABC):
 
 
 def caches() -> list[Any]:
-    """Return what our modules remember of calls: a mutant must be asked again."""
+    """Return the caches of our modules: a mutant must be called again."""
     modules = [module for name, module in sys.modules.items() if name.partition(".")[0] in child.OURS]
     return [value for module in modules for value in vars(module).values() if hasattr(value, "cache_clear")]
 

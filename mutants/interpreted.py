@@ -1,7 +1,7 @@
 """Mutants of Python modules.
 
 Where a change is within functions, their code is replaced in a fork of a process that has imported everything. Where it is
-outside of them, a constant or a default, the module and the tests are imported anew.
+outside of them, a constant or a default, the module and the tests are imported again.
 """
 
 import ast
@@ -20,7 +20,7 @@ from mutants.operators import Mutant, mutants
 from mutants.tally import Tally, chosen
 
 _PATIENCE, _PATIENCE_S = 6.0, 20.0
-"""Times as long as the tests take on the module as it is, and some seconds, until a mutant imported anew counts as hanging."""
+"""Times as long as the tests take on the module as it is, and some seconds, until a mutant imported again counts as hanging."""
 
 
 class _Interpreted(Forks):
@@ -30,7 +30,7 @@ class _Interpreted(Forks):
         self._plain = ast.unparse(ast.parse(file.read_text()))
         self._lines: set[int] = set()
         self.outside: list[int] = []
-        """Places among the drawn of those that are to be imported anew."""
+        """Indices of the drawn mutants that are to be imported again."""
 
     def on_original(self, k: int) -> Callable[[], None]:
         def trace(frame: FrameType, event: str, argument: object) -> Any:

@@ -1,4 +1,4 @@
-"""Small changes to a module's source, one at a time, each of which a test should notice."""
+"""Small changes to a module's source, one at a time, and a test should notice each."""
 
 import ast
 import copy

@@ -21,7 +21,7 @@ class Tally:
     compiled_alike: int = 0
     """Mutants that the compiler translates to the same instructions as the original."""
     named: int = 0
-    """Survivors that `mutants/equivalent.py` says cannot be told from the original, each with its reason."""
+    """Survivors that `mutants/equivalent.py` says cannot be distinguished from the original, each with its reason."""
     out: TextIO | None = None
     """Stream for survivors as they are found; None is the standard output."""
 

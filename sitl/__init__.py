@@ -1,1 +1,1 @@
-"""A world that speaks the same wires: sea, vessel, vehicle, camera, sensors."""
+"""A simulated world on the same wire protocols: sea, vessel, vehicle, camera, sensors."""

@@ -86,13 +86,13 @@ NO_COMPILER = (
 
 
 ARCHITECTURE = "DECKLANDER_WHEEL_FOR"
-"""Name of the environment variable that tells a wheel's build hook for which architecture to build."""
+"""Name of the environment variable with the architecture for a wheel's build hook."""
 GLIBC = (2, 17)
 """The oldest glibc on which a cross-built library runs."""
 
 
 class BuildError(Exception):
-    """The library could not be built; the text says why and what helps."""
+    """The library could not be built; the text gives the reason and the cure."""
 
 
 def compiler() -> list[str]:

@@ -97,7 +97,7 @@ fi
 
 
 class PackageError(Exception):
-    """The package could not be made; the text says why."""
+    """The package could not be made; the text gives the reason."""
 
 
 def fetch(architecture: str, into: Path) -> None:

@@ -28,7 +28,7 @@ _GLIBC = re.compile(rb"GLIBC_(\d+)\.(\d+)")
 
 
 class WheelError(Exception):
-    """A wheel could not be made, or does not fit its tag; the text says why."""
+    """A wheel could not be made, or does not fit its tag; the text gives the reason."""
 
 
 def make(architecture: str, out: Path) -> Path:

@@ -24,7 +24,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 os.environ["XDG_RUNTIME_DIR"] = f"{tempfile.gettempdir()}/decklander-tests-{os.getpid()}"
 os.environ.pop("RUNTIME_DIRECTORY", None)
 
-# Where bytecode is not to lie beside its source it lies in the environment: else each of some hundred processes compiles us anew.
+# Where bytecode is not to lie beside its source it lies in the environment: else each process compiles us again.
 if sys.dont_write_bytecode and not sys.pycache_prefix:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = f"{sys.prefix}/bytecode"

@@ -156,7 +156,7 @@ class MissionHealth:
     flights: Mapping[str, int] = field(default_factory=dict)
     """Number of ended flights by outcome."""
     response: ResponseInUse | None = None
-    """The vehicle's response, once a flight has said something of it."""
+    """The vehicle's response, once a flight has identified it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ class HealthSnapshot:
     """Results of the estimator's measurements, by path and source."""
     mission: MissionHealth = field(default_factory=MissionHealth)
     awaited: frozenset[str] = frozenset()
-    """Flows that the settings ask for beside those of every flight."""
+    """Flows that the settings request beside those of every flight."""
 
 
 class Health:

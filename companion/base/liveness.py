@@ -73,7 +73,7 @@ def _youngest_s(health: HealthSnapshot) -> float | None:
 log = logging.getLogger(__name__)
 
 _EVERY = 4
-"""Number of pings within one watchdog interval: systemd asks for two, and a guidance cycle may be late."""
+"""Number of pings within one watchdog interval: systemd requests two, and a guidance cycle may be late."""
 _STATUS_S = 1.0
 """Time between two status lines if there is no watchdog, seconds."""
 

@@ -1,8 +1,8 @@
 """Watch the event loop: how late it is, for the whole flight, and what holds it.
 
-A task asks to be woken every `PERIOD_S` and notes how late it is. A thread looks on: while the loop is away it notes where the
+A task sleeps for `PERIOD_S` and notes how late it is. A thread looks on: while the loop is away it notes where the
 loop's own thread is, so that a long hold has a name. Time in which the computer was suspended counts, which the monotonic clock
-leaves out; after `STOOD_S` without the loop in flight the vehicle is told to hold, since all that was known of it is old.
+leaves out; after `STOOD_S` without the loop in flight the vehicle is commanded to hold, since all data about it is old.
 """
 
 import asyncio
@@ -22,19 +22,19 @@ log = logging.getLogger(__name__)
 PERIOD_S = 0.02
 """Time between two looks of the task: that of a guidance cycle."""
 HELD_S = 0.2
-"""A hold above this is told: a command every 0.04 s has been left out five times."""
+"""A hold above this is reported: a command every 0.04 s has been left out five times."""
 _SUSPECT_S = 0.08
 """Time without the loop after which the thread looks where it is."""
 STOOD_S = 2.0
-"""Time without the loop after which a flying vehicle is told to hold; it has held by itself since about the first second."""
+"""Time without the loop after which a flying vehicle is commanded to hold; it has held by itself since about the first second."""
 _SET_S = 1.0
-"""A step of the wall clock that is told, s: a time server's own steps are smaller once it has the time."""
+"""Smallest step of the wall clock that is reported, s: a time server's own steps are smaller once it has the time."""
 STAGE = "loop_lag"
 """The stage of health that has each lag."""
 _EDGES_S = tuple(1e-4 * 1.05**n for n in range(260))
 """Upper edges of the buckets, s, from 0.1 ms to half a minute: a quantile is known to 5 %."""
 _ENDLESS_S = 1.0
-"""Time without the loop after which the thread tells of it itself: it may never come back."""
+"""Time without the loop after which the thread reports it itself: it may never come back."""
 _OURS = ("companion", "drivers", "estimator", "sitl")
 
 
@@ -84,7 +84,7 @@ class LoopWatch:
         self._flew = False
         self._beat_s = time.monotonic()
         self._where = ""
-        """What held the loop, as the thread saw it; empty while nothing does."""
+        """Cause of the loop's standstill, as the thread saw it; empty while the loop runs."""
         self._told = False
         self._thread_beat_s = self._beat_s
         self._worked_s = 0.0

@@ -16,9 +16,9 @@ class State(Enum):
     STANDBY = "waiting for the vehicle and the start"
     """The vehicle is on the ground, or its state is unknown; no landing is ordered."""
     WAIT = "waiting for the vehicle"
-    """A landing was asked for; the vehicle does not fly yet."""
+    """A landing was requested; the vehicle does not fly yet."""
     READY = "waiting for the start"
-    """Flying, in its own hover until somebody asks for a landing; an autopilot stays with whoever flies it."""
+    """Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it."""
     PAUSED = "paused"
     """Held still by the operator."""
     RENDEZVOUS = "rendezvous"
@@ -50,7 +50,7 @@ class State(Enum):
     REFUSED = "refused"
     """Held still: the conditions are beyond the limits."""
     GAVE_UP = "gave up"
-    """Held still: the pad was not found, or the tries are used up."""
+    """Held still: the pad was not found, or the attempts are used up."""
     ABORTED = "aborted"
     """Held still: the operator ended the flight."""
     TAKEN = "taken over"
@@ -80,9 +80,9 @@ class Event(Enum):
     NO_CONDITIONS = "conditions beyond the limits"
     """They will not pass within this flight."""
     HOPELESS = "no way on"
-    """The allowance of this try or of this flight is used up."""
+    """The allowance of this attempt or of this flight is used up."""
     LIMIT = "limit exceeded"
-    """A limit ends this try."""
+    """A limit ends this attempt."""
     TIMEOUT = "time over"
     SIGHT_LOST = "sight lost"
     SIGHT = "sight"
@@ -116,7 +116,7 @@ ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.TAKEN, State.EMER
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
 DESCENDS = frozenset({State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
-"""States in which the drone may be asked to come nearer to the deck."""
+"""States in which the drone may be commanded to come nearer to the deck."""
 CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN})
 """States in which the drone may touch the deck with its motors turning."""
 
@@ -133,7 +133,7 @@ FAULTS = frozenset(
         Event.SIGHT_LOST,
     }
 )
-"""Events that are told to people as warnings."""
+"""Events that are shown to people as warnings."""
 
 
 class FlightOutcome(Enum):
@@ -144,7 +144,7 @@ class FlightOutcome(Enum):
     LANDED_BY_OTHERS = State.LANDED_BY_OTHERS.value
     """The vehicle reports that it is on the ground without our order to land."""
     GAVE_UP = State.GAVE_UP.value
-    """The pad was not found again, or the tries are used up; the vehicle is held still."""
+    """The pad was not found again, or the attempts are used up; the vehicle is held still."""
     REFUSED = State.REFUSED.value
     """The conditions are beyond the limits; the vehicle is held still."""
     TAKEN = State.TAKEN.value

@@ -1,4 +1,4 @@
-"""The log of aiohttp's servers: an error of ours is told, and what a client did to its own connection is not.
+"""The log of aiohttp's servers: our own errors are logged, and a client's faults on its own connection are not.
 
 aiohttp logs a request that is no HTTP, and a client that goes away in the middle of its handshake, as an error with a traceback.
 Anybody who reaches a port could fill the journal with them. Bytes that are no text fail in several places of a handshake, with

@@ -90,7 +90,7 @@ class KindLimit:
         return False
 
     def due(self, now_s: float) -> Iterator[tuple[str, str]]:
-        """Yield logger and words for each kind whose minute is over and of which some were held back."""
+        """Yield logger and words for each kind whose minute is over and that had lines held back."""
         for kind in self._kinds.values():
             if kind.held and now_s - kind.since_s >= _MINUTE_S:
                 yield kind.name, f"{kind.held} more lines like this in {now_s - kind.since_s:.0f} s: {kind.last}"
@@ -202,15 +202,15 @@ def logging_to_stderr(level: str) -> Iterator[ServiceLog]:
     service_log = ServiceLog(real, timed="JOURNAL_STREAM" not in os.environ)
     logging.basicConfig(level=level.upper(), handlers=[service_log], force=True)
     logging.captureWarnings(True)
-    heard = _hear() if PROCESS.heeding else None
+    received = _hear() if PROCESS.heeding else None
     said, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(service_log, words)
     try:
         yield service_log
     finally:
         PROCESS.last_words = said
-        if heard is not None:
+        if received is not None:
             sys.stdout.flush()
-            for number, before in enumerate(heard, 1):
+            for number, before in enumerate(received, 1):
                 os.dup2(before, number)
                 os.close(before)
         service_log.close()

@@ -37,7 +37,7 @@ ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 
 
 class Stopped(BaseException):
-    """A signal asked the process to end. It is not an `Exception`, so that code which continues after errors does not catch it.
+    """A signal ended the process. It is not an `Exception`, so that code which continues after errors does not catch it.
 
     Args:
         number: the number of the signal.
@@ -134,7 +134,7 @@ def leave(code: int) -> int:
     """Return the interpreter's exit code, or end the process here if a thread is left.
 
     After a signal the process always ends here: Python joins threads at exit, and one inside a library call may take long.
-    A daemon thread is not joined but taken down when it asks for the interpreter's lock, and inside a C++ library (vision that is
+    A daemon thread is not joined but taken down when it requests the interpreter's lock, and inside a C++ library (vision that is
     still being loaded) that aborts the process.
     """
     deadline_s = time.monotonic() + (LINGER_S if PROCESS.number is None else 0.0)

@@ -52,7 +52,7 @@ _HOW = (
 _GYRO_TRAILS_S = 0.005
 """A gyro may trail its stamps by as much, so that a delay seems to be less than none."""
 FILTER_DELAY_LEAST_S = 0.002
-"""The filter is not told to know the delay better than this: it drifts by as much."""
+"""The filter does not get a smaller sigma of the delay than this: it drifts by as much."""
 
 
 def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -54,6 +54,7 @@ from sitl.scenario.scenario import load as load_scenario
 
 _READY_S = 30.0
 _SETTLE_S = 0.5
+_PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
 _KEEP_EACH = 4
 """Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
@@ -136,8 +137,13 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 if recorder is not None:
                     recorder.watch(daemon.health)
                 try:
-                    async with asyncio.timeout(None if args.page is not None else scenario.duration_limit_s):
+                    async with (
+                        asyncio.timeout(None if args.page is not None else scenario.duration_limit_s),
+                        asyncio.TaskGroup() as group,
+                    ):
+                        announced = group.create_task(_announce_page(settings.page))
                         outcome = await live(daemon, pilot)
+                        announced.cancel()
                 except TimeoutError:
                     outcome = None
                 stopped = ending_signal() is not None
@@ -216,8 +222,8 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         yield drone
     finally:
         child.stdin.close()
-        said, _ = await child.communicate()
-    drone.ended(said)
+        printed, _ = await child.communicate()
+    drone.ended(printed)
 
 
 def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:
@@ -299,7 +305,7 @@ def _add_servers(parser: argparse.ArgumentParser) -> None:
 
 
 def _with_page(settings: Settings, port: int, folder: Path) -> Settings:
-    """Return the settings with the page on this port, and print its address, which holds a token made for this run.
+    """Return the settings with the page on this port, and a token made for this run.
 
     The approach waits for the operator: whoever opens the page sees it from its beginning.
 
@@ -311,8 +317,24 @@ def _with_page(settings: Settings, port: int, folder: Path) -> Settings:
     token = make_token()
     Path(page.token_file).write_text(token)
     Path(page.token_file).chmod(0o600)
-    sys.stderr.write(f"operator page: http://{page.host}:{port}/#token={token}\n")
     return replace(settings, page=page, guidance=replace(settings.guidance, start="signal"))
+
+
+async def _announce_page(page: PageSettings) -> None:
+    """Print the page's address, with its token, as soon as it answers; print nothing without a page."""
+    if page.endpoint == "off":
+        return
+    while True:
+        with suppress(OSError):
+            _, writer = await asyncio.open_connection(page.host, page.port)
+            writer.close()
+            break
+        await asyncio.sleep(_PROBE_S)
+    sys.stderr.write(f"operator page: {_address(page)}\n")
+
+
+def _address(page: PageSettings) -> str:
+    return f"http://{page.host}:{page.port}/#token={Path(page.token_file).read_text()}"
 
 
 def _with_foxglove(settings: Settings, port: int) -> Settings:

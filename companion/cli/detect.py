@@ -48,7 +48,7 @@ METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
 _SURE = 0.5
 _MIRROR_TRIES = 8
-"""So many frames without a sure pad are searched for a mirrored one: a camera that mirrors does so in all of them."""
+"""Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 _INK = {
     "ellipse": (255, 200, 0),
@@ -283,7 +283,7 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
-                if not frame.is_corrupt:  # what is concealed is a picture, and no measurement
+                if not frame.is_corrupt:  # the hidden part is image, not measurement
                     px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
                     yield _Image(str(file), index, px, coded=predicts_frames(container))
                 index += 1

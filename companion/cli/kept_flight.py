@@ -90,9 +90,9 @@ class KeptFlight:
     recorder: Recorder | None
     log: FlightLog | None
     observers: tuple[Observer, ...]
-    """Observers of the service, to be told of the flight."""
+    """Observers of the service that receive the flight."""
     held_back: tuple[HeldBack, ...] = ()
-    """Those of them that hear nothing before the first truth."""
+    """The observers among them that start with the first truth."""
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -144,7 +144,7 @@ def keeping(
     *,
     from_truth: bool = False,
 ) -> Iterator[KeptFlight]:
-    """Keep what `--report` and `--record` ask for.
+    """Keep what `--report` and `--record` request.
 
     Args:
         settings: those that the service flies with.
@@ -159,13 +159,13 @@ def keeping(
     if perception != "pixels":
         args.record_frames = "none"
     log = None if args.report is None else _log(settings, title, started)
-    told: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
+    reported: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
     with recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
-            told.append(recorder)
-        held_back = tuple(HeldBack(observer) for observer in told) if from_truth else ()
-        yield KeptFlight(args, recorder, log, held_back or tuple(told), held_back)
+            reported.append(recorder)
+        held_back = tuple(HeldBack(observer) for observer in reported) if from_truth else ()
+        yield KeptFlight(args, recorder, log, held_back or tuple(reported), held_back)
 
 
 def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:

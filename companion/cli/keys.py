@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    logging.basicConfig(level=logging.ERROR)  # what a link does is told by the result
+    logging.basicConfig(level=logging.ERROR)  # the result reports the link's state
     if args.action == "make":
         return _make(Path(args.file))
     if args.action == "token":

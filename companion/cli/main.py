@@ -3,7 +3,7 @@
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
-Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
+Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is requested.
 """
 
 import argparse
@@ -49,6 +49,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "study": {
         "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
         "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
+        "train": ("companion.cli.train", "train a controller in the simulated sea"),
         "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
         "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     },
@@ -91,10 +92,10 @@ class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        said = _one_line(message)
+        printed = _one_line(message)
         for words, meant in _PLAIN.items():
-            said = re.sub(words, meant, said)
-        self.exit(WRONG, f"{self.prog}: {said} (see {self.prog} --help)\n")
+            printed = re.sub(words, meant, printed)
+        self.exit(WRONG, f"{self.prog}: {printed} (see {self.prog} --help)\n")
 
 
 class _MainParser(Parser):
@@ -129,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line (this process' own when `argv` is None) and return the exit code.
 
     Raises:
-        SystemExit: help or the version was asked for, or the arguments are wrong.
+        SystemExit: help or the version was requested, or the arguments are wrong.
     """
     if argv is not None:
         return _run(list(argv), importlib.import_module)
@@ -140,7 +141,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _run(sys.argv[1:], _load_for_good)
         except (SystemExit, signals.Stopped):
             raise
-        except BaseException as why:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+        except BaseException as why:  # a bug of ours: print Python's traceback, but no thread that hangs may keep the process
             # A signal that comes while a class is made reaches us as the cause of Python's own error.
             if isinstance(why.__cause__, signals.Stopped):
                 raise why.__cause__ from None
@@ -251,15 +252,15 @@ def _load_for_good(name: str) -> ModuleType:
 def _refuse(why: DecklanderError) -> int:
     from companion.cli.refusal_place import pointed
 
-    said = _one_line(str(why))
-    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {said}{_cure(why)}\n")
+    printed = _one_line(str(why))
+    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
-        sys.stderr.write(pointed(said))
+        sys.stderr.write(pointed(printed))
     return WRONG if isinstance(why, BadInput) else FAILED
 
 
 def _cure(why: DecklanderError) -> str:
-    """Return what helps where a file is missing: the folder that there is none of, or a name that is alike."""
+    """Return the cure for a missing file: the missing folder, or a similar name."""
     missing = why.__cause__
     if not isinstance(missing, FileNotFoundError) or not isinstance(missing.filename, str | os.PathLike):
         return ""

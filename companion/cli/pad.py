@@ -135,7 +135,7 @@ _LEAST_CONTRAST = 0.05
 _LEAST_RADIUS_PX = 5.0
 """Least radius of a pad that is searched for: below it the parts merge into a spot."""
 _LETTER_RADIUS_PX = 20.0
-"""The same of a letter on the bare deck: below it the edges merge, and it resembles what else is small and bright."""
+"""Least radius of a letter on the bare deck: below it the edges merge, and it resembles other small bright things."""
 _NAMES = {
     EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering",
     EdgeKind.UPPER: "upper lettering",

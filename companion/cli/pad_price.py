@@ -103,7 +103,7 @@ def price_record(found: Price | None, pad: Pad) -> dict[str, Any]:
 
 
 def deciding(pad: Pad) -> dict[str, float]:
-    """Return by kind of edge the share of what the drawing can tell: length times squared contrast, the largest first."""
+    """Return by kind of edge the share of the drawing's support: length times squared contrast, the largest first."""
     edges = edges_of(pad)
     grey = linear_light(dict(pad.paints)[pad.ground] if pad.ground else (128, 128, 128)) @ LUMA
     contrast = np.where(edges.bare, linear_light(edges.inside_rgb) @ LUMA - grey, edges.contrast)

@@ -227,7 +227,7 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
                         f"frames are {width}x{height} px, the camera file {settings.camera.file} describes "
                         f"{camera.width}x{camera.height} px"
                     )
-                # Nobody looked at it yet: that is what REPLACED means.
+                # Nobody looked at it yet: hence the verdict REPLACED.
                 recorder.on_frame(
                     ProcessedFrame(datum, None, None, Verdict.REPLACED, datum.stamp.received_at, datum.stamp.received_at)
                 )

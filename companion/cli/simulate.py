@@ -194,9 +194,9 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
             flight.observers, flight.shadows = (*observers, *kept.observers), kept.shadows
             flight.on_start, flight.on_truth = kept.on_start, kept.on_truth
             end = event_loop.run(flight.fly())
-        said = (folder / "texts.txt").open("w")
-        with said:
-            said.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
+        printed = (folder / "texts.txt").open("w")
+        with printed:
+            printed.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
     if progress is not None:
         progress.close()
     ending = Ending(
@@ -217,7 +217,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
 
 
 def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
-    """Return what is printed of an autopilot's flight besides."""
+    """Return the further lines about an autopilot's flight."""
     armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
     return {
         "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),

@@ -25,14 +25,14 @@ from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 _STATUS_FRESH_S = 3.0
-"""A status older than this is none; an autopilot sends one with each heartbeat, every second."""
+"""A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
 _REPEAT_S = 0.5
 """The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing is repeated; sticks count after it."""
 _LIMIT_GAP_S = 1.0
 _SAMPLES_MOST = 64
-"""Number of samples from which on they are processed though no command needs the place."""
+"""Number of samples from which they are processed though no command needs the place."""
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 """The phases in which a person commands."""
 
@@ -81,7 +81,7 @@ class Control(Struct, frozen=True):
     take_off: Given | None = None
     """A take-off that is not sent yet."""
     called_off: Given | None = None
-    """The order that called off a person's landing, while the vehicle is told so."""
+    """The order that called off a person's landing, while it is passed to the vehicle."""
     cut: Given | None = None
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None

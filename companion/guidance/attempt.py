@@ -1,4 +1,4 @@
-"""The budget of one try to land: time, losses of sight, height lost without sight. A go-around or an order begins another."""
+"""The budget of one attempt to land: time, losses of sight, height lost without sight. A go-around or an order begins another."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 SIGHT_HOLDS_S = 5.0
 """Unbroken sight for this long resets the time without sight, seconds."""
 STARVED_S, _STARVED_MOST_S = 0.25, 2.0
-"""Gap between two guidance cycles in which a vehicle has flown blindly on, and how much of it a try may have, seconds."""
+"""Gap between two guidance cycles in which a vehicle has flown blindly on, and how much of it an attempt may have, seconds."""
 _GAP_MAX_S = 1.0
 """Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
 
@@ -73,7 +73,7 @@ class Attempt(Struct, frozen=True):
         return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
 
     def again(self) -> Attempt:
-        """Return the budget of the next try: what is left of the patience without sight goes on."""
+        """Return the budget of the next attempt: the remaining time without sight carries over."""
         return Attempt(without_sight_s=self.without_sight_s)
 
     def used_up(self, options: TryOptions, now: MonoNs) -> Reason | None:

@@ -123,7 +123,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
-        # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+        # By the type itself: hundreds of samples a second, and a match checks one class after the other.
         if type(sample) is Attitude:
             attitude = sample
         elif type(sample) is BodyVelocity:
@@ -150,7 +150,7 @@ def limited(
 ) -> tuple[Command, tuple[Limit, ...]]:
     """Return the command within the limits, and the limits that changed it.
 
-    Only velocities and leans are changed. A lean that would cross the fence becomes a velocity.
+    Only velocities and tilts are changed. A tilt that would cross the fence becomes a velocity.
 
     Args:
         belief: the steering estimate of the pad, None while there is none.

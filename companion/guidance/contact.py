@@ -1,4 +1,4 @@
-"""Contact with the deck: an upward push that no rotor gives, and the vote of all that can tell of one.
+"""Contact with the deck: an upward push that no rotor gives, and the vote of all sensors that can notice one.
 
 A deck that is met at v m/s takes away v m/s of velocity within some hundredths of a second; rotors need tenths. So the specific
 force upward beyond its own recent mean is summed over short times, and the sum is the velocity that something took away.
@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from companion.guidance.controller import Impact
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.mission import ConeOptions
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -25,6 +26,8 @@ LEAST_M_S2 = 3.0
 """Push beyond the mean that counts, m/s^2; gusts and commanded climbs stay below."""
 LEAST_M_S = 0.1
 """Velocity that the push must have taken away, m/s."""
+TOUCH_M_S, TOUCH_M_S2 = 0.035, 4.5
+"""The same and the peak of the push of one foot that touches before the others: the vehicle pivots about it, m/s and m/s^2."""
 WITHIN_S = 0.08
 """Longest time over which one push is summed, s."""
 QUIET_S = 0.3
@@ -45,15 +48,15 @@ NEAR_M = 0.12
 _REACHED_M, _BENEATH_M, _WRONG_M = 0.05, -0.08, -0.3
 """Heights of the feet at which the deck is reached, beneath which nothing can be, and beneath which the height is wrong, m."""
 SIGMA_MOST_M = 0.15
-"""Standard deviation of the height beyond which it tells nothing, m."""
+"""Standard deviation of the height beyond which it is not used, m."""
 _FRESH_S = 0.3
 """Age of a sighting up to which it contradicts a push, s."""
 _STILL_M_S = 0.15
-"""Vertical speed against the deck that is none, m/s; the commit asks for more than twice as much."""
+"""Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
-"""Time in the commit, and after a push, before standing still is told from not having begun to move, s."""
+"""Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
-"""Range beyond the feet's own up to which the deck is there, and from which on it is not, m."""
+"""Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
 
 
 class ContactWatch(Struct, frozen=True):
@@ -68,6 +71,8 @@ class ContactWatch(Struct, frozen=True):
     """Velocity that it has taken away so far, m/s."""
     peak_m_s2: float = 0.0
     newest: Impact | None = None
+    touch: Impact | None = None
+    """The newest push that one foot may have made; in doubt by itself."""
     up_m_s2: float = math.nan
     """The newest upward specific force."""
     same_since: MonoNs | None = None
@@ -86,7 +91,7 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     now, up, before = imu.stamp.measured_at, -imu.f_body.item(2), watch.at
     dt = 0.0 if before is None else seconds_between(before, now)
     same = (watch.same_since or before) if up == watch.up_m_s2 else None
-    fresh = ContactWatch(now, up, newest=watch.newest, up_m_s2=up, same_since=same)
+    fresh = ContactWatch(now, up, newest=watch.newest, touch=watch.touch, up_m_s2=up, same_since=same)
     if not 0.0 < dt <= MEAN_S:
         return fresh
     push = up - watch.mean_m_s2
@@ -103,6 +108,8 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
         return fresh
     taken, peak = watch.taken_m_s + push * dt, max(watch.peak_m_s2, push)
     watch = replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
+    if taken >= TOUCH_M_S and peak >= TOUCH_M_S2:
+        watch = replace(watch, touch=Impact(now, "accelerometer", peak, doubtful=True))
     alone = since == now and dt <= _QUICK_S
     if taken >= LEAST_M_S and last_s > QUIET_S and not alone:
         return replace(watch, newest=Impact(now, "accelerometer", peak, doubtful=taken > MOST_M_S or last_s <= _AGAIN_S))
@@ -110,7 +117,7 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
 
 
 def feet_m(s: GuidanceCycle, cone: ConeOptions) -> float | None:
-    """Return the height of the feet over the deck by sight and what was reckoned since, m; None if it tells nothing."""
+    """Return the height of the feet over the deck by sight and dead reckoning since, m; None if it has no vote."""
     estimate = s.estimate
     if estimate is None or not estimate.consistent or _sigma_m(s) > SIGMA_MOST_M:
         return None
@@ -130,7 +137,7 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
     if feet is not None and estimate is not None:
         if feet <= _BENEATH_M:
             count += 1.0
-        elif feet <= _REACHED_M:
+        elif feet <= _REACHED_M + _lower_foot_m(s, cone):
             count += 0.5
         elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= _FRESH_S:
             count -= 0.5
@@ -141,6 +148,12 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
         over_m = s.range_m - cone.feet_below_m
         count += 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
     return count
+
+
+def _lower_foot_m(s: GuidanceCycle, cone: ConeOptions) -> float:
+    """Return how much lower than a level vehicle's the lowest foot is: its distance aside is about that below the origin, m."""
+    body = s.knowledge.body
+    return 0.0 if body is None else cone.feet_below_m * math.hypot(*body.lean_m_s2) / G_M_S2
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

@@ -1,6 +1,6 @@
-"""The port between the mission and the control law: what is known, where to be, and which command gets there.
+"""The port between the mission and the control law: knowledge, target, and the command that gets there.
 
-The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never asks
+The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never decides
 whether the pad may be landed on, and holds what it is given. Controllers are pure: a step takes a frozen memory and returns the
 next one.
 """
@@ -22,7 +22,10 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
 
 HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
-"""Horizons of the forecast that guidance asks for, s."""
+"""Horizons of the forecast that guidance requests, s."""
+
+SWELL_RAD_S = math.tau / 12.0
+"""Circular frequency of a swell that is not known yet: a long one asks for the most height."""
 
 
 class Impact(Struct, frozen=True):
@@ -36,7 +39,7 @@ class Impact(Struct, frozen=True):
     it is on the ground).
     """
     size_m_s2: float = math.nan
-    """The step of the acceleration; nan if something else said so."""
+    """The step of the acceleration; nan if the contact came from another source."""
     held_m_s: float = math.nan
     """Excess of the upward speed over the command; nan if the contact came from another source."""
     doubtful: bool = False
@@ -47,7 +50,7 @@ class AtContact(Struct, frozen=True):
     """Predicted place of the vehicle when its feet meet the deck, without new disturbances."""
 
     error_m: float
-    """Distance from the pad's centre."""
+    """Distance of the pad's centre from where it is wanted."""
     speed_m_s: float
     """Speed along the deck."""
     sigma_m: float
@@ -74,7 +77,13 @@ class Knowledge(Struct, frozen=True):
     response: ResponseInUse | None = None
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
     climb_max_m_s: float | None = None
-    """The fastest climb that the controller asks for; None if it does not say."""
+    """The fastest climb that the controller requests; None if it does not say."""
+    swell_rad_s: float = SWELL_RAD_S
+    """Circular frequency of the deck's heave."""
+    outrun_m: float = 0.0
+    """Height by which such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
+    aim_level: tuple[float, float] = (0.0, 0.0)
+    """Wanted place of the pad's centre at the contact, forward and right, m: a tilted vehicle comes to stand to lee of it."""
     at_contact: AtContact | None = None
     """None from a controller that does not look ahead, and far from the deck."""
 
@@ -96,7 +105,7 @@ class Target(Struct, frozen=True, eq=False):
     yaw_rad: float | None = None
     """The wanted heading against the pad's arrow, rad; None keeps the heading."""
     lean_max_rad: float | None = None
-    """Largest tilt that may be asked for; None leaves it at the controller's own limit."""
+    """Largest tilt that may be requested; None leaves it at the controller's own limit."""
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("Target.d_body_pad_level", self.d_body_pad_level))
@@ -123,7 +132,7 @@ class Controller(Protocol[Memory]):
 
     @property
     def climb_max_m_s(self) -> float | None:
-        """The fastest climb that it asks for, m/s; None where somebody else limits it.
+        """The fastest climb that it requests, m/s; None where somebody else limits it.
 
         Where the deck is about to rise faster, the mission keeps the drone higher.
         """
@@ -132,7 +141,7 @@ class Controller(Protocol[Memory]):
     def start(self) -> Memory: ...
 
     def ahead(self, memory: Memory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
-        """Return how far from the pad's axis, m, and how fast along the deck, m/s, the vehicle will be after so many seconds.
+        """Return the distance from `knowledge.aim_level`, m, and the speed along the deck, m/s, after so many seconds.
 
         None from a controller that does not know.
         """

@@ -1,4 +1,4 @@
-"""The controllers by name: the two of this program, and any that an installed package offers.
+"""The controllers by name: the three of this program, and any that an installed package offers.
 
 A package offers one as an entry point of the group `decklander.controllers`, under the name that the setting
 `guidance.controller` then holds: a function that takes a `ControllerSetup` and returns a `Controller`.
@@ -14,6 +14,8 @@ from companion.guidance.controller import Controller
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.pid_controller import PidController
+from companion.guidance.policy import read_policy, shipped_policy
+from companion.guidance.policy_controller import PolicyController
 from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import Response
@@ -40,14 +42,14 @@ def make_controller(setup: ControllerSetup) -> Controller[Any]:
         BadInput: there is none of that name, it cannot be loaded, or it finds no gains for the vehicle's response.
     """
     name = setup.guidance.controller
-    make = _OWN.get(name) or _offered(name)
+    make = _OWN.get(name) or OFFERED.get(name) or _offered(name)
     try:
         return make(setup)
     except ValueError as why:
         raise BadInput(f"guidance.controller {name!r}: {why}") from why
 
 
-def _follow_deck(setup: ControllerSetup) -> Controller[Any]:
+def _follow_deck(setup: ControllerSetup) -> FollowDeck:
     o = setup.guidance.follow_deck
     tilt, climb = setup.response.tilt, setup.response.climb
     response = Response(
@@ -70,7 +72,23 @@ def _pid(setup: ControllerSetup) -> Controller[Any]:
     return PidController(setup.guidance.pid, heaves=not setup.over_ground)
 
 
-_OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {"follow_deck": _follow_deck, "pid": _pid}
+def _policy(setup: ControllerSetup) -> Controller[Any]:
+    o = setup.guidance
+    shipped = "ardrone2" if o.follow_deck.response_by_vehicle else o.follow_deck.response
+    policy = read_policy(o.policy_file or shipped_policy(shipped), "guidance.policy_file")
+    view = setup.view if o.follow_deck.keep_in_view else None
+    return PolicyController(policy, _follow_deck(setup), view, over_ground=setup.over_ground)
+
+
+_OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {
+    "follow_deck": _follow_deck,
+    "pid": _pid,
+    "policy": _policy,
+}
+
+
+OFFERED: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {}
+"""Controllers that a program of its own offers in this process, before it flies; as an installed package's, without a package."""
 
 
 def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:

@@ -4,7 +4,7 @@
 p, w: the pad against the body (the filter's, with errors of their own); a_lean: the reported tilt as an acceleration; d: what
 else accelerates the body (wind, drag, the error of the reported tilt); b: the error of the levelled accelerometer. p, w and the
 acceleration a_lean + d + b are measured. The accelerometer feels a gust at once; place and speed show it a second later.
-That the disturbance is the measured acceleration less the one that was asked for is the idea of incremental control; here it
+That the disturbance is the measured acceleration less the one that was requested is the idea of incremental control; here it
 passes a Kalman filter with steady gains.
 Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental nonlinear dynamic inversion, IROS 2016, sec. III.
 """
@@ -34,11 +34,14 @@ class ObserverNoise(NamedTuple):
     sigma_a_m_s2: float = 0.06
     psd_d: float = 2.0
     """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
-    with so much more the accelerometer is believed within some cycles, as far as the stability margins allow (`benches.law`)."""
+    with so much more the accelerometer is trusted within some cycles, as far as the stability margins allow (`benches.law`)."""
     psd_b: float = 0.1
-    """The same of the accelerometer's error: what place and speed contradict is its error within half a second."""
+    """Growth of the variance of the accelerometer's error.
+
+    A contradiction to place and speed becomes its error within half a second.
+    """
     psd_w: float = 0.01
-    """The same of the speed: the deck's own acceleration is known that badly."""
+    """Growth of the variance of the speed: the deck's own acceleration is known that badly."""
     accelerometer: bool = True
     """True if the accelerometer is used."""
 

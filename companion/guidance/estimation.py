@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # what looks at frames loads OpenCV, and the first guidance c
 
 
 class Estimation:
-    """Keeps the estimator's memory, and lets it process samples when somebody asks it for an answer.
+    """Keeps the estimator's memory, and lets it process samples when an answer is needed.
 
     Args:
         shadows: estimator paths that run for comparison only and never steer.
@@ -116,7 +116,7 @@ class Estimation:
         return pipeline.beliefs(self._memory, now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         self._settle()
         return pipeline.motion(self._memory, now)
 
@@ -207,15 +207,15 @@ class PadSearch:
         """
         from estimator.vision.tracker import TrackerMemory, track
 
-        believed = pipeline.belief(known, frame.stamp.measured_at)
+        estimated = pipeline.belief(known, frame.stamp.measured_at)
         tracker = self._tracker
         if held is not None:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
-        if tracker.camera.readout_s and believed is not None:
+        if tracker.camera.readout_s and estimated is not None:
             from estimator.camera_motion import camera_motion
 
-            motion = camera_motion(known, frame.stamp, tracker.camera, believed, held)
+            motion = camera_motion(known, frame.stamp, tracker.camera, estimated, held)
             tracker = replace(tracker, motion=motion)
-        seen, self._memory = track(tracker, self._memory or TrackerMemory(), frame, attitude, believed)
+        seen, self._memory = track(tracker, self._memory or TrackerMemory(), frame, attitude, estimated)
         return seen

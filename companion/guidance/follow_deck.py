@@ -85,7 +85,7 @@ def _at_once(response: TiltResponse) -> TiltResponse:
 
 
 class TiltTuning:
-    """One response with its gains, each solved when it is first asked for.
+    """One response with its gains, each solved when it is first requested.
 
     Args:
         response, weights: of `tuned`.
@@ -122,13 +122,13 @@ class TiltTuning:
             self._after[key] = np.linalg.matrix_power(model.A - np.outer(model.B, K), cycles)[:2]
         return self._after[key]
 
-    def state(self, axis: Any, a_deck: float) -> F64:
-        """Return the state of the closed loop: an axis of the core's memory less what holds it over the deck."""
+    def state(self, axis: Any, aim_m: float, a_deck: float) -> F64:
+        """Return the state of the closed loop: an axis of the core's memory less the aim and what holds it over the deck."""
         reference = a_deck - axis.d
         lag = (axis.lag - reference,) if self.response.lag_s > 1e-4 else ()
         n = self.under_way if self._delay_line else 1
         under_way = [axis.under_way[k] - reference for k in range(n)]
-        return np.array([axis.p, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
+        return np.array([axis.p - aim_m, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
 
     def solve(self) -> TiltTuning:
         """Solve all gains beforehand.
@@ -142,13 +142,13 @@ class TiltTuning:
 
 
 _GAP_MAX_S = 0.5
-"""A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
+"""A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
 _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
 _SOFT_BEYOND_M, _SOFT_UNTIL_M = 0.1, 0.05
 """Distance beside the wanted place beyond which a vehicle with a velocity loop of its own is flown by soft gains, and up to which
-again. Such a vehicle limits the jerk of what it is asked for, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
-asked for four times as much, and the loop swung wider and wider.
+again. Such a vehicle limits the jerk of its commands, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
+requested four times as much, and the loop swung wider and wider.
 """
 
 
@@ -162,7 +162,7 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     tuning: TuningChoice = AS_GIVEN
     """The gains that are flown by."""
     tuning_before: TuningChoice = AS_GIVEN
-    """Those before them, from which the command goes over."""
+    """The previous gains, from which the command fades over."""
     share: float = 1.0
     """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid.start)
@@ -216,7 +216,7 @@ class FollowDeck:
 
     @property
     def climb_max_m_s(self) -> float:
-        """The fastest climb that it asks for, m/s."""
+        """The fastest climb that it requests, m/s."""
         return self.response.climb.max_m_s
 
     def start(self) -> FollowDeckMemory:
@@ -277,7 +277,7 @@ class FollowDeck:
         return memory if share == memory.share else replace(memory, share=share)
 
     def ahead(self, memory: FollowDeckMemory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
-        """Return where the loop has taken the vehicle after so many seconds: distance from the axis, m, and speed, m/s.
+        """Return where the loop has taken the vehicle after so many seconds: distance from the aim, m, and speed, m/s.
 
         The push of the air and the deck's acceleration stay as they are.
         """
@@ -287,9 +287,11 @@ class FollowDeck:
         tuning = self._tuning(memory.tuning)
         a_deck = (0.0, 0.0) if knowledge.deck is None else tuple(knowledge.deck.a_level.tolist()[:2])
         c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
-        a_ned = (c * a_deck[0] - s * a_deck[1], s * a_deck[0] + c * a_deck[1])
+        a_ned, aim_ned = ((c * x - s * y, s * x + c * y) for x, y in (a_deck, knowledge.aim_level))
         after = tuning.after(_sigma_m(relative), max(0, round(seconds / self.period_s)))
-        (p_n, w_n), (p_e, w_e) = ((after @ tuning.state(memory.core.axes[axis], a_ned[axis])).tolist() for axis in range(2))
+        (p_n, w_n), (p_e, w_e) = (
+            (after @ tuning.state(memory.core.axes[axis], aim_ned[axis], a_ned[axis])).tolist() for axis in range(2)
+        )
         return math.hypot(p_n, p_e), math.hypot(w_n, w_e)
 
     def step(

@@ -1,7 +1,7 @@
-"""The height against what is ordered: a drone that is ordered down and rises for two seconds flies by something that lies.
+"""The height against what is ordered: a drone that is ordered down and rises for two seconds flies by a wrong sensor.
 
-An accelerometer that reads 30 % too much makes the filter believe in a deck that rises ever faster, and the law follows that deck
-up while the machine says "descend". Time and sight do not tell; the height over the pad does, whatever is to blame.
+An accelerometer that reads 30 % too much makes the filter estimate a deck that rises ever faster, and the law follows that deck
+up while the machine says "descend". Time and sight do not show it; the height over the pad does, whatever the cause.
 """
 
 from __future__ import annotations

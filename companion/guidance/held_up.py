@@ -1,8 +1,8 @@
 """Contact with a deck that is met softly: something holds the vehicle up against every velocity that was commanded lately.
 
-A vehicle that leans against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
-tenths of a second, and no step of the accelerometer tells of it. A real PX4 stood on a deck like this for two seconds, with its
-thrust falling and its lean growing. What it does then no flight does: it goes up faster than any of the newest commands asks for,
+A vehicle that tilts against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
+tenths of a second, and no step of the accelerometer shows it. A real PX4 stood on a deck like this for two seconds, with its
+thrust falling and its tilt growing. What it does then no flight does: it goes up faster than any of the newest commands requests,
 and goes on doing so. Commands are remembered for longer than a vehicle takes to answer them, and the least of them counts, so
 that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's, and for the
 same ones to the deck (`to_deck`): a deck that falls faster and faster carries a vehicle down past the least one over the ground.

@@ -11,6 +11,7 @@ from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChan
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
+from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
@@ -23,6 +24,7 @@ from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
 from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.steer import Aim, aim
+from companion.guidance.view import FieldOfView
 from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
@@ -94,7 +96,7 @@ def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Pr
             return replace(p, stood=True), ()
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
-    # A report from before the order to begin tells of the flight before.
+    # A report from before the order to begin belongs to the flight before.
     if status.taken is not None and (p.asked_at is None or at > p.asked_at):
         return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
     if status.taken is None and p.state is State.TAKEN and not p.stood:
@@ -132,10 +134,10 @@ _NIS_WEIGHT = 0.1
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
 _UNFELT_S = 1.0
-"""Time without the accelerometer after which nobody lands, s: thrust and sightings tell the speed late, and the vehicle swings
+"""Time without the accelerometer after which nobody lands, s: thrust and sightings show the speed late, and the vehicle swings
 about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
-"""Age up to which a range tells of a contact, s."""
+"""Age up to which a range counts for a contact, s."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -152,16 +154,16 @@ _PLAIN = (
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _NEAR = (State.GATE, State.COMMIT)
-"""States in which the contact to come is asked for."""
+"""States in which the contact to come is predicted."""
 _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
 _LATE_VIDEO_S = 0.15
-"""Delay of the camera from which the operator is told what it costs, s."""
+"""Delay of the camera from which the operator sees its cost, s."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
 class LandingGuidance:
-    """Decides on commands by what is sensed and believed.
+    """Decides on commands by samples and estimates.
 
     Args:
         automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for an order.
@@ -169,6 +171,7 @@ class LandingGuidance:
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
         tilt: how the vehicle's tilt answers, by its file.
+        view: the field of a camera that leans with the body; None of another.
     """
 
     def __init__(
@@ -180,6 +183,7 @@ class LandingGuidance:
         over_ground: bool,
         reports: ReportLimits,
         tilt: TiltResponse,
+        view: FieldOfView | None = None,
     ) -> None:
         self._guidance = guidance
         self.mission = Progress.start(automatic=automatic)
@@ -195,20 +199,22 @@ class LandingGuidance:
         self._attitude: Attitude | None = None
         """The newest attitude."""
         self._heard: MonoNs | None = None
-        """When the newest sample of the vehicle itself was received."""
+        """Time of receipt of the vehicle's own newest sample."""
         self._contact = ContactWatch()
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
-        """When the deck was last believed to move as none does."""
+        """Time when the deck's estimated motion was last impossible."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
+        self._touch: Impact | None = None
         self._forecast: Forecast | None = None
-        self._wind, self._tilt = WindWatch(), tilt
+        self._wind, self._tilt, self._view = WindWatch(), tilt, view
         self._air: WindOverDrone | None = None
+        self._swell = SwellWatch()
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
         self._on_pad: PadCheck | None = None
@@ -269,18 +275,20 @@ class LandingGuidance:
         return changes
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        """Note what samples tell beside what the estimator makes of them."""
+        """Note what guidance itself needs of samples, beside the estimator."""
         for sample in samples:
             received_at = sample.stamp.received_at
             if received_at > self._now:
                 self._now = received_at
-            # By the type itself: hundreds of samples a second, and a match asks one class after the other.
+            # By the type itself: hundreds of samples a second, and a match checks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
-                    before, self._contact = self._contact.newest, watched(self._contact, sample)
-                    if self._contact.newest is not None and self._contact.newest is not before:
-                        # By our own clock: a stamp that lies would put the contact before the commit.
+                    before, self._contact = self._contact, watched(self._contact, sample)
+                    # By our own clock: a stamp that lies would put the contact before the commit.
+                    if self._contact.newest is not None and self._contact.newest is not before.newest:
                         self._impact = replace(self._contact.newest, at=received_at)
+                    if self._contact.touch is not None and self._contact.touch is not before.touch:
+                        self._touch = replace(self._contact.touch, at=received_at)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
@@ -314,15 +322,15 @@ class LandingGuidance:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._impact, self._forecast = ContactWatch(), None, None
-            self._held, self._held_by_deck, self._wind = HeldUp(), HeldUp(), WindWatch()
+            self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
+            self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
             self._overruled, self._on_pad = False, None
         self._changes += changes
 
     def judge(self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False) -> None:
-        """Judge in each guidance cycle how the deck is believed to move, and whether the vehicle can be held still.
+        """Judge in each guidance cycle how the deck is estimated to move, and whether the vehicle can be held still.
 
         Args:
             accelerates_unfelt: the estimate does without the accelerometer.
@@ -342,7 +350,7 @@ class LandingGuidance:
         return IntegrityAlert.UNFELT if unfelt_s > _UNFELT_S else None
 
     def deck_impossible(self, now: MonoNs) -> bool:
-        """Return whether the deck is believed to move as none does, now or within the last second."""
+        """Return whether the deck's estimated motion is impossible, now or within the last second."""
         return self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S
 
     def knowledge(
@@ -358,13 +366,19 @@ class LandingGuidance:
         if self.deck_impossible(now):
             self._forecast = None
             return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
-        seen = Knowledge(now, relative, body, deck)
+        aim = (0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m)
+        self._swell = watched_swell(self._swell, now, deck)
+        climb_m_s = self._law.climb_max_m_s
+        outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
+        # In steps, so that a forecast is carried on once and not in each cycle.
+        swell_rad_s = round(self._swell.rad_s, 1)
+        seen = Knowledge(now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m)
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)
         return replace(
             seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=self._law.climb_max_m_s, at_contact=self._at_contact(seen),
+            climb_max_m_s=climb_m_s, at_contact=self._at_contact(seen),
         )  # fmt: skip
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:
@@ -384,7 +398,7 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._wind = watched_wind(self._wind, knowledge)
-        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad)
+        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad, self._view)
         self._air = wind
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
@@ -399,7 +413,7 @@ class LandingGuidance:
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, range_m, self._thing,
+            self._response.late_s, self._touch, range_m, self._thing,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
@@ -469,5 +483,5 @@ class LandingGuidance:
 
 
 def of_ship(sample: Sample) -> bool:
-    """Return whether a sample tells of the ship and not of the vehicle."""
+    """Return whether a sample is about the ship and not the vehicle."""
     return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")

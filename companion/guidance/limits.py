@@ -1,9 +1,12 @@
 """The limits of gate and commit: the first one that does not hold, as a reason with its numbers."""
 
 import math
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.clearance import rise_beyond_climb_m
@@ -32,6 +35,8 @@ _COMMIT_SPEED = 1.5
 """Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
+_LATER_TRY, _LATER_MOST = 0.25, 1.5
+"""Growth of the limits of place, speed and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 ON_PAD = 1.4
@@ -50,6 +55,19 @@ class InputQuality(Struct, frozen=True):
     """Standard deviation of the newest sighting's time stamp; None before the first."""
     delay_s: float = 0.0
     """The camera's constant delay: how old a sighting is at least when it is fused."""
+
+
+@lru_cache(maxsize=8)
+def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
+    """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
+    looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
+    names = ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
+    return replace(limits, **{name: looser * getattr(limits, name) for name in names})
+
+
+def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:
+    """Return the distance from the place over the pad that the contact is wanted at, m."""
+    return math.dist(estimate.d_body_pad_level.tolist()[:2], knowledge.aim_level)
 
 
 def sigma_m(estimate: RelativeState) -> float:
@@ -81,7 +99,7 @@ def gate(
         *_of_the_sightings(now, estimate, quality, limits),
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
-        (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
+        (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.error_m),
         (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
         *_at_contact(knowledge, limits, 1.0),
         *_of_the_deck(knowledge, limits, contact_s),
@@ -95,7 +113,7 @@ def gate(
 
 
 def impossible_deck(deck: DeckMotion | None) -> bool:
-    """Return whether the deck is believed to move as none does, beyond the uncertainty of its motion: something lies."""
+    """Return whether the deck's estimated motion is impossible, beyond the uncertainty of its motion: a sensor is wrong."""
     if deck is None:
         return False
     excess = (
@@ -116,7 +134,7 @@ def stop_m(estimate: RelativeState) -> float:
 
 
 def agreed(now: MonoNs, estimate: RelativeState, quality: InputQuality, limits: LandingLimits) -> bool:
-    """Return whether the sightings are as recent and as consistent as the gate asks."""
+    """Return whether the sightings are as recent and as consistent as the gate requires."""
     return _first(_of_the_sightings(now, estimate, quality, limits)) is None
 
 
@@ -129,9 +147,9 @@ def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
     turns = estimate.height_m > no_return_m(knowledge, cone)
-    tilt_deg = math.degrees(knowledge.deck.tilt_rad) if turns and knowledge.deck is not None else None
+    tilt_deg = _tilt_deg(knowledge.deck) if turns and knowledge.deck is not None else None
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
-    beside = (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m)
+    beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1]) if turns else None
@@ -141,7 +159,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
             (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
-            # What was within the limit at the gate may lean a little further until the contact.
+            # What was within the limit at the gate may tilt a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
@@ -164,7 +182,7 @@ def to_contact_s(estimate: RelativeState, cone: ConeOptions) -> float:
 
 
 def gusts_m(gust_m_s2: float, seconds: float) -> float:
-    """Return how far gusts push the vehicle until then that nothing has told of yet: standard deviation on one axis, m.
+    """Return how far gusts not yet measured push the vehicle until then: standard deviation on one axis, m.
 
     A Gauss-Markov push that lasts for `_GUST_S` changes as its square root at first, and acts as its double integral.
     """
@@ -184,13 +202,25 @@ def _of_the_deck(knowledge: Knowledge, limits: LandingLimits, to_contact_s: floa
     deck, ahead = knowledge.deck, knowledge.forecast
     out: list[Comparison] = []
     if deck is not None:
-        out.append((ReasonCause.DECK_TILT, math.degrees(deck.tilt_rad), limits.deck_tilt_gate_deg))
+        out.append((ReasonCause.DECK_TILT, _tilt_deg(deck), limits.deck_tilt_gate_deg))
         out.append((ReasonCause.DECK_RATE, abs(float(deck.v_level[2])), limits.deck_rate_m_s))
     if ahead is not None:
-        roll = float(np.interp(to_contact_s, ahead.horizons_s, ahead.roll_rad))
-        pitch = float(np.interp(to_contact_s, ahead.horizons_s, ahead.pitch_rad))
-        out.append((ReasonCause.DECK_TILT, math.degrees(math.hypot(roll, pitch)), limits.deck_tilt_commit_deg))
+        then = [float(np.interp(to_contact_s, ahead.horizons_s, course)) for course in (ahead.roll_rad, ahead.pitch_rad)]
+        sigmas = [float(np.interp(to_contact_s, ahead.horizons_s, s)) for s in (ahead.sigma_roll_rad, ahead.sigma_pitch_rad)]
+        out.append((ReasonCause.DECK_TILT, _surely_deg(then, sigmas), limits.deck_tilt_commit_deg))
     return out
+
+
+def _tilt_deg(deck: DeckMotion) -> float:
+    sigmas = [math.sqrt(max(0.0, deck.cov_tilt.item(axis, axis))) for axis in range(2)]
+    return _surely_deg((deck.roll_rad, deck.pitch_rad), sigmas)
+
+
+def _surely_deg(roll_pitch: Sequence[float], sigmas: Sequence[float]) -> float:
+    """Return the tilt less its standard deviation: a forecast that knows it to ten degrees tells of none."""
+    tilt = math.hypot(*roll_pitch)
+    sigma = math.hypot(*(x * s for x, s in zip(roll_pitch, sigmas, strict=True))) / tilt if tilt > 0.0 else 0.0
+    return math.degrees(max(0.0, tilt - sigma))
 
 
 def _fall_m_s(knowledge: Knowledge, to_contact_s: float, cone: ConeOptions) -> float | None:

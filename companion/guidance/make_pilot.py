@@ -54,6 +54,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             over_ground=_over_ground(settings),
             reports=settings.vessel,
             tilt=_flyable_tilt(settings),
+            view=None if settings.camera.gimbal.given else field_of_view(body_camera(settings)),
             gimballed=settings.camera.gimbal.given,
         ),
     )
@@ -80,7 +81,7 @@ def _over_ground(settings: Settings) -> bool:
 
 
 def _within_driver(response: Response, settings: Settings) -> Response:
-    """Return the response with no more than the driver lets through: the law has to know what is truly flown."""
+    """Return the response with no more than the driver lets through: the law has to know the tilt that is truly flown."""
     vehicle = settings.vehicle
     if not isinstance(vehicle, ArDroneOptions):
         return response

@@ -47,14 +47,14 @@ _CONE: Table = {
     },
     _S.INTERCEPT: {**_TRY, _E.IN_CONE: _S.DESCEND},
     _S.DESCEND: {**_TRY, _E.OUT_OF_CONE: _S.INTERCEPT, _E.AT_GATE: _S.GATE},
-    _S.GATE: {**_TRY, _E.OUT_OF_CONE: _S.DESCEND, _E.GATE_OPEN: _S.COMMIT},
+    _S.GATE: {**_TRY, _E.CONTACT: _S.PRESS, _E.OUT_OF_CONE: _S.DESCEND, _E.GATE_OPEN: _S.COMMIT},
     # Half a second from the deck the drone goes up without sight, it does not wait; and nothing but a limit of its own ends it.
     _S.COMMIT: {**_LANDING, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.SIGHT_LOST: _S.GO_AROUND, _E.CONTACT: _S.PRESS},
     _S.PRESS: {**_LANDING, **_AROUND, _E.PRESSED: _S.DOWN},
     _S.DOWN: {**_LANDING, **_AROUND},
     _S.HOLD_BLIND: {
-        **_LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.NO_CONDITIONS: _S.GO_AROUND, _E.LIMIT: _S.GO_AROUND, _E.TIMEOUT: _S.GAVE_UP,
-        _E.SIGHT: _S.INTERCEPT,
+        **_LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.GO_AROUND, _E.LIMIT: _S.GO_AROUND,
+        _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT,
     },
     _S.GO_AROUND: {
         **_LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.REFUSED, _E.HOPELESS: _S.GAVE_UP,
@@ -69,12 +69,19 @@ _CONE: Table = {
     _S.TAKEN: {**_NEXT, _E.BEGIN: _S.SEARCH},
     _S.EMERGENCY: _NEXT,
 }  # fmt: skip
+
+
+def _without_contact(state: State) -> Row:
+    return {event: target for event, target in _CONE[state].items() if event is not _E.CONTACT}
+
+
 # The thesis' way ends at a height from which the vehicle lands by itself, still in the air.
 _THESIS: Table = {
     **_CONE,
-    _S.GATE: {**_CONE[_S.GATE], _E.GATE_OPEN: _S.DOWN},
+    _S.GATE: {**_without_contact(_S.GATE), _E.GATE_OPEN: _S.DOWN},
+    _S.HOLD_BLIND: _without_contact(_S.HOLD_BLIND),
     _S.DOWN: {**_CONE[_S.DOWN], _E.OTHER_PAD: _S.ANOTHER_PAD},
-    _S.GO_AROUND: {event: target for event, target in _CONE[_S.GO_AROUND].items() if event is not _E.CONTACT},
+    _S.GO_AROUND: _without_contact(_S.GO_AROUND),
 }
 
 

@@ -35,7 +35,7 @@ class PidController:
         return Pid.start()
 
     def ahead(self, memory: Pid, knowledge: Knowledge, seconds: float) -> None:
-        """Return None: it knows nothing of what is under way."""
+        """Return None: it does not model the commands under way."""
 
     def step(self, memory: Pid, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Pid, Command]:
         """Run one guidance cycle; `Hover` without a target or an estimate."""
@@ -45,7 +45,7 @@ class PidController:
         wanted, along = np.array(target.d_body_pad_level), np.array(target.v_body_level)
         if target.descent_rate_m_s is not None:
             wanted[2], along[2] = estimate.height_m, target.descent_rate_m_s
-        # Whether the estimate will do is the mission's to say; the controller flies what it is given.
+        # The mission decides whether the estimate is good enough; the controller flies its target.
         given = structs.replace(estimate, sighted=now, at=now, consistent=True)
         limited = _within(self._options, target)
         memory, command = pid_step(memory, limited, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)

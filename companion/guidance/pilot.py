@@ -16,6 +16,7 @@ from companion.guidance.controller import Controller, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
+from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
@@ -66,6 +67,8 @@ class PilotOptions:
     """Limits for the positions that ship and vehicle report."""
     tilt: TiltResponse | None = None
     """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
+    view: FieldOfView | None = None
+    """The field of a camera that leans with the body; None of another."""
     gimballed: bool = False
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
@@ -90,6 +93,7 @@ class Pilot:
             over_ground=given.over_ground,
             reports=given.reports or ReportLimits(),
             tilt=given.tilt or shipped_response("ardrone2").tilt,
+            view=given.view,
         )
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
@@ -176,15 +180,15 @@ class Pilot:
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
-        That is while nobody has agreed to land on the pad it refers to, and while the deck is believed to move as none does.
+        That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
         """
         believed = self.believed(now)
         if believed is None:
             return None
         if self.state is State.ANOTHER_PAD:
             believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
-        doubt = self.landing.doubted(now)
-        return believed if doubt is None else _alerted(believed, doubt)
+        objection = self.landing.doubted(now)
+        return believed if objection is None else _alerted(believed, objection)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -195,7 +199,7 @@ class Pilot:
         return self.estimation.all_believed(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
         return self.estimation.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
@@ -211,8 +215,8 @@ class Pilot:
     def take_samples(self, samples: Sequence[Sample]) -> int:
         """Take samples in the order in which they were received; return how many wait for `fused`.
 
-        The estimator processes them when somebody next asks it, those of several datagrams together: beliefs and results are the
-        same as one by one, and what surrounds each step costs once.
+        The estimator processes them when the next answer is needed, those of several datagrams together: beliefs and results are
+        the same as one by one, and what surrounds each step costs once.
         """
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
@@ -302,10 +306,10 @@ class Pilot:
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
         self.landing.judge(now, deck, accelerates_unfelt=self.estimation.memory.guard.inertial.accel_lost)
-        doubt = self.landing.doubted(now)
-        if doubt is not None and relative is not None:
-            relative = _alerted(relative, doubt)
-        if doubt is IntegrityAlert.DECK:
+        objection = self.landing.doubted(now)
+        if objection is not None and relative is not None:
+            relative = _alerted(relative, objection)
+        if objection is IntegrityAlert.DECK:
             deck = None
         return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 

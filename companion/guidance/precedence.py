@@ -57,7 +57,7 @@ class Rule(Enum):
     HOLDER = "holder"
     """Accepted from the sender that has the hand, refused from all others."""
     IDLE = "holder, or idle"
-    """The same, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
+    """Accepted from the holder, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
     TRY_AGAIN = "unless ended"
     """Accepted while the flight goes on, and after guidance gave up, so that it may try again; refused after an abort."""
     OVER = "no: over"

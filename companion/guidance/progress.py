@@ -1,4 +1,4 @@
-"""The machine's memory: the state and what the try, the flight and the newest guidance cycles have left behind."""
+"""The machine's memory: the state and what the attempt, the flight and the newest guidance cycles have left behind."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from estimator.contracts.time import MonoNs
 
 
 class Progress(Struct, frozen=True, eq=False):
-    """The memory of one service; a flight and a try renew their parts of it."""
+    """The memory of one service; a flight and an attempt renew their parts of it."""
 
     state: State
     automatic: bool
@@ -36,22 +36,22 @@ class Progress(Struct, frozen=True, eq=False):
     stood: bool = True
     """The vehicle has stood on the ground since the flight ended."""
     begun: bool = False
-    """A landing was asked for in this flight."""
+    """A landing was requested in this flight."""
     ordered: bool = False
     """This flight has gone for the deck by our order."""
 
     attempt: Attempt = field(default_factory=Attempt)
     asked_at: MonoNs | None = None
-    """Time of the order to land; None before it. What the machine does by itself asks for no other landing."""
+    """Time of the order to land; None before it. What the machine does by itself requests no other landing."""
     landing_began: MonoNs | None = None
-    """Time of the first sight of the pad since the landing was asked for; None before it."""
+    """Time of the first sight of the pad since the landing was requested; None before it."""
     go_arounds: int = 0
     bounces: int = 0
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
     course: HeldCourse = HeldCourse()
-    """The height against what was ordered."""
+    """Height against the ordered descent."""
     questions: int = 0
     seen: MonoNs | None = None
     """Time of the newest estimate that was fit to steer by."""
@@ -67,7 +67,7 @@ class Progress(Struct, frozen=True, eq=False):
     deck_top_m: float = 0.0
     """The highest that it has been since then."""
     track: int | None = None
-    """Track of the pad that this try flies to."""
+    """Track of the pad that this attempt flies to."""
     heading: HeadingMemory = field(default_factory=HeadingMemory)
     turned: Reason | None = None
     """The arrow turned in the estimate by itself."""
@@ -84,7 +84,7 @@ class Progress(Struct, frozen=True, eq=False):
     waits_for: Reason | None = None
     """Blocking reason that is shown to the operator. It is held for some time; `blocked` may change with every cycle."""
     waits_since: MonoNs | None = None
-    """Time since which it stands."""
+    """Time since which the reason has been the same."""
     no_return_until: MonoNs | None = None
     """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
     windy_since: MonoNs | None = None
@@ -92,11 +92,11 @@ class Progress(Struct, frozen=True, eq=False):
     place_known: MonoNs | None = None
     """Time of the newest cycle in which the ship's place was known by reports."""
     on_way: MonoNs | None = None
-    """Time of the newest cycle on the way to the ship, where the drone leans for its own speed."""
+    """Time of the newest cycle on the way to the ship, where the drone tilts for its own speed."""
     search_leg: int = 0
     """Number of the corner of the search pattern that the drone flies to."""
     newest_track: int | None = None
-    """Track of the other pad while the operator is asked."""
+    """Track of the other pad while the operator decides."""
 
     @staticmethod
     def start(*, automatic: bool) -> Progress:
@@ -122,7 +122,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
                 p = replace(p, asked_at=change.at)
         case Event.CONTACT:
             felt = change.reason.cause is not ReasonCause.REACHED
-            again = change.source is State.GO_AROUND
+            again = change.source is not State.COMMIT
             p = replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)

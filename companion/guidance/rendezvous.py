@@ -196,7 +196,7 @@ def on_sample(track: VesselTrack, sample: GeoFix | VesselReport | Attitude) -> V
 
 
 def restarted(track: VesselTrack) -> VesselTrack:
-    """Return the track without the ship's places, so that the next one is believed alone: a person decided to go on."""
+    """Return the track without the ship's places, so that the next one is accepted alone: a person decided to go on."""
     return replace(track, vessel=None, newest_refusal=None)
 
 
@@ -271,7 +271,7 @@ def _bow(track: VesselTrack, now: MonoNs, v_vessel: F64) -> float | None:
 
 
 def _refusal(track: VesselTrack, now: MonoNs) -> Reason | None:
-    """Return that reports arrive and are refused, if that is so."""
+    """Return the reason if reports arrive and are refused."""
     if track.newest_refusal is None or seconds_between(track.newest_refusal[0], now) > track.limits.age_max_s:
         return None
     causes = {

@@ -1,7 +1,7 @@
 """Courses for the identification of a response, from commands and samples: commanded and reported, in even steps.
 
 Commands count from guidance's decision and are held until the next one; reports count from the instant of their measurement.
-Where nobody asked for a lean the vehicle's own one stands in for it, and nothing is compared until the response to it is over.
+Where nobody requested a tilt the vehicle's own one stands in for it, and nothing is compared until the response to it is over.
 """
 
 import math
@@ -38,7 +38,7 @@ def track(rows: Sequence[tuple[float, ...]]) -> Track:
 
 
 def asked_lean(command: Command | None) -> tuple[float, float]:
-    """Return the tilt that a command asks for as an acceleration, m/s^2 forward and right; nan if it asks for none."""
+    """Return the tilt that a command requests as an acceleration, m/s^2 forward and right; nan if it requests none."""
     if not isinstance(command, Lean):
         return math.nan, math.nan
     forward, right = (command.a_level + command.trim_level).tolist()
@@ -46,7 +46,7 @@ def asked_lean(command: Command | None) -> tuple[float, float]:
 
 
 def asked_descent(command: Command | None) -> float:
-    """Return the vertical speed that a command asks for, m/s down; nan if it asks for none."""
+    """Return the vertical speed that a command requests, m/s down; nan if it requests none."""
     return float(command.v_level[2]) if isinstance(command, Lean | Velocity) else math.nan
 
 
@@ -83,7 +83,7 @@ def course_of(asked: Track, reported: Track, stamp_sigma_s: float = 0.0, drifts:
 
 
 def joined(courses: Sequence[FlightCourse]) -> FlightCourse | None:
-    """Return one course of several flights; None if there is none. Each begins with what is not compared."""
+    """Return one course of several flights; None if there is none. Each begins with a part that is not compared."""
     if not courses:
         return None
     parts = [np.concatenate([of[k] for of in courses]) for k in range(3)]
@@ -91,7 +91,7 @@ def joined(courses: Sequence[FlightCourse]) -> FlightCourse | None:
 
 
 def _held(asked: Track, grid: F64) -> F64:
-    """Return the mean of what is asked over each step of a grid that ends before the last command.
+    """Return the mean command over each step of a grid that ends before the last command.
 
     A command in the middle of a step keeps its instant.
     """

@@ -1,10 +1,11 @@
 """Identification of a vehicle's response from commanded and reported values: delay, tilt frequency, damping, vertical lag.
 
-The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
-from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order autoregression: the
-error of a reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with
-a large sigma. The covariance is the larger of two in every direction: of the residuals as they should be, and of the fits that
-leave out one stretch of one axis each (a jackknife by one step), which also holds where model or whitening do not fit.
+The model's output is computed from the commanded course alone (output error) and compared with the reported one. Gauss-Newton
+steps from the delay of the largest correlation minimise the squared residuals, which are whitened by a first-order
+autoregression: the error of a reported attitude lasts for a second. A weak prior keeps parameters that a flight does not
+determine near the start of the search, with a large sigma. The covariance is the larger of two in every direction: of the
+residuals as they should be, and of the fits that leave out one stretch of one axis each (a jackknife by one step), which also
+holds where model or whitening do not fit.
 Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
 Bell & McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey Methodology 28(2), 2002
 (the second covariance).
@@ -39,7 +40,7 @@ _LEAST_S = 4.0
 _NEAR_S = 0.15
 """A fit whose delay is known better than this is near enough to go on from, s."""
 _SETTLED_S = 8.0
-"""The response to what was asked is over after this time, s."""
+"""The response to a command is over after this time, s."""
 _SETTLED_WITHIN_S = 0.02
 """A last step of the delay up to this belongs to a search that is at its end, s. On the way there a covariance says nothing."""
 _FLOOR_S = 0.004
@@ -54,7 +55,7 @@ class FlightCourse(NamedTuple):
     reported: F64
     """(n, axes), at the beginning of the step."""
     counts: NDArray[np.bool_]
-    """(n,), whether the reported value may be compared: both are known, and the asked one has been for a while."""
+    """(n,), whether the reported value may be compared: both are known, and the command has been known for a while."""
     stamp_sigma_s: float = 0.0
     """Standard deviation of the reports' time: such an error is an error of the delay."""
     drifts: int = 0
@@ -86,7 +87,7 @@ class TiltFit(msgspec.Struct, frozen=True):
     response: TiltResponse
     """Fitted response, with `delay_sigma_s` and the other sigmas set."""
     gain: float
-    """Reported tilt over asked tilt."""
+    """Reported tilt over commanded tilt."""
     fitted: Fitted
 
     @property
@@ -143,8 +144,8 @@ def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = 
     """Return the response of the tilt; None if the course is too short.
 
     Args:
-        course: asked and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
-        start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be told apart.
+        course: commanded and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
+        start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be distinguished.
         begin: an earlier fit of the same flight to begin from instead; the prior stays that of `start`.
         steps: largest number of steps.
     """
@@ -173,7 +174,7 @@ def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
     """Return the response of the vertical speed; None if the course is too short.
 
     Args:
-        course: asked and reported vertical speed, (n, 1) m/s.
+        course: commanded and reported vertical speed, (n, 1) m/s.
         start: where the search begins; its limit is kept.
     """
     first = np.array([start.delay_s, math.log(start.lag_s), 0.0])
@@ -263,13 +264,13 @@ class _Loop:
         held = np.ones_like(s)
         held[1:] = (1.0 - np.exp(-s[1:] * STEP_S)) / (s[1:] * STEP_S)
         self._first = course.asked[0]
-        # The vehicle rests at the first value, and what is asked is filtered from there.
+        # The vehicle rests at the first value, and the command is filtered from there.
         self._U = np.fft.rfft(course.asked - self._first, self._size, axis=0).T * held
         self._powers = (np.arange(n) / n)[:, None] ** np.arange(course.drifts + 1)
         self._block = (np.flatnonzero(compared) * STEP_S / block_s).astype(int)
 
     def _filtered(self, H: _C128) -> F64:
-        """Return the asked course, filtered; `H` is (k, m), the result (k, axes, n)."""
+        """Return the commanded course, filtered; `H` is (k, m), the result (k, axes, n)."""
         out = np.fft.irfft(H[:, None, :] * self._U, self._size, axis=-1)
         return np.asarray(out[..., : self._reported.shape[0]])
 
@@ -277,8 +278,8 @@ class _Loop:
         """Return the delay with which the other parameters fit best, whatever the gain: where the correlation is largest."""
         H, _ = self._transfer(np.array([0.0, *x[1:]]), self._s)
         # The difference whitens well enough to find the delay.
-        told = np.where(self._compared[:, None], np.diff(self._reported, axis=0), 0.0)
-        spectrum = np.fft.rfft(told, self._size, axis=0).T * np.conj(H * self._U * (1.0 - np.exp(-self._s * STEP_S)))
+        noted = np.where(self._compared[:, None], np.diff(self._reported, axis=0), 0.0)
+        spectrum = np.fft.rfft(noted, self._size, axis=0).T * np.conj(H * self._U * (1.0 - np.exp(-self._s * STEP_S)))
         lags = np.fft.irfft(spectrum, self._size, axis=-1).sum(axis=0)[: round(_DELAY_MAX_S / STEP_S)]
         return float(STEP_S * np.argmax(lags))
 
@@ -290,9 +291,9 @@ class _Loop:
         H, dH = self._transfer(x, self._s)
         out = self._filtered(np.concatenate([H[None], dH]))
         white = (out[..., 1:] - rho * out[..., :-1])[..., self._compared]
-        told = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
+        noted = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
         base, _ = np.linalg.qr((self._powers[1:] - rho * self._powers[:-1])[self._compared])
-        e, J = told - white[0], white[1:]
+        e, J = noted - white[0], white[1:]
         e, J = e - (e @ base) @ base.T, J - (J @ base) @ base.T
         var = max(1e-12, float((e * e).mean()))
         flat = J.reshape(J.shape[0], -1)
@@ -337,7 +338,7 @@ def text(response: Response, source: str, tilt: TiltFit, climb: ClimbFit | None)
         tilt, climb: the fits behind it; None where the given numbers were kept.
 
     Raises:
-        ValueError: a covariance is none, because the flight tells next to nothing.
+        ValueError: a covariance is none, because the flight determines next to nothing.
     """
     climbed = "as given: not identified" if climb is None else f"{climb.fitted.residual:.3f} m/s beside the model"
     tilt_table = _identified(response.tilt, "cov_delay_frequency_damping", tilt.cov)

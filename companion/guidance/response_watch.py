@@ -1,11 +1,11 @@
 """Identify the vehicle's response in flight, and decide which one the control law flies by.
 
-Every second or two the newest `_WINDOW_S` of asked and reported tilt are fitted, beginning from the fit before. A fit whose delay
-is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and by
-more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
-nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in
-use stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the
-loop swings about the pad and never comes to the gate.
+Every second or two the newest `_WINDOW_S` of commanded and reported tilt are fitted, beginning from the fit before. A fit whose
+delay is sure to `known_s` and within `CONTRADICTION_S` of the delay in use confirms it. One that is longer by more than that and
+by more than three standard deviations takes its place. Either counts when the next fit says the same; what lies between decides
+nothing. A fit whose model is not the vehicle's counts for nothing, nor one whose search is not at its end: the response in use
+stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the loop
+swings about the pad and never comes to the gate.
 
 No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
 own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
@@ -29,7 +29,7 @@ from estimator.contracts.commands import Command
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 CONTRADICTION_S = 0.04
-"""A difference of the delay up to this is none, s: the margins stand it."""
+"""A difference of the delay up to this is ignored, s: the margins tolerate it."""
 DELAY_MAX_S = 0.4
 """Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
 _SURELY = 2.0
@@ -48,9 +48,9 @@ _LATE_S = 1.0
 _EXPLAINED = 0.7
 """Least share of the reported motion that a fit has to explain."""
 _GAIN_OFF = 0.35
-"""A vehicle that flies so much less or more than what is asked is at a limit of its own, or speaks other units."""
+"""A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
 _COURSE_OFF_S = 0.15
-"""A tilt that follows by so much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
+"""A tilt that follows by this much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
 
 
 class ResponseWatch(Struct, frozen=True, eq=False):
@@ -71,7 +71,7 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
     asked_before: Track | None = None
     reported_before: Track | None = None
-    """The same from before it."""
+    """Commanded and reported tilt from before the newest fit."""
     stamp_sigma_s: float = 0.0
     due: MonoNs = MonoNs(0)
 
@@ -173,8 +173,8 @@ def _explains(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
         return False
     if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:
         return False
-    told = np.asarray((course.reported - fit.fitted.offset)[course.counts])
-    moved = float((told - told.mean(axis=0)).std())
+    noted = np.asarray((course.reported - fit.fitted.offset)[course.counts])
+    moved = float((noted - noted.mean(axis=0)).std())
     return fit.fitted.residual**2 <= (1.0 - _EXPLAINED) * moved**2
 
 
@@ -209,7 +209,7 @@ class ResponseIdentifier:
 
     def retune(self, guidance: GuidanceOptions) -> None:
         """Use other settings from now on; what is known stays."""
-        # The thesis' controller commands velocities, which tell nothing of the tilt.
+        # The thesis' controller commands velocities, which do not determine the tilt.
         self._on = guidance.follow_deck.identify and guidance.controller != "pid"
         self._known_s = guidance.follow_deck.delay_known_s
 
@@ -233,7 +233,7 @@ class ResponseIdentifier:
         self._watch = response_watch.landed(self._watch)
 
     def on_command(self, now: MonoNs, command: Command | None, state: State) -> ResponseInUse | None:
-        """Take the command of a guidance cycle; return the response in use when it is another one than last told, else None."""
+        """Take the command of a cycle; return the response in use when it differs from the last reported one, else None."""
         if not self._on:
             return None
         on_deck = state in _ON_DECK

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.controller import Knowledge
+from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.limits import InputQuality
 from companion.guidance.wind import WindOverDrone
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -59,6 +59,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """True if the accelerometer is alive, so that its silence means no contact."""
     late_s: float | None = None
     """Delay of the vehicle's answer, if that is too late to fly; None otherwise."""
+    touch: Impact | None = None
+    """The newest push that one foot alone may have made; None before one."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
     thing: Reason | None = None

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
 from companion.guidance import cone, heading, limits, rendezvous
-from companion.guidance.clearance import rise_beyond_climb_m
+from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
@@ -49,7 +49,7 @@ def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_gro
     """Return how fast the drone climbs before a deck that comes up to it out of sight.
 
     It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
-    further than to the safe height, where no deck reaches it. A deck of which nothing is known may rise.
+    further than to the safe height, where no deck reaches it. An unknown deck may rise.
     """
     if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
@@ -82,7 +82,7 @@ def never_lower(command: Command, knowledge: Knowledge, *, fit: bool, over_groun
 
 
 def climbing(command: Command, climb_m_s: float) -> Command:
-    """Return the command with at least this climb: without sight an estimate that has risen by itself asks for none."""
+    """Return the command with at least this climb: without sight an estimate that has risen by itself requests none."""
     if not isinstance(command, Velocity | Lean) or command.v_level[2] <= -climb_m_s:
         return command
     v = np.array(command.v_level)
@@ -96,6 +96,15 @@ Aim = Target | Command | None
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
 _HOLD_SPEED_M_S = 0.5
+_FREE_M = 1.0
+"""Height over the held one from which a held vehicle climbs no more with its deck, m."""
+_CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
+"""States that hold a place and may climb from it."""
+_REFUSED = (State.REFUSED, State.GAVE_UP)
+_LOOK_M_S, _LEG_S = 0.4, 20.0
+"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s; the first has half of it."""
+_TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
+"""Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 _AWAY_M_S = 5.0
 """Largest rate against the deck with which the drone goes up before a deck that will rise faster than it can climb: no limit."""
 
@@ -120,7 +129,9 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, _way_down(p, s, o, estimate)
         case State.PRESS if estimate is not None:
             level = np.array(estimate.d_body_pad_level)
-            return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
+            # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
+            level_off = None if s.wind is not None and s.wind.leans_far else 0.0
+            return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
         case State.PRESS | State.DOWN:
             # The thesis' way ends in the air; every other one comes here by a contact.
             return p, Land(on_deck=o.mission != "thesis" and _felt(p, s, o))
@@ -130,13 +141,15 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, rendezvous.along_pattern(p.search_leg, s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
+        case State.REFUSED | State.GAVE_UP if o.refused == "return" and _out_of_reach_m_s(p, s, o) == 0.0:
+            return p, Hover(returns=True)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
             return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
     return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
 
 
 def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the deck was felt and no sight tells otherwise: only then do the motors stop by force."""
+    """Return whether the deck was felt and no sight contradicts it: only then do the motors stop by force."""
     felt = s.knowledge.impact
     if p.reckoned is not None and (felt is None or felt.at < p.reckoned):
         return False
@@ -144,28 +157,37 @@ def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
 
 
 def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
-    yaw = heading.wanted_rad(estimate) if o.tries.heading == "align" else None
+    yaw = _yaw_rad(s, o, estimate)
     if o.mission == "thesis":
         way = o.thesis
         height_m = way.approach_height_m if p.state is State.INTERCEPT else way.final_height_m
         over = np.array([way.pad_ahead_m, 0.0, height_m])
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
-    height_m, error_m, fast = estimate.height_m, estimate.lateral_m, o.cone.intercept_speed_m_s
-    rise_m = rise_beyond_climb_m(s.knowledge)
+    height_m, error_m, fast = estimate.height_m, limits.beside_m(estimate, s.knowledge), o.cone.intercept_speed_m_s
+    x_m, y_m = s.knowledge.aim_level
+    rise_m = rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
     least_m = o.cone.gate_m + rise_m
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
             wide_m = min(o.tries.safe_height_m, error_m / o.cone.slope)
-            over = np.array([0.0, 0.0, max(min(height_m, p.entered_height_m), wide_m, least_m)])
+            over = np.array([x_m, y_m, max(min(height_m, p.entered_height_m), wide_m, least_m)])
             return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=fast, yaw_rad=yaw)
         case State.DESCEND:
             rate = cone.descent_rate_m_s(error_m, height_m, o.cone, least_m)
-            return Target(np.array([0.0, 0.0, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
+            return Target(np.array([x_m, y_m, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
         case State.COMMIT:
-            return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
+            return Target(np.array([x_m, y_m, 0.0]), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
     rate_max = o.tries.climb_m_s if rise_m == 0.0 or height_m > least_m else _AWAY_M_S
-    return Target(np.array([0.0, 0.0, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
+    return Target(np.array([x_m, y_m, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
+
+
+def _yaw_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> float | None:
+    """Return the heading against the arrow to turn to; None to keep the present one."""
+    if o.tries.heading == "align":
+        return heading.wanted_rad(estimate)
+    turns = o.tries.heading == "across" and s.wind is not None and s.wind.leans_far
+    return estimate.yaw_rad + s.wind.across_rad if turns and s.wind is not None and estimate.yaw_rad is not None else None
 
 
 def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
@@ -200,17 +222,42 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
         # A deck that rises comes up to a drone that stays where it is.
         if p.state is State.HOLD_BLIND:
             climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
-        return replace(p, held=None), without_estimate(climb_m_s, over_ground=over_ground)
+        if p.state in _REFUSED and not over_ground:
+            climb_m_s += _out_of_reach_m_s(p, s, o)
+        looks = _looks_upwind(p, s, o, climb_m_s) if p.state in (State.SEARCH, State.HOLD_BLIND) else None
+        return replace(p, held=None), looks or without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
-    # A drone that was lifted stays up: without sight nothing asks it to come down again.
-    least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge))
-    wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m, least_m)])
+    # A drone that was lifted stays up: nothing commands it down again, only a deck that rises comes nearer (`_climbing_less`).
+    wanted = np.array([held[0], held[1], max(estimate.height_m, _held_height_m(p, held, s, o))])
     rate = -climb_m_s if climb_m_s > 0.0 else None
-    return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
+    turns = _yaw_rad(s, o, estimate) if p.state is State.HOLD_BLIND and o.tries.heading == "across" else None
+    return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=turns)
+
+
+def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return how fast a refused drone without sight climbs: once by the safe height, out of reach of a deck that comes up."""
+    since_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    return o.tries.climb_m_s if since_s * o.tries.climb_m_s < o.tries.safe_height_m else 0.0
+
+
+def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:
+    """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
+
+    The lean turns the camera to lee, so what was below is found upwind. The drone flies upwind, to lee past its beginning, and so
+    on, and turns the wider side of the field into the wind.
+    """
+    if s.wind is None or not s.wind.leans_far:
+        return None
+    spent_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    upwind = (spent_s + 0.5 * _LEG_S) // _LEG_S % 2.0 == 0.0
+    speed = _LOOK_M_S if upwind else -_LOOK_M_S
+    turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
+    ahead, aside = s.wind.into_level
+    return Velocity(np.array([speed * ahead, speed * aside, -climb_m_s]), max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
 
 
 def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> Command:
@@ -224,16 +271,44 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     if asks_to_descend(p, s, o):
         return command
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)
-    return never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+    command = never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+    if not fit or s.estimate is None or p.held is None or p.state in _CLIMBS_WHERE_HELD:
+        return command
+    return _climbing_less(command, s.estimate.height_m - _held_height_m(p, p.held, s, o), over_ground=over_ground)
+
+
+def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the least height over the deck at which a held vehicle stays, m."""
+    if p.state in _REFUSED:
+        return max(float(held[2]), o.tries.safe_height_m + s.knowledge.outrun_m)
+    return max(float(held[2]), min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)))
+
+
+def _climbing_less(command: Command, over_m: float, *, over_ground: bool) -> Command:
+    """Return the command with less climb, the higher the vehicle is over the height that it holds.
+
+    A deck that falls is followed less far than one that rises. Without this a held vehicle goes up with each wave, without end.
+
+    Args:
+        over_m: height over the held one, m.
+        over_ground: whether the vehicle's driver adds the deck's velocity to a velocity, which then stays as it is.
+    """
+    if not isinstance(command, Velocity | Lean) or (over_ground and isinstance(command, Velocity)):
+        return command
+    v = np.array(command.v_level)
+    if over_m <= 0.0 or v[2] >= 0.0:
+        return command
+    v[2] *= max(0.0, 1.0 - over_m / _FREE_M)
+    return replace(command, v_level=v)
 
 
 def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the sightings are as recent and as consistent as the gate asks; by others no deck is followed down."""
+    """Return whether the sightings are as recent and as consistent as the gate requires; by others no deck is followed down."""
     return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
 
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
+    """Return whether this cycle may request a way nearer to the deck: its state does, and its estimate is fit for it."""
     # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
     lower = p.state in (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
     if not (lower or (p.state is State.INTERCEPT and o.mission == "thesis")):

@@ -20,7 +20,7 @@ from companion.settings.response import TiltResponse
 
 
 class TiltWeights(NamedTuple):
-    """The regulator's weights: each is what costs as much as the others."""
+    """The regulator's weights: amounts of each quantity that cost the same."""
 
     p_m: float = 0.006
     w_m_s: float = 4.1

@@ -26,6 +26,10 @@ NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
 SILENT_S = 0.3
 """Time without a sample of the vehicle after which it counts as silent, seconds."""
+_PRESS_IN_WIND = 0.5
+"""Share of the time for which it presses on that is left in wind."""
+_TOUCH_S = 0.3
+"""Time for which the push of one foot counts, s."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 _AT_GATE_M = 0.08
@@ -38,9 +42,9 @@ _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
 _BLIND_MARGIN_M = 0.1
 _OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
-"""A height this far over the gate's, by so many standard deviations, is none at which a vehicle stands on the deck."""
+"""A height this far over the gate's, by this many standard deviations, is too high for a vehicle that stands on the deck."""
 _FRESH_S = 0.2
-"""Age of a sighting up to which it tells that the drone has left the deck, s."""
+"""Age of a sighting up to which it shows that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
 """Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
@@ -48,17 +52,21 @@ _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 BOUNCES_MOST = 2
 """Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 _TOUCHES_MOST = 4
-"""Number of bounces after which a contact in a go-around is none to press on."""
+"""Number of bounces after which a contact in a go-around no longer makes it press on."""
+_MAY_STAY = (State.GO_AROUND, State.GATE, State.HOLD_BLIND)
+"""States that no contact belongs to, in which one near the pad's centre is taken as the landing all the same."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 _TILTS_FAR = 3.0
-"""Tilt of the deck over the gate's limit beyond which the tries end with the present one."""
+"""Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
 _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _REASON_STANDS_S = 2.0
 """Time for which a cause of the shut gate stands before the operator, s."""
 _LEAN_SETTLES_S = 10.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+_SPENT_WAIT_S = 8.0
+"""Time for which it waits where the lean takes all of the tilt, s: such a gust may pass, and the drone is blown off meanwhile."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -70,7 +78,7 @@ def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 
 def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Charge the guidance cycle to the try, and note what was seen."""
+    """Charge the guidance cycle to the attempt, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if s.silent_s > SILENT_S:
@@ -122,7 +130,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
-    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is none."""
+    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is no wind."""
     slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
     if s.wind is None or not slow or not s.wind.too_strong:
         return p if p.windy_since is None else replace(p, windy_since=None)
@@ -218,13 +226,17 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         felt = None
     feet_m = contact.feet_m(s, o.cone)
     if p.state is State.COMMIT and p.since is not None:
+        if felt is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
+            felt = s.touch
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    if p.state is State.GO_AROUND and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
+    if p.state in _MAY_STAY and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
-    if p.state is State.PRESS and in_state_s >= o.cone.press_s:
-        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
+    # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
+    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.leans_far else 1.0)
+    if p.state is State.PRESS and in_state_s >= press_s:
+        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 
 
 def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
@@ -258,8 +270,14 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
-    if s.wind is not None and (s.wind.spent or _windy_s(p, s) > o.limits.wind_wait_s) and (windy := _windy(p, s)) is not None:
-        yield Event.NO_CONDITIONS, windy
+    if s.wind is not None and (windy := _windy(p, s)) is not None:
+        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if s.wind.spent else o.limits.wind_wait_s
+        if _windy_s(p, s) > wait_s:
+            yield Event.NO_CONDITIONS, windy
+    outrun_m = s.knowledge.outrun_m
+    if p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
+        # It would wait as high as it goes around.
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
@@ -282,7 +300,11 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     match p.state:
         case State.COMMIT:
-            ends = None if estimate is None else limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
+            ends = (
+                None
+                if estimate is None
+                else limits.commit(s.at, estimate, s.knowledge, limits.of_try(o.limits, p.go_arounds), o.cone)
+            )
             turns = estimate is not None and estimate.height_m > limits.no_return_m(s.knowledge, o.cone)
             return ends or (s.thing if turns else None) or _against(p, s)
         case State.DOWN if o.mission == "thesis":
@@ -312,7 +334,7 @@ def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
 
 
 def _against(p: Progress, s: GuidanceCycle) -> Reason | None:
-    """Return that the height goes against what is ordered, or None."""
+    """Return the reason if the height moves against the order, or None."""
     if not p.in_sight or s.estimate is None or (against_m := p.course.against_m(s.at, s.estimate.height_m)) is None:
         return None
     return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
@@ -328,7 +350,7 @@ def _search_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
 
 
 def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that it is in the air again after the contact; only a fresh sight of the pad tells, for blind the height drifts."""
+    """Return the reason if it is in the air again after the contact; only a fresh sight of the pad shows it."""
     estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
     if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
         return None
@@ -423,7 +445,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
     if o.mission == "thesis":
         yield from _way_points(p, s, o, estimate)
         return
-    height_m, error_m = estimate.height_m, estimate.lateral_m
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
     if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_windy(p, s) or s.thing) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
@@ -465,13 +487,21 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         blocked = (
             _thesis_gate(s.estimate, o)
             if o.mission == "thesis"
-            else limits.gate(s.at, s.estimate, s.knowledge, s.quality, o.limits, o.cone, aligned=o.tries.heading == "align")
+            else limits.gate(
+                s.at,
+                s.estimate,
+                s.knowledge,
+                s.quality,
+                limits.of_try(o.limits, p.go_arounds),
+                o.cone,
+                aligned=o.tries.heading == "align",
+            )
         )
     if blocked is not None:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)
         tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
-        # A deck that leans this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+        # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
         refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
         return replace(p, blocked=blocked, good_since=None, refusing=refusing)
     return replace(p, blocked=None, good_since=s.at if p.good_since is None else p.good_since)
@@ -513,6 +543,6 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
 
 
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
-    """Return whether the drone is still on its way up to the safe height while the operator is asked."""
+    """Return whether the drone is still on its way up to the safe height while the operator decides."""
     climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
     return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

@@ -1,7 +1,7 @@
-"""The wind over the drone, by the lean that holds it in place, and how much of it the vehicle's tilt can fly.
+"""The wind over the drone, by the tilt that holds it in place, and how much of it the vehicle's tilt can fly.
 
-What the drone leans beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
-is gusts. A vehicle can fly a steady lean up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
+What the drone tilts beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
+is gusts. A vehicle can fly a steady tilt up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
 the tilt is for them.
 """
 
@@ -13,6 +13,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from companion.guidance.controller import Knowledge
+from companion.guidance.view import FieldOfView
 from companion.settings.response import TiltResponse
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between
@@ -21,10 +22,13 @@ MEAN_S = 5.0
 """Time constant of mean and gusts, and the time before either counts, s."""
 GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
-"""Time constant that takes the accelerometer's noise from the lean, s: gusts last longer."""
+"""Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _GAP_MAX_S = 0.5
+_DRAGGED_M = 0.06
+"""Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
+_FAR_RAD = math.radians(8.0)
 _SPENT = 0.95
-"""Share of the tilt limit beyond which a steady lean leaves nothing to hold the place with."""
+"""Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 
 
 class WindOverDrone(NamedTuple):
@@ -39,9 +43,25 @@ class WindOverDrone(NamedTuple):
     into_level: tuple[float, float]
     """Unit vector into the wind, forward and right; zero in a calm."""
     lean_rad: float
-    """The mean lean against it."""
+    """The mean tilt against it."""
     spent: bool
     """True if it takes all of the tilt."""
+    across_rad: float = 0.0
+    """The turn that brings the wider side of the camera's field into the wind, clockwise positive."""
+
+    def aim_level(self, feet_below_m: float) -> tuple[float, float]:
+        """Return where the pad's centre is wanted at the contact, forward and right, m.
+
+        The feet that touch first stay, and the body that levels over them goes to lee by its height over them times the
+        lean. Until the rotors stand the air drags it on.
+        """
+        lee_m = -(feet_below_m * math.sin(self.lean_rad) + _DRAGGED_M * math.tan(self.lean_rad))
+        return lee_m * self.into_level[0], lee_m * self.into_level[1]
+
+    @property
+    def leans_far(self) -> bool:
+        """True if the lean moves the pad so far towards the picture's edge that the nose turns for it."""
+        return self.lean_rad > _FAR_RAD
 
     @property
     def too_strong(self) -> bool:
@@ -78,17 +98,20 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
     off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
     mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
-    # Of what is off, the part that has gone into the mean is none of the gusts (Welford's update of a variance).
+    # The part of the difference that has gone into the mean does not belong to the gusts (Welford's update of a variance).
     var = watch.var + slow * (0.5 * (1.0 - slow) * (off[0] ** 2 + off[1] ** 2) - watch.var)
     return WindWatch(now, known_s, smooth, mean, max(0.0, var))
 
 
-def wind_over_drone(watch: WindWatch, tilt: TiltResponse, heading_rad: float) -> WindOverDrone | None:
+def wind_over_drone(
+    watch: WindWatch, tilt: TiltResponse, heading_rad: float, view: FieldOfView | None = None
+) -> WindOverDrone | None:
     """Return the wind by what was watched; None before `MEAN_S`.
 
     Args:
         tilt: the vehicle's, with its limit and its drag.
         heading_rad: of `level` in the axes of the memory.
+        view: the camera's field; None where it does not lean with the body.
     """
     if watch.known_s < MEAN_S:
         return None
@@ -98,11 +121,20 @@ def wind_over_drone(watch: WindWatch, tilt: TiltResponse, heading_rad: float) ->
     left_rad = max(0.0, most_rad - GUST_SIGMAS * math.atan(gust / G_M_S2))
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     north, east = (watch.mean[0] / size, watch.mean[1] / size) if size > 0.0 else (0.0, 0.0)
+    forward, right = c * north + s * east, c * east - s * north
     return WindOverDrone(
         size / tilt.drag_1_s,
         gust / tilt.drag_1_s,
         G_M_S2 * math.tan(left_rad) / tilt.drag_1_s,
-        (c * north + s * east, c * east - s * north),
+        (forward, right),
         lean_rad,
         lean_rad > _SPENT * most_rad,
+        0.0 if view is None else _turn_across_rad(math.atan2(right, forward), view),
     )
+
+
+def _turn_across_rad(bearing_rad: float, view: FieldOfView) -> float:
+    """Return the smaller turn that brings the wind, seen at this bearing off the nose, to the wider side of the field."""
+    side_rad = 0.5 * math.pi if view.half_right_rad > view.half_forward_rad else 0.0
+    off_rad = (bearing_rad - side_rad) % math.pi
+    return off_rad - math.pi if off_rad > 0.5 * math.pi else off_rad

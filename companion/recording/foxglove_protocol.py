@@ -35,13 +35,13 @@ class Subscription(Struct, frozen=True):
 
 
 class Subscribe(Struct, frozen=True, tag_field="op", tag="subscribe"):
-    """A client asks for channels."""
+    """A client requests channels."""
 
     subscriptions: Annotated[list[Subscription], Meta(max_length=_IDS_MAX)]
 
 
 class Unsubscribe(Struct, frozen=True, tag_field="op", tag="unsubscribe"):
-    """A client asks for channels no more."""
+    """A client requests channels no more."""
 
     subscriptionIds: Annotated[list[Id], Meta(max_length=_IDS_MAX)]  # noqa: N815
 

@@ -48,7 +48,7 @@ class _Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoImage:
-    """One recorded frame of a video, decoded when it is asked for."""
+    """One recorded frame of a video, decoded when it is requested."""
 
     _group: _Group
     _number: int

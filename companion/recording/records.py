@@ -283,13 +283,13 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     steering: str | None = None
     """Path of the estimate that steered; left out if there was none."""
     command: str | None = None
-    """velocity, lean, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
+    """velocity, tilt, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
     v_level: list[float] | None = None
     yaw_rate_rad_s: float | None = None
     reason: str = ""
     """Reason for anything other than a plain descent."""
     a_level: list[float] | None = None
-    """Acceleration of a lean, m/s^2 forward and right."""
+    """Acceleration of a tilt, m/s^2 forward and right."""
     trim_level: list[float] | None = None
     """Acceleration that a tilt adds against wind and drag, m/s^2 forward and right."""
     transitions: list[TransitionRecord] = []

@@ -267,12 +267,12 @@ def _flies(pilot: Pilot) -> bool:
 async def live(daemon: Daemon, pilot: Pilot, *, stays: bool = False) -> FlightOutcome | None:
     """Run the daemon, and heed signals.
 
-    SIGINT and SIGTERM end it in order: the vehicle holds, recordings are closed. SIGQUIT does the same after the log has said
-    where each thread is. SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it. Python ignores SIGPIPE: the write fails.
+    SIGINT and SIGTERM end it in order: the vehicle holds, recordings are closed. SIGQUIT does the same after the log
+    has each thread's stack. SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it. Python ignores SIGPIPE: the write fails.
 
     Args:
-        stays: a terminal that hangs up (SIGHUP) or Ctrl-Z (SIGTSTP) is told and not followed: a drone in the air cannot be put
-            aside. SIGTTIN and SIGTTOU, which stop a job in the background that uses its terminal, are ignored.
+        stays: a terminal that hangs up (SIGHUP) or Ctrl-Z (SIGTSTP) is logged and not followed: a drone in the air cannot
+            be put aside. SIGTTIN and SIGTTOU, which stop a job in the background that uses its terminal, are ignored.
     """
     operator = PilotOperator(pilot, OrderSender(OrderSource.SIGNAL), SystemClock())
 

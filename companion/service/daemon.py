@@ -45,7 +45,7 @@ from estimator.vision.detection import Detection
 # each sighting older; half of the frames, seen in time, land a drone better than all of them, seen late.
 
 _WEIGHT = 0.2
-"""Weight of the newest look in the mean: five frames tell a slow machine from one slow look."""
+"""Weight of the newest look in the mean: five frames distinguish a slow machine from one slow look."""
 _PAUSE_MAX_S = 0.2
 """Longest time without a look: a sighting at least each 0.2 s keeps an estimate fresh, whatever a look costs."""
 
@@ -157,7 +157,7 @@ class Daemon:
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._taken_at = MonoNs(0)
-        """When the samples that wait were last asked for."""
+        """Time when the waiting samples were last taken."""
         self._newest_fused: Stamp | None = None
         """Stamp of the newest frame in the estimate that no command has used."""
         self._extras = dict(extras or {})
@@ -209,7 +209,7 @@ class Daemon:
                 self._link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
-        """Take the samples that nobody asked for: guidance and vision take what waits just before they need it.
+        """Take the samples that nobody requested: guidance and vision take what waits just before they need it.
 
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
@@ -244,16 +244,16 @@ class Daemon:
     def _report_fused(self) -> None:
         """Tell health and observers of the samples that the estimator has processed.
 
-        Where no observer takes them, health counts many at once: when so many have come, and before it is read.
+        Where no observer takes them, health counts many at once: when this many have come, and before it is read.
         """
         if self._audience.takes_fusion:
             self._count(self._pilot.fused())
 
     def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
-        told = self._audience.takes_fusion
+        reported = self._audience.takes_fusion
         for sample, results in fused:
             self.health.fused(sample, results)
-            if told:
+            if reported:
                 for result in results:
                     self._audience.on_fusion(sample.stamp.received_at, result)
 
@@ -279,10 +279,10 @@ class Daemon:
                 self.health.frame_times(processed.times)
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
-            told = self._clock.now()
-            self.health.delay("outputs", seconds_between(processed.done, told))
+            reported = self._clock.now()
+            self.health.delay("outputs", seconds_between(processed.done, reported))
             if processed.verdict is Verdict.FUSED:
-                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, told))
+                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, reported))
                 self._newest_fused = frame.stamp
             for result in processed.results:
                 self.health.fusion(result)

@@ -69,7 +69,7 @@ def with_camera(
     clock: Clock,
     attach: Callable[[ExposureDrive | None], None] = lambda drive: None,
 ) -> OpenLink:
-    """Return what opens both. A camera that goes away comes back by itself, and the vehicle is not told of it.
+    """Return what opens both. A camera that goes away comes back by itself, and the vehicle is not involved.
 
     Args:
         size: the width and height of the camera's frames, px.

@@ -44,6 +44,7 @@ class _Rule:
 
 _RULES = (
     _Rule("vision.learned_file", lambda s: s.vision.learned == "off", 'vision.learned is "off"'),
+    _Rule("guidance.policy_file", lambda s: s.guidance.controller != "policy", 'guidance.controller is not "policy"'),
     _Rule("mqtt.", lambda s: s.mqtt.transport == "off", 'mqtt.transport is "off"', "mqtt.transport"),
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
@@ -234,7 +235,7 @@ def _without(data: Mapping[str, Any], path: str) -> dict[str, Any]:
 def _changed(table: Struct, prefix: str = "") -> Iterator[str]:
     """Yield the dotted path of each key whose value is not its default; keys without a default are omitted.
 
-    The structs tell their defaults themselves; to describe the whole model first, as `refusal.walk` does, takes far longer.
+    The defaults come from the structs; to describe the whole model first, as `refusal.walk` does, takes far longer.
     """
     names, defaults = table.__struct_fields__, table.__struct_defaults__
     required = len(names) - len(defaults)

@@ -8,7 +8,7 @@ from msgspec import Struct
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
 from companion.settings.rendezvous import RendezvousOptions
-from estimator.contracts.keys import check_ranges, choice, name, number
+from estimator.contracts.keys import check_ranges, choice, name, number, text
 
 _TUNED = "tuned in simulation"
 _Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
@@ -61,7 +61,7 @@ class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The position controller: limits of what it asks for, and where it is soft.
+    """The position controller: limits of what it requests, and where it is soft.
 
     The defaults suit a vehicle that tilts to follow a velocity command (0.2 s of dead time, then 0.4 s of lag) and is seen
     0.15 s late.
@@ -127,15 +127,26 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
     ] = 6.0
+    refused: Annotated[
+        Literal["hold", "return"],
+        choice(
+            "what a drone does that refused or gave up, once it is as high as it goes around: hold over the pad, or fly back by "
+            "the autopilot's own return; an AR.Drone has none and holds"
+        ),
+    ] = "hold"
     controller: Annotated[
         str,
         name(
-            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or "
-            "the name under which an installed package offers one",
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), "
+            "policy (a trained network), or the name under which an installed package offers one",
             64,
             public=True,
         ),
     ] = "follow_deck"
+    policy_file: Annotated[
+        str,
+        text("what the controller policy flies by, as decklander train writes it; empty for the shipped one", 4096, shortest=0),
+    ] = ""
     pid: PidOptions = PidOptions()
     follow_deck: FollowDeckOptions = FollowDeckOptions()
     cone: ConeOptions = ConeOptions()

@@ -53,7 +53,7 @@ _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoef
 
 
 def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
-    """Return the keys of our own camera file for a text of one of these kinds, told apart by its content; None for another text.
+    """Return the keys of our own camera file for a text of one of these kinds, by its content; None for another text.
 
     Raises:
         BadInput: a part is lacking, or it is of a lens that our model does not fit.
@@ -214,7 +214,7 @@ __all__ = [
 _DEEP_PARTS = 50
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
-"""A dotted key with so many parts is none of ours, and the time to read it grows with their square."""
+"""A dotted key with this many parts is not one of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
@@ -235,8 +235,8 @@ def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
     shipped file or are paths relative to the working directory; so are those of keys and certificates.
 
     Args:
-        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: keys of which it is silent are then
-            those of an autopilot.
+        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: missing keys then have
+            an autopilot's defaults.
 
     Raises:
         BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
@@ -267,6 +267,7 @@ def complete(settings: Settings, path: Path) -> Settings:
         vehicle=_anchored(settings.vehicle, path.parent, signing),
         bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
         vision=_anchored(settings.vision, path.parent, ["learned_file"]),
+        guidance=_anchored(settings.guidance, path.parent, ["policy_file"]),
         metrics=_anchored(settings.metrics, path.parent, ["token_file"]),
         foxglove=_anchored(settings.foxglove, path.parent, ["token_file"]),
         page=_anchored(settings.page, path.parent, ["token_file", "certificate_file", "key_file"]),
@@ -303,9 +304,9 @@ def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False
     try:
         return from_mapping(tables, where, by_autopilot=by_autopilot)
     except BadInput as why:
-        said = str(why).removeprefix(f"{where}: ")
-        key = said.partition(" ")[0].rstrip(":,")
-        raise BadInput(f"{where}: {in_file(key)}{said[len(key) :]}") from why
+        output = str(why).removeprefix(f"{where}: ")
+        key = output.partition(" ")[0].rstrip(":,")
+        raise BadInput(f"{where}: {in_file(key)}{output[len(key) :]}") from why
 
 
 def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
@@ -333,7 +334,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
 
 
 def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:
-    """Return the mapping with what differs for an autopilot where it says nothing of it; what it says wins."""
+    """Return the mapping with an autopilot's defaults for its missing keys; its own values win."""
     vehicle = data.get("vehicle")
     if not by_autopilot and (not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink"):
         return data
@@ -380,7 +381,7 @@ def pad_model(settings: Settings) -> Pad:
     """Return the pad that `settings.pad.file` names.
 
     Raises:
-        BadInput: the file is missing or has a fault, or vision cannot tell this pad from what else lies on decks.
+        BadInput: the file is missing or has a fault, or vision cannot distinguish this pad from other things on decks.
     """
     path = find_file(settings.pad.file, "pads", Path(), "pad.file")
     return _pad_to_detect(read_text(path), path)

@@ -1,4 +1,4 @@
-"""The mission's options: the cone, the limits of gate and commit, the tries, and the way points of the thesis."""
+"""The mission's options: the cone, the limits of gate and commit, the attempts, and the way points of the thesis."""
 
 import math
 from typing import Annotated, Literal
@@ -162,19 +162,20 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The tries: how long each may take, how often the drone goes around, and what it does without sight.
+    """Landing attempts: the time of each, the number of go-arounds, and the behaviour without sight.
 
     Raises:
         ValueError: a number outside its range, or two that do not go together.
     """
 
     heading: Annotated[
-        Literal["keep", "align"],
+        Literal["keep", "align", "across"],
         choice(
-            "leave the heading alone, or turn until the nose points along the arrow; an autopilot turns if nothing is set",
+            "leave the heading alone; turn until the nose points along the arrow, as an autopilot does if nothing is set; or "
+            "turn only in wind, until the lean against it is in the wider side of the camera's field",
             public=True,
         ),
-    ] = "keep"
+    ] = "across"
     search_s: Annotated[
         float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0, public=True)
     ] = 300.0

@@ -10,7 +10,7 @@ FrameForm = Literal["jpeg", "h264", "png", "none"]
 
 
 class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """Recordings of everything the service hears, decides and says, as MCAP files (docs/recordings.md).
+    """Recordings of everything the service receives, decides and says, as MCAP files (docs/recordings.md).
 
     Raises:
         ValueError: a number outside its range, or numbers that do not go together.

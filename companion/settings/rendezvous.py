@@ -1,4 +1,4 @@
-"""The options of the rendezvous: what is believed of the ship's reports, and how the drone flies to her."""
+"""The options of the rendezvous: limits of the ship's reports, and the flight to her."""
 
 import math
 from typing import Annotated

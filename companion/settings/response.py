@@ -19,7 +19,7 @@ from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.motion import G_M_S2
 
 _AGREE = 0.02
-"""A standard deviation may differ from the covariance's by so much of itself: files round."""
+"""A standard deviation may differ from the covariance's by this much of itself: files round."""
 _SYMMETRIC = 1e-3
 _LEAST_SIZE = 1e-6
 """Least eigenvalue of the correlation matrix."""

@@ -1,4 +1,4 @@
-"""The section [vessel] of the settings: who tells where the ship is, and what of it is believed."""
+"""The section [vessel] of the settings: sources of the ship's place, and limits of its reports."""
 
 import ipaddress
 from typing import Annotated

@@ -1,7 +1,7 @@
 """Choose what an AR.Drone is sent in each period: the service's newest command, or hover once that has expired. No I/O.
 
 The same class decides in the sender's own process and in virtual time. A command carries the instant at which it expires;
-nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
+nothing that the service requested is flown after it, however the service ended: killed, stopped, swapped out or stuck.
 """
 
 from dataclasses import dataclass, replace
@@ -15,8 +15,8 @@ HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 STAY_UP = REF_BASE | REF_TAKE_OFF
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED)
 _REPORT_S = 1.0
-"""A report that the drone is on the ground is believed for this long, a report that it flies for `FRESH_S`: a REF that asks to
-fly would start the motors of a drone that has landed in the meantime."""
+"""A report that the drone is on the ground is valid for this long, a report that it flies for `FRESH_S`: a REF with the
+take-off bit would start the motors of a drone that has landed in the meantime."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class TimedCommand:
     ref: int | None = None
     """Bits of the REF command; None to send none."""
     landing: bool = False
-    """`ref` asks for a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
+    """`ref` requests a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
     watchdog: bool = False
     """The drone's communication watchdog has to be reset."""
 

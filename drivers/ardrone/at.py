@@ -46,7 +46,7 @@ class Ref(Struct, frozen=True):
 
     @property
     def take_off(self) -> bool:
-        """True if the command asks the drone to fly, as opposed to land."""
+        """True if the command orders the drone to fly, as opposed to land."""
         return bool(self.bits & REF_TAKE_OFF)
 
     @property

@@ -44,7 +44,7 @@ _READY_S = 5.0
 _SILENT_S = 0.1
 """A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
 _SILENT_PERIODS = 3.5
-"""The same limit in command periods, which applies if commands are sent more slowly."""
+"""Longest silence of the sender in command periods, for commands that are sent more slowly."""
 _STUCK_S = 0.5
 """A sender that has not sent its status for this long is replaced."""
 _END_S = 2.0
@@ -195,16 +195,16 @@ class SenderClient:
 
     def _read(self) -> None:
         try:
-            said = self._socket.recv(LINE_MAX)
+            output = self._socket.recv(LINE_MAX)
         except BlockingIOError:
             return
         except OSError:
-            said = b""
-        if not said:
+            output = b""
+        if not output:
             self._lose("the sender of AT commands is gone")
             return
         self._received_at = self._clock.now()
-        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        *lines, self._buffer = (self._buffer + output).split(b"\n")
         if BUSY in lines:
             self._busy = True
             self._lose("another service, which is alive, flies this drone")

@@ -1,14 +1,14 @@
 """Compute what to send to the drone in each period: REF, PCMD and the watchdog reset, from command and navdata. No I/O.
 
-The bit `REF_TAKE_OFF` asks the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
-and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
+The bit `REF_TAKE_OFF` orders the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in
+flight and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the commanded speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
 The tilt follows its command late; commanding more than the tilt still lacks (`velocity_lead`) compensates part of that delay.
 The drone itself closes the loops of climb and turn rate, which are only scaled here.
 
-A lean is flown as it is: its acceleration is the tilt. Its trim becomes the loop's integral, so a velocity that follows begins
+A tilt is flown as it is: its acceleration is the tilt. Its trim becomes the loop's integral, so a velocity that follows begins
 with the tilt that holds against the wind, and the integral keeps its direction over the ground while the nose turns.
 
 The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed in a flight under motion capture.
@@ -99,7 +99,7 @@ def step(
 
 
 def lean(wanted: Lean, heading_rad: float | None, options: ArDroneOptions) -> tuple[LoopState, Sticks]:
-    """Return the sticks of a lean, limited as a vector, and the loop's state from which a velocity would go on.
+    """Return the sticks of a tilt, limited as a vector, and the loop's state from which a velocity would go on.
 
     Args:
         heading_rad: the present heading; None if it is not known.
@@ -149,7 +149,7 @@ _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LA
 
 
 class _Motion(Struct, frozen=True):
-    """A velocity or a lean that guidance asks for."""
+    """A velocity or a tilt that guidance requests."""
 
     wanted: Velocity | Lean
     asked_at: MonoNs
@@ -169,7 +169,7 @@ class CommandStreamer:
     A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing is renewed in
     each guidance cycle; any other command, or `landing_timeout_s` without one, calls it off, except near the ground, where the
     drone finishes it. A landing that a person ordered holds until the drone is on the ground or a take-off is commanded. A
-    landing that the firmware began because it received no commands is called off. Velocity, lean and hover change the sticks
+    landing that the firmware began because it received no commands is called off. Velocity, tilt and hover change the sticks
     alone; the tilt that holds against the wind is kept over a hover.
     """
 
@@ -186,7 +186,7 @@ class CommandStreamer:
         self._emergency_periods = 0
         self._toggled_at: MonoNs | None = None
         self._toggled_to: bool | None = None
-        """Whether the newest toggle asked to cut the motors; None before the first."""
+        """True if the newest toggle was to cut the motors; None before the first."""
         self._state: int | None = None
         self._navdata_at: MonoNs | None = None
         self._control: ControlState | None = None
@@ -261,7 +261,7 @@ class CommandStreamer:
         self._counters.watchdog_resets += watchdog
         ref = self._ref_bits(now)
         sticks = self._sticks(now)
-        # A velocity's lifetime counts from the guidance cycle that asked for it, not from the period that repeats it.
+        # A velocity's lifetime counts from the guidance cycle that requested it, not from the period that repeats it.
         since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
         landing = self._landing is not None and not self._landing.persistent
         return TimedCommand(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)

@@ -56,7 +56,7 @@ class Counters:
     landings_given_up: int = 0
     """Landings that guidance stopped renewing and that were called off."""
     landings_called_off: int = 0
-    """Periods in which the drone was commanded to end a landing that nobody asks for."""
+    """Periods in which the drone was commanded to end a landing that nobody requests."""
     at_late_hovers: int = 0
     """Datagrams in which the sender replaced an expired command by hover."""
     at_hovers_past_sender: int = 0

@@ -15,12 +15,14 @@ from drivers.ardrone.navdata import ControlState, Navdata, NavdataState, control
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
-"""A landing can have begun for our silence only in a navdata gap of this length, or after the drone has said for this long that
-it receives no commands; any other landing was begun by somebody else, whose commands it received."""
+"""Navdata gap, or time without received commands by the drone's report, after which a landing can have begun for our silence.
+
+Somebody else began any other landing, and the drone received the commands for it.
+"""
 FRESH_S = 0.2
 """A report older than this is no evidence that the drone is still in the air."""
 SILENT_ABOVE_M = 0.5
-"""An unordered landing, or one that guidance no longer asks for, is called off above this height and finished below it."""
+"""An unordered landing, or one that guidance no longer requests, is called off above this height and finished below it."""
 ORDERED_ABOVE_M = 0.15
 """A landing that guidance takes back by another command is called off above this height."""
 _UNHEARD = NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST
@@ -101,7 +103,7 @@ class LandingWatch:
                 self.cause = Cause.OTHERS
 
     def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
-        """Return whether the present landing, which guidance does not ask for, is to be called off at this height."""
+        """Return whether the present landing, which guidance does not request, is to be called off at this height."""
         if self._newest is None or self.cause not in (Cause.OURS, Cause.SILENCE):
             return False
         report, received_at = self._newest

@@ -1,7 +1,7 @@
 """A link to one AR.Drone: navdata, video, commands and configuration, each on its own socket, each restarted alone.
 
 Of video only the newest frame is kept, and one worker thread decodes in order. A 2.0 sends H.264 by TCP. A 1.0 sends one UVLC
-picture a datagram to whoever asked with a datagram last; a picture carries the drone's count of pictures and no time, so its
+picture a datagram to the last peer that sent a datagram; a picture carries the drone's count of pictures and no time, so its
 frame is stamped by its arrival.
 """
 
@@ -43,7 +43,7 @@ P264 = (
 )
 _NUMBERS = 1 << 32
 _LATE = 64
-"""A picture that is up to so many counts older than the newest one arrived late; one that is older comes from a drone that has
+"""A picture that is up to this many counts older than the newest one arrived late; one that is older comes from a drone that has
 restarted."""
 
 
@@ -182,18 +182,18 @@ class UvlcChannel:
 
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
             async with open_datagrams(self._o.host, self._o.video_port, self._clock, received) as socket:
-                heard = self._clock.now()
+                found = self._clock.now()
                 socket.send(OPENING)
                 while True:
                     try:
                         async with asyncio.timeout(self._o.video_silence_s / 4):
                             datagram, received_at = await arrived.get()
                     except TimeoutError as why:
-                        if seconds_between(heard, self._clock.now()) >= self._o.video_silence_s:
+                        if seconds_between(found, self._clock.now()) >= self._o.video_silence_s:
                             raise Recoverable(f"no video for {self._o.video_silence_s} s") from why
                         socket.send(OPENING)
                         continue
-                    heard = received_at
+                    found = received_at
                     await self._take(datagram, received_at, pool)
 
     async def _take(self, datagram: bytes, received_at: MonoNs, pool: ThreadPoolExecutor) -> None:

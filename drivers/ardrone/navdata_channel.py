@@ -19,7 +19,7 @@ OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the unicast stream."""
 _LOOK_S = 0.05
 _UNASKED_S = 0.04
-"""Time after which the channel itself takes what nobody asked for."""
+"""Time after which the channel itself takes what nobody requested."""
 
 
 class NavdataChannel:
@@ -63,7 +63,7 @@ class NavdataChannel:
         return self._received_at
 
     def take_waiting(self) -> None:
-        """Process the datagrams that wait in the socket. Guidance, vision and the commands ask for them just before they decide.
+        """Process the datagrams that wait in the socket. Guidance, vision and the commands request them just before they decide.
 
         Most of the time that a datagram takes by itself is spent on waking for it, 200 times a second. Never raises.
         """
@@ -83,7 +83,7 @@ class NavdataChannel:
                 self._socket = None
 
     async def _watch(self, socket: WaitingDatagrams) -> None:
-        """Take what nobody asked for, and request the stream again when it is silent; as `run`."""
+        """Take what nobody requested, and request the stream again when it is silent; as `run`."""
         opened = asked = self._clock.now()
         socket.send(OPENING)
         while True:

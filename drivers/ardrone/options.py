@@ -9,11 +9,11 @@ from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
 from estimator.contracts.keys import check_ranges, choice, number, text
 
 CODECS = {"1.0": "32", "2.0": "129"}
-"""The video codec that is asked for, by the drone's generation: UVLC, and H.264 of 640x360 px."""
+"""The video codec that is requested, by the drone's generation: UVLC, and H.264 of 640x360 px."""
 
 
 class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
-    """The vehicle: a Parrot AR.Drone, or the simulated one, which speaks the same protocol.
+    """The vehicle: a Parrot AR.Drone, or the simulated one, with the same protocol.
 
     Raises:
         ValueError: a number outside its range, or text that cannot be read.
@@ -228,7 +228,7 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
         return tuple(part.strip() for part in self.configuration_ids.split(",")) if self.configuration_ids else None
 
     def configuration(self) -> dict[str, str]:
-        """Every key the drone is asked for, in the order of sending; full navdata first, since it ends the drone's bootstrap."""
+        """Every key that is set on the drone, in order of sending; full navdata first, since it ends the drone's bootstrap."""
         wanted = {"general:navdata_demo": "FALSE"}
         if self.ids is not None:
             session, user, application = self.ids

@@ -55,7 +55,7 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 
 
 def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
-    """Return the samples whose sensors are read anew for every datagram."""
+    """Return the samples whose sensors are read again for every datagram."""
     out: list[Sample] = []
     imu = _imu(r, stamp)
     if imu is not None:
@@ -216,5 +216,7 @@ _REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, NavdataReadings],
     GeoFix: (_fix, _receiver),
     VehicleStatus: (_status, _status_key),
 }
-"""The makers of samples for sensors that are slower than the datagrams, in the order in which they return them, each with what
-changes when the sensor has a new reading; None where the datagram holds no reading of it."""
+"""Makers of samples for sensors that are slower than the datagrams, in the order of their samples.
+
+Each has a key that changes when the sensor has a new reading; None where the datagram holds no reading of it.
+"""

@@ -3,7 +3,7 @@
 It is a process of its own so that no command outlives the service that sent it. It owns the AT socket and its sequence, takes
 commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has expired:
 the service may be killed, stopped, swapped out or stuck. When the service is gone it holds a flying drone in hover for `hold_s`,
-receiving navdata itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
+receiving navdata itself, until a new service's sender requests the sequence and takes over. It imports nothing large.
 """
 
 import select
@@ -57,7 +57,7 @@ class Sender:
 
     Args:
         service: stream to the service that started it.
-        listener: the socket on which a successor asks to take over; None if there is none.
+        listener: the socket on which a successor requests to take over; None if there is none.
         sequence: number of the last command that a predecessor sent to the drone; 0 if it is not known.
     """
 
@@ -116,17 +116,17 @@ class Sender:
         """Read the service's lines; only its newest command counts, and an expired one is not flown."""
         assert self._service is not None
         try:
-            said = self._service.recv(LINE_MAX)
+            output = self._service.recv(LINE_MAX)
         except OSError:
-            said = b""
-        if not said:
+            output = b""
+        if not output:
             self._service.close()
             self._service = None
             self._buffer = b""
             self._arbiter.lost(MonoNs(time.monotonic_ns()))
             self._due = 0
             return
-        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        *lines, self._buffer = (self._buffer + output).split(b"\n")
         before = self._arbiter.latest
         for line in lines:
             try:

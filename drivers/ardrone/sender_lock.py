@@ -1,6 +1,6 @@
 """Make sure that one sender at a time serves a drone, and pass the drone on to a successor.
 
-A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer asks the listener to yield: a
+A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer requests the listener to yield: a
 sender whose service is gone answers with its sequence number and ends, so that the newcomer goes on counting; one whose service
 is alive refuses. One that does not answer at all is stuck, and is killed. A service that flies a drone marks it as its own by a
 second socket, which the kernel closes when the service dies: a newcomer leaves it time to replace a lost sender before it takes

@@ -7,7 +7,7 @@ A camera shows a change only some frames later. Whoever calls the law waits for 
 then cannot swing, though neither the camera's tone curve nor its gain is known: both make the measured error wrong by a factor,
 and a step is `_DAMPING` of it.
 
-`ExposureDrive` holds what is asked of a camera, what it has, and from which frame on it shows that.
+`ExposureDrive` holds the requested setting of a camera, its present one, and the first frame that shows it.
 """
 
 import math
@@ -20,14 +20,16 @@ clipping."""
 _DAMPING = 0.6
 """Part of the measured error that one step corrects."""
 _ENTER_EV, _LEAVE_EV = 0.4, 0.15
-"""Errors, stops, from which on the law corrects, and below which it rests again."""
+"""Errors, stops, from which the law corrects, and below which it rests again."""
 _CUT_EV = 1.5
-"""The same as `_ENTER_EV` while the pad is cut by the frame's edge: what is left of it in view changes with every frame, and each
-change of the exposure would cost frames in the very last part."""
+"""Error, stops, from which the law corrects while the frame's edge cuts the pad.
+
+The visible part changes with every frame, and each change of the exposure would cost frames in the very last part.
+"""
 _STEP_EV = 3.0
 """Largest step, stops."""
 _DARKEST = 2.0**-13
-"""Light below which eight bits tell nothing."""
+"""Light below which eight bits carry no information."""
 _LENGTHEN = 1.9
 """The time is made longer at the gain's cost only where the limit has grown by this factor: each change costs pictures."""
 _RUNGS = 2.0
@@ -67,7 +69,7 @@ class Metered(Struct, frozen=True):
     level: float
     """Light by the sRGB curve, full scale is 1."""
     saturated: float = 0.0
-    """Share of its pixels of which a channel is clipped."""
+    """Share of its pixels with a clipped channel."""
     clipped: bool = False
     """True if the level itself is clipped: it is only known to be too bright."""
     target: float = TARGET
@@ -148,13 +150,13 @@ class ExposureDrive:
     def __init__(self, settle_frames: int) -> None:
         self._settle = settle_frames
         self.can: ExposureRange | None = None
-        """What the camera can hold; None while it is not open."""
+        """Limits of the camera; None while it is not open."""
         self.held: ExposureSetting | None = None
-        """What it holds; None while it is not open."""
+        """Present setting of the camera; None while it is not open."""
         self.changes = self.refused = 0
         """Numbers of changes, and of settings that the camera refused, since the start."""
         self.why_refused: str | None = None
-        """Why it refused the newest setting; None where it took it."""
+        """Reason for which it refused the newest setting; None if it took it."""
         self._before: ExposureSetting | None = None
         self._wanted: ExposureSetting | None = None
         self._busy = False
@@ -199,7 +201,7 @@ class ExposureDrive:
         self.why_refused, self._busy = why, False
 
     def settled(self, number: int) -> bool:
-        """Return whether the frame of this number shows what the camera holds, and nothing else is asked."""
+        """Return whether the frame of this number shows the camera's setting, and no other is requested."""
         return self._wanted is None and not self._busy and number >= self._new_from
 
     def of(self, number: int) -> tuple[ExposureSetting, float] | None:

@@ -1,4 +1,4 @@
-"""Decide on a driven camera's exposure, frame by frame: meter, wait until a change shows, and ask for the next one.
+"""Decide on a driven camera's exposure, frame by frame: meter, wait until a change shows, and request the next one.
 
 While no pad is tracked nobody knows which part of the picture to meter, so two exposures take turns. The first keeps the
 brightest parts of the picture from clipping, as a lit pad on a dark sea needs it. The second shows what is in its darkest
@@ -19,15 +19,15 @@ from estimator.contracts.samples import Frame
 _PIXELS = 10_000
 """About how many pixels are looked at."""
 _FEWEST = 30
-"""An outline with fewer pixels tells nothing."""
+"""An outline with fewer pixels is not used."""
 _CLIPPED = 250
-"""Grey value from which on a channel counts as clipped."""
+"""Grey value from which a channel counts as clipped."""
 _BRIGHT = 0.97
 """Share of a pad's pixels that are no brighter than its level: every pad has more than 3 % of bright paint."""
 _BRIGHTEST = 0.995
-"""The same of a whole picture, in which a pad may be small."""
+"""Share of a whole picture's pixels that are no brighter than its level: a pad in it may be small."""
 _DARKEST, _SHADOWS = 0.02, 0.03
-"""Share of a whole picture's pixels that are its darkest parts, and the light from which on these show what is in them: a grey
+"""Share of a whole picture's pixels that are its darkest parts, and the light from which these show what is in them: a grey
 value of 48. By day the sea is about as bright when white paint is rightly exposed."""
 _CUT = 0.5
 """Share of the outline's area in the frame below which the pad is cut."""
@@ -85,7 +85,7 @@ def _linear() -> NDArray[np.float64]:
 _DWELL = 8
 """Pictures with one exposure before the other's turn: a quarter of a second at 30 Hz, enough for several looks of the search."""
 _APART_EV = 1.0
-"""Stops between the two from which on they take turns."""
+"""Stops between the two from which they take turns."""
 _FARTHEST_EV = 3.0
 
 

@@ -11,7 +11,7 @@ DRIVEN_SOURCES = ("v4l2",)
 
 
 class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Owner of the camera's exposure time, gain and white balance, and the limits for them.
+    """Exposure time, gain and white balance of the camera: who sets them, and their limits.
 
     Raises:
         ValueError: a number outside its range.

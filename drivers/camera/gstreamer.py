@@ -31,7 +31,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs
 
 PYTHONS = (sys.executable, "/usr/bin/python3")
-"""The Pythons that may have GStreamer's bindings, the first of which that has them is taken."""
+"""The Pythons that may have GStreamer's bindings, the first that has them is used."""
 _PROGRAM = Path(wire.__file__)
 _FIRST_S = 10.0
 """Longest time from the start to the first frame: GStreamer lists its plug-ins, and a sensor starts."""

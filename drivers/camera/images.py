@@ -1,6 +1,6 @@
 """Decode images to pixels; the size is read from the header before any memory is allocated for them.
 
-A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder believes it: 2.7 GB. Here the claim is compared with
+A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder allocates it: 2.7 GB. Here the claim is compared with
 the camera's size, or with an upper bound, before the decoder sees the first byte.
 """
 
@@ -36,7 +36,7 @@ _USUAL_AC = bytes.fromhex("7d01020300041105122131410613516107")
 _UNITS = {"444": (8, 8), "422": (16, 8), "420": (16, 16), "440": (8, 16), "411": (32, 8), "Gray": (8, 8)}
 """Width and height of what a JPEG codes at once, px, by its subsampling."""
 _STEP_LEAST = 6.0
-"""A step of brightness or colour by so many levels between two rows of units counts whole."""
+"""A step of brightness or colour by this many levels between two rows of units counts whole."""
 _STEP_ALL, _STEP_PART, _STEP_NONE = 0.75, 0.6, 0.4
 """The mean of steps along a whole row of units, the least of its two parts, and the most where there must be none."""
 _STEP_MAYBE = 0.6
@@ -172,7 +172,7 @@ def _means_of_parts(columns: int) -> NDArray[np.float32]:
 def _has_gap(data: bytes | memoryview) -> bool:
     """Return whether a block of zeros lies in the coded data, as a lost USB packet leaves it, and not after the end.
 
-    Zeros are codes of the usual tables, and the decoder reads them without a word. No encoder writes so many of them by these
+    Zeros are codes of the usual tables, and the decoder reads them without a word. No encoder writes this many of them by these
     tables; by tables of its own, a black image may be nothing else.
     """
     gap = bytes(data).find(_GAP)

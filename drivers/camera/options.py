@@ -137,7 +137,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def check_size(size: Size) -> Size:
-    """Return the size of frames that a camera is asked for.
+    """Return the size of frames that is requested from a camera.
 
     Raises:
         ValueError: the width or height is out of range.

@@ -12,7 +12,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _DAMAGE_OVER_S, _DAMAGE_AGAIN_S = 5.0, 60.0
 """The time over which damaged frames are counted before they are reported, and that until they are reported again."""
 _DAMAGE_SHARE = 0.02
-"""The share of damaged frames from which on they are reported."""
+"""The share of damaged frames from which they are reported."""
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class VideoSource:
         self.down: str | None = "not yet opened"
         """The reason why no frames arrive, None while they do."""
         self.damage: str | None = None
-        """How many frames are damaged, in words, and the cure; None while hardly any are."""
+        """Share of damaged frames, in words, and the cure; None while hardly any are."""
         self._counted_at: tuple[MonoNs, int, int] | None = None
         self._reported_at: MonoNs | None = None
 

@@ -112,7 +112,7 @@ def _text(file: Path) -> str:
 
 
 class ExposureSetter:
-    """Sets what is asked of `drive`, one setting at a time, from the device's opening to its closing.
+    """Applies the settings of `drive`, one at a time, from the device's opening to its closing.
 
     Args:
         drive: None for a camera that is not driven.

@@ -188,7 +188,7 @@ class KernelDevice:
 
     Raises:
         OSError: it cannot be opened, is busy or went away.
-        BadInput: it cannot do what the options ask; the text lists what it can.
+        BadInput: it cannot do what the options request; the text lists what it can.
         SetupImpossible: permission is missing, or the device is not a camera.
     """
 

@@ -31,7 +31,7 @@ def line_length(layout: FrameLayout) -> int:
     """Return the length of an image line, bytes; where a driver says 0, the lines follow one another without a gap.
 
     Raises:
-        BadInput: the driver tells a line that is too short for the width.
+        BadInput: the driver reports a line that is too short for the width.
     """
     w, even = layout.width, layout.width + layout.width % 2
     needed = {"YUYV": 2 * even, "NV12": even}.get(layout.format, w)

@@ -18,7 +18,7 @@ INTEGER, BOOLEAN, MENU, BUTTON, INTEGER64, CONTROL_CLASS, INTEGER_MENU = 1, 2, 3
 """Kinds of controls (enum v4l2_ctrl_type)."""
 _DISABLED, _NEXT_CONTROL, _TIME_PER_FRAME = 0x0001, 0x80000000, 0x1000
 _PARTS = 1000
-"""Frame rates are asked for in parts of one hertz."""
+"""Frame rates are set in parts of one hertz."""
 
 
 class Capability(Structure):

@@ -47,10 +47,10 @@ Packet: TypeAlias = "AnyPacket[VideoStream]"
 
 _LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp", "analyzeduration": "1000000"}
 _BY_LENGTH = frozenset({"mpjpeg"})
-"""Those without times whose frames tell their length; the end of others is known only when the next one begins."""
+"""Formats without times whose frames carry their length; the end of others is known only when the next one begins."""
 _BACKLOG_MOST, _WAITED_S = 300, 0.001
-"""FFmpeg reads seconds of a stream to learn what it is. When those frames arrived, nobody noted: without times in the container
-they are not given out, until one has been waited for so long, or so many have passed."""
+"""FFmpeg reads seconds of a stream to find its format. The arrival of those frames is unknown: without times in the container
+they are not given out, until one has been waited for so long, or this many have passed."""
 _ARRIVAL_SIGMA_S = 0.008
 """The standard deviation of a frame's way through kernel and demuxer where nothing but its arrival is known."""
 _BUFFERED_MOST_S = 0.5
@@ -266,7 +266,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
 
     Raises:
         ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
-        BadInput: the device cannot do what the options ask (size, format, control).
+        BadInput: the device cannot do what the options request (size, format, control).
         SetupImpossible: permission is missing, or the device is not a camera.
     """
     camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)

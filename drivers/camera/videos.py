@@ -21,7 +21,7 @@ def most_pixels(size: tuple[int, int] | None) -> int:
 
 
 def has_times(container: InputContainer) -> bool:
-    """Return whether the container tells times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
+    """Return whether the container holds times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
     return not container.format.flags & _NO_TIMES
 
 
@@ -48,7 +48,7 @@ def open_video(
 
     Raises:
         FFmpegError, OSError: raised as by `av.open`.
-        ImageRefused: the frames are larger than the bound; the text says so.
+        ImageRefused: the frames are larger than the bound; the text gives the reason.
     """
     bound = {"max_pixels": str(most_pixels(size))}
     container = av.open(source, options={**(options or {}), **bound}, timeout=timeout)

@@ -1,4 +1,4 @@
-"""Open Linux input devices and ask the kernel about them; no other module knows its calls.
+"""Open Linux input devices and query the kernel about them; no other module knows its calls.
 
 Source: linux/input.h (the EVIOC requests), asm-generic/ioctl.h (how a request is numbered; x86, ARM and RISC-V share it).
 """

@@ -200,7 +200,7 @@ class _Reader:
 
     def _range(self, m: Any, at: int) -> Sample | None:
         distance = float(getattr(m, "Dist", getattr(m, "Dist1", math.nan)))
-        # Logs from before there were several tell no orientation: the first was the one that looks down.
+        # Logs from before there were several hold no orientation: the first sensor looked down.
         down = getattr(m, "Orient", _DOWN if getattr(m, "Instance", 0) == 0 else None) == _DOWN
         good = getattr(m, "Stat", 4) == 4 and down
         return Range(stamp(at), distance, 0.05) if good and math.isfinite(distance) and distance > 0 else None

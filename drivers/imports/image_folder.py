@@ -1,4 +1,4 @@
-"""Read a folder of images as frames, at the times that a table in the folder or their names tell.
+"""Read a folder of images as frames, at the times that a table in the folder or their names give.
 
 A table is a text file (`.csv`, `.txt`) whose lines pair a time with a file's name, in either order, as data sets of robotics have
 them. Without one, the last number of a name is the time. A number of 10, 13, 16 or 19 digits is Unix time in s, ms, us or ns; a
@@ -26,13 +26,13 @@ _UNIX_DIGITS = 10
 
 
 def frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
-    """Yield the images of a folder in order of time, the first at 0. Damaged ones are left out, and told.
+    """Yield the images of a folder in order of time, the first at 0. Damaged ones are left out, and reported.
 
     Args:
         size: width and height that they must have; None allows any.
 
     Raises:
-        BadInput: the folder cannot be read or holds no image, nothing tells their times, or not one of them can be used.
+        BadInput: the folder cannot be read or holds no image, nothing gives their times, or not one of them can be used.
     """
     try:
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.is_file())
@@ -98,7 +98,7 @@ def _of_table(table: Path, paths: Sequence[Path]) -> dict[str, int]:
 
 
 def _of_names(paths: Sequence[Path]) -> dict[str, int] | None:
-    """Return the times that the names tell, us; None if one name has none, or only a counter."""
+    """Return the times in the names, us; None if one name has none, or only a counter."""
     found = {path.name: numbers[-1] for path in paths if (numbers := _NUMBER.findall(path.stem))}
     if len(found) < len(paths) or any(len(text.partition(".")[0]) < _UNIX_DIGITS for text in found.values()):
         return None

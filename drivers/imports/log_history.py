@@ -69,7 +69,7 @@ class AutopilotLog(Struct, frozen=True):
 
     stack: str
     vehicle: str | None
-    """Name of the firmware, such as "ArduCopter", if the log tells it."""
+    """Name of the firmware, such as "ArduCopter", if the log has it."""
     firmware: tuple[int, int, int] | None
     parameters: dict[str, float]
     """The last value of each."""
@@ -166,7 +166,7 @@ _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PL
 def parameters_of(path: Path) -> AutopilotLog:
     """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME VALUE`, or QGroundControl's table with tabs.
 
-    Return a log that holds nothing else; the stack is what the file says, or its names tell.
+    Return a log that holds nothing else; the stack is given by the file, or by its names.
 
     Raises:
         BadInput: the file cannot be read, or no line of it is a parameter.
@@ -182,10 +182,10 @@ def parameters_of(path: Path) -> AutopilotLog:
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
-    said = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
+    output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
     px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)
     ardupilot = sum(_ARDUPILOT_NAMES.match(name) is not None for name in parameters)
-    stack = said[1] if said is not None else "PX4" if px4 > ardupilot else "ArduPilot"
+    stack = output[1] if output is not None else "PX4" if px4 > ardupilot else "ArduPilot"
     version = re.search(r"Version:\s*(\d+)\.(\d+)\.(\d+)", comments)
     firmware = None if version is None else (int(version[1]), int(version[2]), int(version[3]))
     return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0))

@@ -61,7 +61,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
 
 
 def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
-    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and told.
+    """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and reported.
 
     Raises:
         BadInput: the file cannot be read or is no ULog.
@@ -69,7 +69,7 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
     try:
         data = path.read_bytes()
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
-        # pyulog prints what it meets to standard output, which belongs to results.
+        # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
             return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
     except OSError as why:
@@ -81,7 +81,7 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
 _KINDS = frozenset(b"BFIMPQARDLCSO")
 _HEAD, _MESSAGE = 16, struct.Struct("<HB")
 _IN_ORDER = 3
-"""So many messages in a row, as they have to be, end the search for the next one behind damage."""
+"""Number of correct messages in a row that ends the search for the next one behind damage."""
 
 
 def without_damage(data: bytes, tell: Tell) -> bytes:
@@ -381,13 +381,13 @@ def _failsafes(log: Any, status: Topic | None, flags: Topic | None, begin_us: in
     out = []
     for i in _rises(status, "failsafe"):
         at_us = int(status["timestamp"][i])
-        said = [
+        printed = [
             str(m.message)
             for m in log.logged_messages
             if abs(int(m.timestamp) - at_us) < 1e6 and "failsafe" in str(m.message).lower()
         ]
         why = _reasons(flags, at_us)
-        what = f"failsafe: {', '.join(why)}" if why else said[0].strip() if said else "failsafe"
+        what = f"failsafe: {', '.join(why)}" if why else printed[0].strip() if printed else "failsafe"
         out.append(LoggedMoment(round((at_us - begin_us) * 1e-6, 2), what))
     return tuple(out)
 

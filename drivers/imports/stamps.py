@@ -18,13 +18,13 @@ FRAME_DELAY_S = 0.05
 
 
 Tell = Callable[[str], None]
-"""Takes what a reader has to say of a file: what was left out, and where its clock stepped."""
+"""Receives a reader's notes on a file: omitted data, and steps of its clock."""
 _DISORDER_US = 250_000
 """The time by which a log's samples may be out of order: sensors and estimators stamp before they log."""
 _PAUSE_US = 600_000_000
 """A log that goes on after a longer pause was not paused: its clock was set."""
 _AFTER = 5
-"""So many stamps after an odd one say whether it is alone."""
+"""Number of stamps after an odd one that decide whether it is alone."""
 
 
 def quiet(text: str) -> None:
@@ -34,7 +34,7 @@ def quiet(text: str) -> None:
 def timeline(stamps_us: Sequence[int], tell: Tell = quiet) -> list[int | None]:
     """Return when each datum of a log was logged, ns since the first, by its stamps in the order of the file.
 
-    One absurd stamp is None, and its datum lost. Where the clock steps and stays there, time goes on, and the step is told.
+    One absurd stamp is None, and its datum lost. Where the clock steps and stays there, time goes on, and the step is reported.
     """
     steps = np.diff(np.asarray([min(max(t, 0), 2**62) for t in stamps_us], dtype=np.int64))
     usual = steps[(steps > 0) & (steps < _PAUSE_US)]

@@ -76,7 +76,7 @@ class NamedSenders:
         operators: systems that may command though they do not sign.
         reporters: systems that are listened to: ships.
         everybody: every sender may command and is answered; for a simulated station, never for a drone.
-        silence_s: a named system not heard for this long may come from another peer.
+        silence_s: a named system not received for this long may come from another peer.
     """
 
     operators: tuple[Named, ...] = ()

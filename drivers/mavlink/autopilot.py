@@ -52,8 +52,10 @@ _AGAIN_S = 5.0
 _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
 """Requests for streams and parameters a second, and at once."""
 _MOVED_S, _OVERTAKEN_S = 0.1, 0.05
-"""Time for which an autopilot goes on from another port of its host alone until that is where it is, and that by which a message
-of the old port may be late."""
+"""Time for which an autopilot must send from another port of its host alone to count as moved.
+
+The second is the time by which a message of the old port may be late.
+"""
 _BESIDE_S = 5.0
 """Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
 _LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
@@ -76,7 +78,7 @@ class _Known:
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
     version: Version | None = None
-    """Its firmware and hardware, once it told them."""
+    """Its firmware and hardware, once it reported them."""
     released_at: MonoNs | None = None
     """Time when the vehicle was taken from this program; None while nobody has it."""
 
@@ -97,15 +99,15 @@ class Autopilot:
         self._knocked: MonoNs | None = None
         self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
         self._requested: MonoNs | None = None
-        """When everything was requested last."""
+        """Time when everything was last requested."""
         self._request_due = False
         self._version = VersionRequest()
         self._roster = Roster(options)
         self._reopened = list(links.opened)
         self._beside_at: MonoNs | None = None
-        """When another sender of the autopilot's ids was heard while the autopilot was, too."""
+        """Time of the last message of another sender with the autopilot's ids, while the autopilot sent too."""
         self._moving: tuple[Source, MonoNs] | None = None
-        """Where the autopilot may go on, and since when."""
+        """Address from which the autopilot may continue, and the time since when."""
         self.links = links
         links.follows = self._follows
         self.frames: Latest[Frame] = Latest()
@@ -206,7 +208,7 @@ class Autopilot:
             raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
-            # The autopilot's velocities are over the ground, as a lean's are.
+            # The autopilot's velocities are over the ground, as a tilt's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
                 command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
@@ -437,12 +439,14 @@ class Autopilot:
         self._version = VersionRequest()
 
     async def _tick(self) -> None:
+        now = self._clock.now()
         while True:
             await self._clock.sleep(self._o.command_period_s)
-            known, now = self._known, self._clock.now()
+            before, known, now = now, self._known, self._clock.now()
             self._judge(now)
             if known is not None:
-                self._period(known, now)
+                # What came while this process stood still is not read yet: that is no silence of the autopilot.
+                self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
             elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
                 # A listening peer does not know this program's address before it has received something.
                 self._knocked = now
@@ -454,10 +458,10 @@ class Autopilot:
         if len(self._roster.uids) > 1 and self._version.done(now):
             self._version = VersionRequest()  # whether both are still there
 
-    def _period(self, known: _Known, now: MonoNs) -> None:
+    def _period(self, known: _Known, now: MonoNs, *, listened: bool) -> None:
         for message in known.origins.due(now):
             self._on_own_message(known, message, now)
-        if not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
+        if listened and not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)

@@ -50,7 +50,7 @@ class CodecCounters:
     refused_signature: int = 0
     """Messages that were unsigned, wrongly signed or out of date although a key is set."""
     refused_time: int = 0
-    """Those among them that were signed with our key, at a time that is refused: long past, or not later than one before."""
+    """Refused messages with our key's signature at a time that is refused: long past, or not later than one before."""
     behind_s: float = 0.0
     """Time by which the newest of those lay behind ours, s."""
     packed: Counter[str] = field(default_factory=Counter)

@@ -1,4 +1,4 @@
-"""The gimbal that carries the camera, on an autopilot's links: take its reports, ask for them, and point it down.
+"""The gimbal that carries the camera, on an autopilot's links: take its reports, request them, and point it down.
 
 async with tending(Gimbal(options, clock), autopilot): ...    # its attitudes are among `autopilot.samples`
 
@@ -283,7 +283,7 @@ class Gimbal:
         self._connects = 0
         self._samples = 0
         self._times: deque[MonoNs] = deque(maxlen=50)
-        """When the newest of them were received."""
+        """Time when the newest of them were received."""
 
     @property
     def device_id(self) -> int:
@@ -340,7 +340,7 @@ class Gimbal:
             if self.pointer is not None:
                 self.pointer.restart()
         out: list[Message] = []
-        # An answer does not name the stream that it is for, so the autopilot is asked when it has answered everything else.
+        # An answer does not name the stream that it is for, so the request goes out when the autopilot has answered all others.
         if streams.settled or not self._o.of_autopilot:
             out += self._streams.due(now, self._device(identity.address))
         if self.pointer is not None:
@@ -366,7 +366,7 @@ class Gimbal:
         return bool(component == self._o.device_id)
 
     def _hold(self, received: ReceivedMessage) -> bool:
-        """Return whether a report comes from where the gimbal is heard."""
+        """Return whether a report comes from where the gimbal's reports come from."""
         came_from, at = (received.source, received.component), received.received_at
         silent = self._heard_at is None or seconds_between(self._heard_at, at) > _SILENT_S
         if self._heard != came_from:

@@ -14,7 +14,7 @@ GimbalReport = Literal["auto", "mount_status"]
 
 
 class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """A gimbal that an autopilot's link tells of (docs/cameras.md); the camera file's rotation is then that on its last axis.
+    """A gimbal that an autopilot's link reports (docs/cameras.md); the camera file's rotation is then that on its last axis.
 
     Raises:
         ValueError: a number is outside its range, or keys need a gimbal and there is none.

@@ -16,7 +16,7 @@ LOST = "..."
 
 
 class _Begun(NamedTuple):
-    """A text of which some chunks have come."""
+    """A text with some chunks received."""
 
     number: int
     severity: int

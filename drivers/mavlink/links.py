@@ -34,7 +34,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
-"""Messages of which only the newest is worth sending over a line that is slow."""
+"""Messages whose newest alone is worth sending over a line that is slow."""
 _ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0
@@ -106,7 +106,7 @@ class LinkCounters:
     dropped: int = 0
     """Messages not sent because the wire was full or closed, or the link had no peer."""
     unknown_senders: int = 0
-    """Messages of senders that were not asked for."""
+    """Messages of senders that were not requested."""
     restarts: int = 0
     wire: WireCounts = field(default_factory=WireCounts)
     codecs: list[CodecCounters] = field(default_factory=list)
@@ -173,7 +173,7 @@ class Link:
         self.endpoint = options.endpoint
         self.counters = LinkCounters()
         self.down: str | None = "not opened yet"
-        """Why it is not open; None while it is."""
+        """Reason why it is not open; None while it is."""
         self._number = number
         self._o = options
         self._links = links
@@ -361,7 +361,7 @@ class Links:
         self.access = Access(access)
         self._clock = clock
         self._sent: dict[tuple[int, int], MonoNs] = {}
-        """When a message of each number and sequence number was sent last."""
+        """Time when a message of each number and sequence number was last sent."""
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
@@ -438,7 +438,7 @@ async def open_links(
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
         capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
-        access: who is known before anything is heard; nobody where it is None.
+        access: who is known before anything is received; nobody where it is None.
     """
     links = Links(options, clock, identity, capacity, access or NamedSenders())
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):

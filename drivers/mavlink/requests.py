@@ -53,7 +53,7 @@ def wire_value(stack: Stack, value: float, kind: int) -> float:
 
 
 COMMON_RATES_HZ = {
-    # The mode and the armed state: who takes the vehicle is told within one of these, and not within a second.
+    # The mode and the armed state: a takeover of the vehicle is reported within one of these, and not within a second.
     "HEARTBEAT": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 1.0,
@@ -170,7 +170,7 @@ class Streams:
 
 
 class RateLimit:
-    """A bound on requests over time, whatever is asked for and however often a peer seems to be new.
+    """A bound on requests over time, whatever is requested and however often a peer seems to be new.
 
     Args:
         rate_hz: the requests a second.
@@ -251,7 +251,7 @@ class Parameters:
                 self._wanted.append(name)
 
     def forget(self) -> None:
-        """Ask for nothing more. What was asked and not answered is neither read nor absent."""
+        """Ask for nothing more. An unanswered parameter is neither read nor absent."""
         self._wanted.clear()
         self._asked.clear()
 

@@ -1,10 +1,10 @@
 """Know who is meant by "the autopilot", and who else is there: the one place that says it. No I/O.
 
-Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is heard alone is listened to at
+Without `vehicle.system_id` the autopilot is the first that flies, armed and in the air. One that is alone is followed at
 once. While it is not clear who is meant, nothing is commanded, and each case names the setting that chooses.
 
-Autopilots that use one system id over one link, behind a router, are told apart: their times since boot differ, and each counts
-its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
+Autopilots that use one system id over one link, behind a router, are distinguished: their times since boot differ, and each
+counts its own sequence numbers. A message without a time belongs to the autopilot whose count it continues.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NEXT_WITHIN = 8
 _REACHED_WITHIN = 64
 """Sequence numbers that another autopilot may have used since its last message with a time."""
 _HELD_S = 0.5
-"""Time for which a message waits to be told whose it is."""
+"""Time for which a message waits until its sender is known."""
 _REBOOT_S, _REPLACED_S = 1.0, 10.0
 """Silence after which another clock is taken for the autopilot's: after a reboot, and where two ran beside one another."""
 _BELIEVED = 3
@@ -84,7 +84,7 @@ class _Origin:
         return (sequence - self.sequence) % 256
 
     def apart_from(self, sequence: int) -> bool:
-        """Return whether a sequence number is none that it may have reached with messages that told no time."""
+        """Return whether a sequence number cannot have been reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
     def _least_at(self, at: MonoNs) -> int:
@@ -101,9 +101,11 @@ class Origins:
         self._main: _Origin | None = None
         self._others: list[_Origin] = []
         self._held: deque[tuple[MonoNs, Message]] = deque()
-        """What waits for the autopilot's next message with a time, to be told whose it is."""
+        """Messages that wait for the autopilot's next message with a time, which identifies their sender."""
         self._beats: tuple[int, int, MonoNs] | None = None
-        """Another's HEARTBEATs, each of which continues the count of the one before: how many, the newest count, and when."""
+        """HEARTBEATs of another autopilot, each with the next count: their number, the newest count, and its time."""
+        self._beaten: MonoNs | None = None
+        """Time of the newest of enough such HEARTBEATs; a lost message ends a row, and not its result."""
         self._seen: set[tuple[str, int, int]] = set()
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0
@@ -116,7 +118,7 @@ class Origins:
         main = self._main
         if main is None:
             return False
-        beats = self._beats is not None and self._beats[0] >= _BELIEVED and seconds_between(self._beats[2], now) <= ALIVE_S
+        beats = self._beaten is not None and seconds_between(self._beaten, now) <= ALIVE_S
         return beats or any(_beside(main, one) for one in self._alive(now))
 
     def continues(self, message: Message, at: MonoNs) -> bool:
@@ -163,6 +165,8 @@ class Origins:
             sequence, before = int(message.get_seq()), self._beats
             follows = before is not None and 0 < (sequence - before[1]) % 256 <= _NEXT_WITHIN
             self._beats = before[0] + 1 if before is not None and follows else 1, sequence, now
+            if self._beats[0] >= _BELIEVED:
+                self._beaten = now
 
     def _of_another(self, message: Message, boot: int, at: MonoNs, sequence: int) -> list[Message]:
         main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)
@@ -291,7 +295,7 @@ class Bound:
 
 @dataclass(slots=True)
 class Roster:
-    """The autopilots that were heard, and other users of ids that are not theirs."""
+    """The autopilots that were received, and other users of ids that are not theirs."""
 
     options: AutopilotOptions
     uids: dict[int, tuple[MonoNs, int]] = field(default_factory=dict)
@@ -338,7 +342,7 @@ class Roster:
         self._elsewhere = received.source_text, received.received_at, differed + 1 if differs else 0
 
     def note_uid(self, uid: int, now: MonoNs) -> None:
-        """Note the hardware that answered under the autopilot's id; 0 tells nothing."""
+        """Note the hardware that answered under the autopilot's id; 0 is ignored."""
         self.uids = {one: known for one, known in self.uids.items() if seconds_between(known[0], now) < _UID_S}
         if uid and (uid in self.uids or len(self.uids) < _UIDS_MAX):
             self.uids[uid] = now, self.uids.get(uid, (now, 0))[1] + 1

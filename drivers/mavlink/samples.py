@@ -41,7 +41,7 @@ _RESTART_NS = NS_PER_S
 _LANDED_STATE_WITHIN_S = 3.0
 """Time from the first heartbeat: every PX4 sends EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
-"""The ship's clock over a radio link. The window is long, so that a link that becomes slow is told as late reports."""
+"""The ship's clock over a radio link. The window is long, so that a link that becomes slow is reported as late reports."""
 _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
@@ -51,7 +51,7 @@ _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
 """The parameters that say it, by stack."""
 _MOST_S = 0.05
-"""Longest delay that is believed: a cutoff of 4.5 Hz, with which nothing flies."""
+"""Longest delay that is accepted: a cutoff of 4.5 Hz, with which nothing flies."""
 
 
 def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
@@ -93,7 +93,7 @@ class MavlinkSampler:
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.condition = Condition()
         self.taken: str | None = None
-        """Who has taken the vehicle from this program, for the vehicle's status; None while nobody has."""
+        """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
         self.attitude: Attitude | None = None
         """The newest attitude sample."""
         self.positions: deque[LocalPosition] = deque(maxlen=64)

@@ -2,7 +2,7 @@
 
 Measured on ArduCopter 4.5.7 and PX4 1.16.2: the frame MAV_FRAME_LOCAL_NED and the mask 0x05C7 (velocity and yaw rate used) move
 both. If yaw and yaw rate are both ignored, ArduCopter turns the nose into the direction of travel, so a yaw rate is always given.
-A mask that ignores one velocity axis stops ArduCopter. The acceleration of a lean is fed forward to their velocity controllers
+A mask that ignores one velocity axis stops ArduCopter. The acceleration of a tilt is fed forward to their velocity controllers
 (ArduCopter GUIDED takes velocity and acceleration together, PX4 OFFBOARD as a trajectory setpoint); its trim is not sent, because
 both cancel wind by themselves.
 
@@ -35,7 +35,7 @@ def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Veloc
     Args:
         time_boot_ms: time of this program's own clock, ms; it wraps at 32 bits.
         target: system and component of the autopilot.
-        command: velocity in the level frame and yaw rate, for a lean with its acceleration.
+        command: velocity in the level frame and yaw rate, for a tilt with its acceleration.
         yaw_rad: heading of the body in the autopilot's own frame; it rotates `v_level` into north and east.
 
     Raises:

@@ -1,6 +1,6 @@
 """Choose what an autopilot is sent in each period, from the newest command and the state that it reports. No I/O.
 
-It steers only after it was asked to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
+It steers only after the order to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
 OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint. A person who chooses
 another mode takes the vehicle over: nothing is sent until the mode is chosen again, the operator starts again, or the vehicle
 has landed.
@@ -9,7 +9,7 @@ becomes a hold at the deck's own velocity, then one over the ground, then the au
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
 and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
 A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`MotorStop`); a vehicle that
-reports itself on the ground after a landing, still armed, is asked to disarm. None is left armed on a deck.
+reports itself on the ground after a landing, still armed, is commanded to disarm. None is left armed on a deck.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
@@ -22,7 +22,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, TakingOff, velocity_setpoint
-from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
+from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
@@ -34,7 +34,7 @@ OUTLIVE_S = 0.5
 """Time for which setpoints go on after the report that the motors stand, s."""
 _EACH_S, _SLOW_S = 0.2, 1.0
 _QUICK_S = 5.0
-"""Time after which it is asked less often, s."""
+"""Time after which requests are rarer, s."""
 
 
 def disarm(target: tuple[int, int], *, forced: bool) -> Message:
@@ -83,7 +83,7 @@ class Hand(Enum):
     """The party that controls the vehicle, and how far a change of control has come."""
 
     IDLE = "idle"
-    """This program has not been asked to fly the vehicle."""
+    """This program has no order to fly the vehicle."""
     TAKING = "taking"
     """This program has requested the velocity mode."""
     OURS = "ours"
@@ -91,7 +91,7 @@ class Hand(Enum):
     STANDING = "standing"
     """The vehicle stands on the deck: its motors are being stopped."""
     HOLDING = "holding"
-    """Guidance is silent: the autopilot is in its own hold mode, or was asked to be."""
+    """Guidance is silent: the autopilot is in its own hold mode, or on its way there."""
     RELEASED = "released"
     """A person chose another mode, or the mode was refused."""
 
@@ -111,12 +111,14 @@ class SetpointStreamer:
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
         self._taking_off: TakingOff | None = None
+        self._returns = False
+        """True if the vehicle is to fly back by its own mode."""
         self._rest = RestVelocity()
         self._stop: MotorStop | None = None
         self._felt_at: MonoNs | None = None
-        """When guidance said last that it has felt the deck."""
+        """Time when guidance last reported contact with the deck."""
         self._cut_at: MonoNs | None = None
-        """When a person asked to cut the motors; None while nobody does."""
+        """Time of a person's order to cut the motors; None without one."""
         self._asked: MonoNs | None = None
         self._asks = 0
         self._landed_from = ""
@@ -126,14 +128,14 @@ class SetpointStreamer:
         self._down_m: float | None = None
         self._land_from_m: float | None = None
         self._paused = False
-        """Whether the landing is paused because it is not renewed; it continues when it is renewed."""
+        """True while the landing is paused because it is not renewed; it continues when it is renewed."""
         self._spent = False
-        """Whether the landing under way has used up its time or its height."""
+        """True if the landing under way has used up its time or its height."""
         self._condition = Condition()
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
         self.refused = False
-        """Whether the hand was released because the velocity mode was refused, and not because another was chosen."""
+        """True if the hand was released because the velocity mode was refused, and not because another was chosen."""
         self.blind_periods = 0
         """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0
@@ -182,6 +184,9 @@ class SetpointStreamer:
                 self._request_again(Hand.LANDING)
         elif isinstance(command, Hover):
             self._motion, self._motion_at, self._spent = STILL, now, False
+            if command.returns and not self._returns and self.hand is Hand.OURS:
+                self._request_again(Hand.OURS)
+            self._returns = command.returns
             if v_deck_level is not None:
                 self._v_deck, self._steered_at = v_deck_level, now
             if self.hand is Hand.STANDING and self._condition.armed is not False:
@@ -194,6 +199,7 @@ class SetpointStreamer:
             self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
             self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
+            self._returns = False
             willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
                 self._request_again(Hand.TAKING)
@@ -309,6 +315,10 @@ class SetpointStreamer:
                 out.append(set_mode(self._id.stack, self._id.address, self._mode))
             elif self._asks >= self._o.request_tries and seconds_between(self._asked or now, now) >= self._o.request_period_s:
                 self.hand, self.refused = Hand.RELEASED, True
+        back = RETURN_MODE.get(self._id.stack)
+        if self.hand is Hand.OURS and self._returns and back is not None and self._may_ask(now):
+            # In its own mode it is no longer ours.
+            out.append(set_mode(self._id.stack, self._id.address, back))
         return out
 
     def _held(self, now: MonoNs) -> Velocity:

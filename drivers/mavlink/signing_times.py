@@ -1,6 +1,6 @@
 """Keep the times of signed messages over a restart: our own newest, and the newest received of each stream.
 
-A message that is not later than what was heard of its stream is a replay. The file is written behind the flight's back, by a
+A message that is not later than the newest one of its stream is a replay. The file is written behind the flight's back, by a
 thread: a disk that hangs or is full costs the memory of a restart, never a message.
 """
 
@@ -33,7 +33,7 @@ _CLOSE_S = 0.3
 
 
 class SigningTimes:
-    """The signing time of this host, and the newest time heard of each stream. In flight nothing here raises for a file.
+    """The signing time of this host, and the newest time received of each stream. In flight nothing here raises for a file.
 
     Our own time is wall time in 10 us since 2015, but never at or before one used earlier.
 

@@ -1,7 +1,7 @@
-"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever asks for ours. No I/O.
+"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever requests ours. No I/O.
 
 A request carries our time in ts1; the answer mirrors it and adds the remote time tc1. The remote clock was read between the two,
-so half the round trip bounds the error; the shortest recent round trip is the one believed. Source: mavlink.io, "Time
+so half the round trip bounds the error; the shortest recent round trip counts. Source: mavlink.io, "Time
 Synchronization Protocol v2"; Mills, RFC 5905 section 10 (least delay wins).
 """
 
@@ -26,7 +26,7 @@ class _Answer:
 
 
 class TimeSync:
-    """Feed it TIMESYNC messages; ask it where remote instants lie on our clock."""
+    """Feed it TIMESYNC messages; it maps remote instants to our clock."""
 
     def __init__(self, options: TimeSyncOptions | None = None) -> None:
         self._o = options or TimeSyncOptions()

@@ -41,6 +41,7 @@ _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
+RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
 
 
@@ -109,7 +110,7 @@ class Version:
     capabilities: int
     """MAV_PROTOCOL_CAPABILITY bits."""
     uid: int
-    """The unique id of the hardware; 0 where it tells none."""
+    """The unique id of the hardware; 0 where it reports none."""
 
     def __str__(self) -> str:
         hardware = f"hardware {self.uid:x}" if self.uid else "hardware without an id"

@@ -31,7 +31,7 @@ _ARRIVAL_SIGMA_S = 0.2
 _FIX_SIGMA_M = 2.5
 """Standard deviation of a place at a dilution of precision of 1."""
 _DILUTION = 2.0
-"""The dilution of precision of a sentence that does not tell it."""
+"""The dilution of precision of a sentence without it."""
 _RECKONED_SIGMA_M = 50.0
 """Standard deviation of a place that the receiver reckons from an old one."""
 _OF_MODE: Mapping[str, float | str] = {
@@ -43,13 +43,13 @@ _OF_QUALITY: Mapping[int, float | str] = {
     1: _FIX_SIGMA_M, 2: _FIX_SIGMA_M, 3: _FIX_SIGMA_M, 4: 0.5, 5: 1.0, 6: _RECKONED_SIGMA_M,
     0: "no_fix", 7: "typed_in", 8: "simulated",
 }  # fmt: skip
-"""The same by the quality of GGA, at a dilution of 1."""
+"""Standard deviation of a position by the quality of GGA, at a dilution of 1, m, or the reason why it is refused."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
-"""The same by the flag of AIS, which tells only whether it is better than 10 m."""
+"""Standard deviation of a position by the flag of AIS, m: the flag shows only whether it is better than 10 m."""
 HEADING_SIGMA_RAD = math.radians(2.0)
 """Standard deviation of a ship's compass."""
 COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])
-"""(3, 3) (m/s)^2 covariance of a ship's velocity by her GNSS receiver, which tells no vertical one."""
+"""(3, 3) (m/s)^2 covariance of a ship's velocity by her GNSS receiver, which has no vertical one."""
 COV_SPEED.setflags(write=False)
 _SPEED_MAX_KN = 102.0
 _COURSE_FROM_M_S = 0.3
@@ -82,7 +82,7 @@ class NmeaReader:
     def __init__(self, mmsi: int = 0, simulated: bool = False) -> None:
         self._mmsi = mmsi
         self._simulated = simulated
-        # The window is long, so that a link that becomes slow is told as late reports and not as another clock.
+        # The window is long, so that a link that becomes slow is reported as late reports and not as another clock.
         self._day = ClockMap(_options(_DAY_NS, 0.01))
         self._minute = ClockMap(_options(_MINUTE_NS, 1.0))
         self.taken: Counter[str] = Counter()
@@ -275,7 +275,7 @@ def _place(m: Any, height_m: float | None = None) -> GeoPoint:
 
 
 def _velocity(speed_kn: object, course_deg: object) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
-    """Return the velocity over the ground, (3,) m/s in ned; None if a ship that moves tells no course.
+    """Return the velocity over the ground, (3,) m/s in ned; None if a ship that moves reports no course.
 
     Raises:
         _Refused: the speed is left out, or no ship's.

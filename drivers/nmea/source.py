@@ -55,7 +55,7 @@ class SentenceJoiner:
             self._keep(rest, sender, now)
         whole = [line for line in lines if line.strip()]
         if whole and not begun and not whole[0].startswith(_BEGINS) and _ENDS.fullmatch(whole[0]):
-            self.cut += 1  # the end of a sentence whose begin was not heard
+            self.cut += 1  # the end of a sentence whose begin was not received
             del whole[0]
         return whole
 
@@ -73,7 +73,7 @@ class SentenceSource:
     """Passes whole lines of the ship's sender on, with the instant at which they arrived.
 
     Args:
-        sender: the address that datagrams must come from; empty for the first that is heard.
+        sender: the address that datagrams must come from; empty for the first that is received.
         received: takes lines, with line feeds between, at most as many as a reader takes at once.
     """
 

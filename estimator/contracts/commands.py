@@ -64,6 +64,8 @@ class Hover:
 
     calls_off: bool = False
     """A person's order: it also ends a landing that a person ordered."""
+    returns: bool = False
+    """True if a vehicle that knows the way flies back by itself, by its own rules; one that does not hovers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ class Land:
     """
 
     persistent: bool = False
-    """A person's order: it needs no repeating and holds until the vehicle is on the ground or told to take off."""
+    """A person's order: it needs no repeating and holds until the vehicle is on the ground or commanded to take off."""
     on_deck: bool = False
     """True if contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
 

@@ -3,7 +3,7 @@
     DecklanderError
     |- BadInput        the user's file, key or argument is wrong: say which and end with exit code 2
     |- Recoverable     the outside world failed (socket, device, peer): restart that one part
-    `- SetupImpossible what was asked for cannot exist on this machine (a missing device class or library)
+    `- SetupImpossible what was requested cannot exist on this machine (a missing device class or library)
 
 Refusals of a single datum (a torn packet, an outlier) are results with a counter, never exceptions. Anything outside this
 tree that escapes a task is a bug of ours and takes the service down loudly.

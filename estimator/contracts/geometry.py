@@ -179,7 +179,7 @@ class Rotation:
         """(roll, pitch, yaw) of `from_rpy`; pitch in [-pi/2, pi/2]; at the gimbal lock roll is given as 0."""
         found = self._rpy_rad
         if found is None:
-            # Kept, because everybody who takes an attitude asks for it.
+            # Kept, because everybody who takes an attitude requests it.
             (a, b, _), (d, e, _), (g, h, i) = self.matrix.tolist()
             pitch = math.asin(-g if -1.0 <= g <= 1.0 else math.copysign(1.0, -g))
             locked = abs(g) > 1.0 - 1e-12
@@ -245,7 +245,7 @@ def known_rotation(matrix: F64) -> Rotation:
 
 
 def _rotation_by(matrix: F64) -> Rotation:
-    """Return the rotation of a read-only matrix of which it is known that it is one."""
+    """Return the rotation of a read-only matrix that is known to be a rotation."""
     made = _new(Rotation)
     _set(made, "matrix", matrix)
     _set(made, "_rpy_rad", None)

@@ -17,7 +17,7 @@ class BodyMotion(Struct, frozen=True, eq=False):
 
     at: MonoNs
     heading_rad: float
-    """The heading of `level` against the filter's north, rad: it tells how far the axes have turned between two instants."""
+    """The heading of `level` against the filter's north, rad: it shows how far the axes have turned between two instants."""
     a_level: F64
     """Acceleration of the body, (3,) m/s^2 forward, right, down: levelled, without gravity and without the sensor's bias."""
     cov_a_level: F64

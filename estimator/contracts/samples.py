@@ -97,7 +97,7 @@ class Imu(Struct, frozen=True, eq=False):
     gyro_lost_s: float = 0.0
     """Time up to this sample, s, in which the gyro measured nothing, and `w_body` is what else is known. 0 if it measures."""
     accel_lost_s: float = 0.0
-    """The same for the accelerometer; `f_body` is not used then."""
+    """Time up to this sample, s, in which the accelerometer measured nothing; `f_body` is not used then."""
 
     def __post_init__(self) -> None:
         w_body, f_body = self.w_body, self.f_body

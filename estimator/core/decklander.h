@@ -38,7 +38,7 @@ int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture
 
 /* ---- filter/: the error-state filter and the bank of oscillators ---- */
 
-/* The parts of the filter's state by their first index, and its size. estimator.ekf.state says what they are. */
+/* The parts of the filter's state by their first index, and its size. estimator.ekf.state describes them. */
 enum filter_state {
     DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
     DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,
@@ -101,7 +101,7 @@ enum propagation {
 /* Members mean what those of Belief, Aid and Gathered in estimator.ekf.state, of DeckMotionBank and Skill of the same
  * names mean; matrices are in rows, instants are in ns. In a bank and its members, arrays are by direction, then by state or
  * pair of states, then by member of the bank. An answer has numbers of pad and deck where it has a pad, and of the body
- * where it has a body; estimator.ekf.answers says what they are. A horizon_reach has, for one horizon and by oscillator,
+ * where it has a body; estimator.ekf.answers describes them. A horizon_reach has, for one horizon and by oscillator,
  * the rows of the transition to displacement and rate, their noise, and the products of the numbers of these rows and of
  * the first one's change. A deck_ahead has what Forecast has for one horizon. */
 typedef struct {
@@ -253,7 +253,7 @@ void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s
  * one needs a belief that is set outright, or has no sighting left. A covariance or a bank that an event changed is written once. */
 int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
     const dl_whole_belief *before, const dl_filter_row *out);
-/* Write the belief at instant t and its covariance; what is one of enum propagation. */
+/* Write the belief at instant t and its covariance; `what` is one of enum propagation. */
 void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after,
     double *P_after);
 /* Write the deck's forecast from instant t at n horizons; return 0 if no pad is tracked. */
@@ -361,7 +361,7 @@ enum {
     FIGURE_SIDES = 64,
     /* The largest number of sides of a wedge. */
     WEDGE_SIDES = 4,
-    /* Number of points of the pointer, one of which is in the frame if it can be seen. */
+    /* Number of points of the pointer; at least one is in the frame if it can be seen. */
     POINTER_MARKS = 4,
 };
 
@@ -372,7 +372,7 @@ enum {
  * surroundings) and the inside of each kind of edge (kinds); an edge_zone is where an edge of another kind is too near:
  * within and outside of two radii, in a box, anywhere if the blur is too wide for something thin, where the figure
  * on_figure does not cover a pixel wholly, and where beside_figure covers any of it (-1 for neither). The pointer is the
- * part of the drawing that tells its two headings apart. The other structures have what Camera, Orientation and Registration
+ * part of the drawing that distinguishes its two headings. The other structures have what Camera, Orientation and Registration
  * have. A camera_sighting is a pose in cam with the attitude and the mount; a level_sighting is the same pose in level: its
  * place, rotation and their covariance, the body's heading against the arrow, and the covariance of place and heading. */
 typedef struct {
@@ -452,7 +452,7 @@ enum {
     TEMPLATE_ONE = 16384,
 };
 
-/* The verification's features; estimator.vision.detect.verification says what they are. */
+/* The verification's features; estimator.vision.detect.verification describes them. */
 enum align_feature {
     FEATURE_ONE, FEATURE_H_MARKING, FEATURE_RING, FEATURE_EDGE, FEATURE_H_MARKING_ALL, FEATURE_RING_ALL, FEATURE_EDGE_ALL,
     FEATURE_H_AND_RING, FEATURE_H_AND_EDGE, FEATURE_RING_AND_EDGE, FEATURE_TWO_OF_THREE, FEATURE_SOME_RING, FEATURE_SOME_EDGE,
@@ -463,8 +463,8 @@ enum align_feature {
 
 /* A pad_pose takes the pad's axes to the camera's. In pad_template, a map has n rows along x and n columns along y, and the
  * centre in its middle; log_blur are the logarithms of the maps' standard deviations, m; h_side is -1 in a channel in which
- * the H is darker than the disc, else 1. A dl_alignment moves a pose by so many steps of Gauss and Newton, with the light minus
- * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is asked; the first half of the
+ * the H is darker than the disc, else 1. A dl_alignment moves a pose by this many steps of Gauss and Newton, with the light minus
+ * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is requested; the first half of the
  * steps use a drawing blurred twice as much. Then the drawing is verified at the pose, or with cover only the line is looked
  * for beyond which something covers the pad. In aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place
  * and at the opposite one; light_* are number, mean and variance of the light's logarithm where one paint shows alone. A cut is
@@ -508,7 +508,7 @@ typedef struct {
 
 /* ---- vision/look/: a registration, verified ---- */
 
-/* The inputs of the verification of a registration; estimator.vision.register.fit_verification says what they are. The
+/* The inputs of the verification of a registration; estimator.vision.register.fit_verification describes them. The
  * weights of the first EVIDENCE_FITTED are fitted, the others are set by hand. */
 enum look_evidence {
     EVIDENCE_ONE, EVIDENCE_TEMPLATE_SCORE, EVIDENCE_INLIERS, EVIDENCE_DISC_OFF, EVIDENCE_RING_OFF, EVIDENCE_H_OFF,
@@ -560,7 +560,7 @@ enum {
     LAMPS = 40,
     /* The largest number of pairs of lamps that a search tries. */
     LAMP_PAIRS = 20,
-    /* The brightest so many spots of a frame are kept. */
+    /* At most this many of a frame's brightest spots are kept. */
     LAMP_SPOTS = 40,
 };
 
@@ -655,7 +655,7 @@ typedef struct {
 
 /* ---- vision/: what follows one pad in the frames of one camera ---- */
 
-/* Rows of pixels of so many channels, one byte each; stride is from row to row, bytes. */
+/* Rows of pixels of this many channels, one byte each; stride is from row to row, bytes. */
 typedef struct {
     int64_t width, height, stride, channels;
     const uint8_t *px;

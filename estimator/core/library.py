@@ -124,7 +124,7 @@ class Door:
         Args:
             kind: a number or a structure of the header.
             values: the array, its elements one after the other.
-            count: how many elements C takes for granted. By default C is told by another parameter.
+            count: how many elements C takes for granted. By default C learns it by another parameter.
 
         Raises:
             TypeError: the elements are of another kind.
@@ -138,7 +138,7 @@ class Door:
         return self.ffi.from_buffer(pointer, values if values.dtype.names is None else values.reshape(-1).view(np.uint8))
 
     def block(self, kind: str, count: int) -> tuple[NDArray[np.uint8], Any]:
-        """Return bytes for structures that C writes, and C's pointer to the first of so many.
+        """Return bytes for structures that C writes, and C's pointer to the first of this many.
 
         numpy takes ten times as long to make an array of structures, or to lend one to C, as to do so with bytes.
         """
@@ -147,7 +147,7 @@ class Door:
         return block, self.ffi.from_buffer(pointer, block)
 
     def room(self, kind: str, count: int) -> tuple[NDArray[Any], Any]:
-        """Return room for structures that C writes: an array of so many, and C's pointer to the first."""
+        """Return room for structures that C writes: an array of this many, and C's pointer to the first."""
         block, pointer = self.block(kind, count)
         return np.ndarray((count,), self._dtypes[kind][0], block), pointer
 

@@ -46,7 +46,7 @@ from estimator.integrity.sensors import SensorWatch
 
 
 class FilterAnswer:
-    """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first asked for.
+    """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first requested.
 
     Attributes:
         before: the last belief before the instant.
@@ -172,7 +172,7 @@ def _figures(answer: NDArray[Any], evidence_of_rest: float) -> Callable[[], tupl
 
 _LIMITS = IntegrityOptions()
 _ANSWERS_KEPT = 8
-"""A filter of which many instants are asked forgets the first."""
+"""The oldest answers are forgotten beyond this number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +187,7 @@ class Ekf:
     imu: SensorWatch = field(default_factory=SensorWatch)
     """The recent IMU samples, from which frozen ones are recognised."""
     answers: dict[MonoNs, FilterAnswer] = field(default_factory=dict, repr=False)
-    """The newest answers of this filter and of those before it: guidance, recorder and links each ask for the same instant, and
+    """The newest answers of this filter and of those before it: guidance, recorder and links each request the same instant, and
     vision for the one whose sighting comes later. An answer counts where the last belief before the instant is still the same."""
 
     @property

@@ -81,7 +81,7 @@ def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, params: FilterPa
     return Forecast(at, horizons_s, found["d"], cov_d, found["v_pad"], *(found[name] for name in _SCALARS))
 
 
-@lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
+@lru_cache(maxsize=16)  # guidance requests the same horizons again and again
 def _reach(horizons_s: bytes) -> Any:
     """Return the core's `dl_horizon_reach` for each of some horizons, given as the bytes of doubles."""
     horizons = np.frombuffer(horizons_s)

@@ -143,7 +143,7 @@ Key = tuple[int, int, int, str]
 """Instant in ns, rank of the type, sequence number, method: they order events in the same way for every order of arrival."""
 _CHUNK = 32
 _ROW_OVER_KEPT = 4
-"""Length of a row over the number of its beliefs that are left, from which on these are copied and the row is freed."""
+"""Length of a row over the number of its beliefs that are left, from which these are copied and the row is freed."""
 
 
 class Entry(Struct, frozen=True):
@@ -349,7 +349,7 @@ def _split(chunks: Chunks, key: Key) -> tuple[Chunks, list[Entry]]:
 
 
 def _compact(chunks: Chunks) -> Chunks:
-    """Return the chunks without the memory of a long row of which few beliefs are left.
+    """Return the chunks without the memory of a long row with few beliefs left.
 
     The beliefs of a row share their memory. Of samples that are all late, each leaves one belief of a row as long as the history.
     """

@@ -1,7 +1,7 @@
 """Beliefs as the native core holds them, and the calls of the core that make one of another.
 
 A packed belief is one in the layout of `estimator/core/decklander.h`: its numbers, its covariance and its deck motion bank, each
-in an array that later beliefs share until an event changes it. It becomes a `Belief` when one asks.
+in an array that later beliefs share until an event changes it. It becomes a `Belief` on demand.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class PackedBelief:
 
 
 class Followed(Sequence[PackedBelief]):
-    """The beliefs after a row of events. Each is made when one asks: of most of them nobody ever does.
+    """The beliefs after a row of events. Each is made on demand: most are never needed.
 
     Args:
         before: the belief before the first event.

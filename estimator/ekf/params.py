@@ -32,7 +32,7 @@ from estimator.ekf.state import (
 )  # fmt: skip
 
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
-"""Variance of a component of a sample from which on it was not measured."""
+"""Variance of a component of a sample from which it was not measured."""
 
 
 class FilterParams:

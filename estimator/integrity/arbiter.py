@@ -22,7 +22,7 @@ _FLOOR_M, _FLOOR_FRACTION = 0.05, 0.03
 _FLOOR_M_S = 0.4
 _SIGMAS = 5.0
 _PAUSE_S = 0.5
-"""Time without a sighting after which the arbiter begins anew."""
+"""Time without a sighting after which the arbiter begins again."""
 _FRESH_S = 0.3
 _MISSES = 5
 _ESTABLISHED = 15

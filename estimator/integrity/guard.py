@@ -30,10 +30,10 @@ from estimator.integrity.sensors import FrameWatch
 _OLD_NS = 1_000_000_000
 """Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
 _ABOVE_M = 0.3
-"""Height above the body from which on no pad can be: a camera that looks down stands on it at the most."""
+"""Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
-"""Samples of which the arrival alone is checked here. Their union, written out, would be made anew for each sample."""
+"""Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""
 
@@ -73,7 +73,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
     Returns:
         The new guard; and for each sample either what may go to the estimator, or the verdict that refuses it. What may go is the
         sample itself, except for an attitude whose heading the gyro contradicts: it has the heading that the gyro holds; and for
-        an IMU sample of which a half is lost: it has what else is known in its place.
+        an IMU sample with a lost half: it has a substitute in its place.
     """
     # There are hundreds of samples a second, so what changes is kept in the open until the last of them.
     o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
@@ -96,7 +96,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         if verdict is not None:
             admitted.append(verdict)
             continue
-        # By the type itself: a match asks one class after the other.
+        # By the type itself: a match checks one class after the other.
         if isinstance(sample, VehicleStatus):
             flying = sample.flying is not False
         elif not isinstance(sample, _UNCHECKED):
@@ -153,7 +153,7 @@ def admit_sighting(
         return guard, Verdict.IMPOSSIBLE
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
-        # In flight nothing tells a slower link from stamps that have begun to lie.
+        # In flight a slower link cannot be distinguished from stamps that have become wrong.
         keep_s = o.delay_keep_s if guard.flying else math.inf
         watch, verdict = clock.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s, keep_s)
     guard = replace(guard, clock=watch)

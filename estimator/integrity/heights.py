@@ -21,7 +21,7 @@ _NEAREST_M = 0.35
 _UPRIGHT = 0.85
 _EDGE_M = 0.1
 _FASTEST = 3.0
-"""A difference of several times what is allowed counts so many times as fast."""
+"""A difference of several times what is allowed counts this many times as fast."""
 _CLEAR = 0.35
 """Radius around the pad, as a part of the height, without anything above the deck: the vehicle descends there."""
 _PAUSE_S = 0.3

@@ -1,7 +1,7 @@
 """Judge gyro and accelerometer apart, name the one that lies, and let the estimator fly on without it.
 
 A half that repeats itself is lost at once and back at once. One that moves and lies is found by parity (`parity.py`) and has to
-agree for two seconds before it counts again. What the estimator believed with it is worth nothing: it starts again.
+agree for two seconds before it counts again. Estimates made with it are worthless: the estimator starts again.
 """
 
 import math
@@ -24,7 +24,7 @@ _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
 _AXIS, _ALL_ALIVE = 2.0, 0b111111
-"""One axis alone repeats itself more often than three: it has so many times as long."""
+"""Factor on the time limit for one axis alone, which repeats itself more often than three."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
@@ -35,14 +35,17 @@ _STEADY = 0.8
 _REVERSED_BINS = 4
 _SWING_BINS = 6
 _SWINGS_RAD_S, _SHOWS_RAD_S = math.radians(8.0), math.radians(3.0)
-"""Difference of gyro and attitude about one axis, a root mean square, that is none of noise: 3.4 deg/s in roll and pitch, 6.6 in
-yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree again."""
+"""Difference of gyro and attitude about one axis, a root mean square, that is larger than noise.
+
+It is 3.4 deg/s in roll and pitch, 6.6 in yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree
+again.
+"""
 _SWINGS_SHARE, _AGREES_SHARE = 0.15, 0.3
 _DECIDED = 0.2
 _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
-"""Least turn, a root mean square, by which a wrong sense is told."""
+"""Least turn, a root mean square, at which a wrong sense is detected."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
 """Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it."""
 _PERSISTS_GROSS = 2
@@ -50,7 +53,7 @@ _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
 _BIN_SHARE = 0.01
-"""Weight of one bin in what is usual, in the long run: it takes ten seconds to change."""
+"""Weight of one bin in the long-run mean: it takes ten seconds to change."""
 _SIGMAS = 5.0
 _GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
 """Errors that the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
@@ -87,7 +90,7 @@ class Differences(NamedTuple):
     """Ahead and aside as far as velocity and sightings agree."""
 
     def agrees_with(self, usual: "Usual") -> bool:
-        """Return whether nothing speaks against the accelerometer, and something for it."""
+        """Return whether some evidence confirms the accelerometer and none contradicts it."""
         down = self.ground or self.deck
         if down is None or abs(down.value - usual.down) > (0.6 if self.ground else 0.8) * _ACCEL_M_S2:
             return False
@@ -173,7 +176,7 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     t, last = imu.stamp.measured_at, state.imus[-1] if state.imus else None
     before = t if last is None else last.stamp.measured_at
     was, now = _six(last), _six(imu)
-    # Hundreds of samples a second, of which hardly one repeats anything.
+    # Hundreds of samples a second, and hardly one repeats a value.
     if last is not None and (state.repeating or state.alive != _ALL_ALIVE or any(map(eq, was, now))):
         state = _repeated(state, [a == b for a, b in zip(was, now, strict=True)], (before, t), o.imu_frozen_s, flying)
     before_gyro, before_accel = state.gyro, state.accel
@@ -278,7 +281,7 @@ def _judged_gyro(state: Inertial) -> Inertial:
             well = fault.well if agrees is None else fault.well + 1 if agrees else 0
             if well < _WELL:
                 return replace(state, **{name: replace(fault, well=well)})
-            # The attitude went into all that was believed, the gyro's fault did not.
+            # The attitude entered all estimates, the gyro's fault did not.
             return replace(state, **{name: None}, named=state.named + (name == "attitude_fault"))
     found = _swings_apart(state.parity)
     if found is not None and found.sensor != state.suspected:
@@ -358,7 +361,7 @@ def _gyro_lies(p: Parity, bins: tuple[Bin, ...], by: float) -> str:
     steady = [sum(b.off[i] * off[i] > off[i] * off[i] / 3.0 for b in bins) >= _STEADY * n for i in range(3)]
     x, y = (off[i] if steady[i] else 0.0 for i in range(2))
     if math.hypot(x, y) > by * _GYRO_RAD_S:
-        # The one that says that the body leans more and more lies: it would fly away.
+        # The one that says that the body tilts more and more lies: it would fly away.
         along, aside, _ = bins[-1].up
         by_gyro, by_attitude = math.hypot(along - y * span_s, aside + x * span_s), math.hypot(along, aside)
         # A vessel turns as slowly: the pictures clear the gyro, and do not accuse it.

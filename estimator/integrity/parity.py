@@ -27,7 +27,7 @@ _SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)
 """Trace of a rotation by a radian."""
 _PICTURES, _SHOWN = 4, 0.6
 _SHOWN_RAD = math.radians(0.8)
-"""Least difference, a root mean square, that pictures tell: at 7 m they err by half a degree."""
+"""Least difference, a root mean square, that images resolve: at 7 m they err by half a degree."""
 
 Vec3 = tuple[float, float, float]
 Point = tuple[int, Vec3]
@@ -80,7 +80,7 @@ class PadTurn(NamedTuple):
 
 
 class Parity(Struct, frozen=True):
-    """The bins, and what each witness said in them."""
+    """The bins, and each witness' values in them."""
 
     attitudes: tuple[Attitude, ...] = ()
     """Attitudes since the newest bin; the first one ends it."""
@@ -173,7 +173,7 @@ def attitude_share(p: Parity, axis: int, since: int, *, swings: bool) -> float |
     It is 1 where the pad turns with the attitude's error, and 0 where it stays level, up to the vessel's own turn.
 
     Args:
-        since: instant from which on they are compared, ns.
+        since: instant from which they are compared, ns.
         swings: compare what goes back and forth, without a steady turn, which may be the vessel's.
 
     Returns:

@@ -42,7 +42,7 @@ class TrackCandidate(NamedTuple):
     """Another position at which a pad is detected."""
 
     first: int
-    """Its first sighting since the tracked pad was last seen, ns; one that was seen before that counts anew from then on."""
+    """Its first sighting since the tracked pad was last seen, ns; one that was seen before that counts again from then on."""
     n: int
     """Number of sightings at this place."""
     last: Place

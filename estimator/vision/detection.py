@@ -29,8 +29,9 @@ _AGREE_XYZ = 16.27
 _AGREE_YAW = 10.83
 """Chi-square limit, 1 degree of freedom, 99.9 %."""
 _COARSE = 0.003
-"""One standard deviation, as a fraction of the distance, of the error that worn paint, shade and a tilted deck add to the thesis'
-methods beyond their own covariance. A disagreement of a few of these is no reason to reject a cue.
+"""Error that worn paint, shade and a tilted deck add to the thesis' methods, one standard deviation, in parts of the distance.
+
+Their own covariance does not contain it. A disagreement of a few of these is no reason to reject a cue.
 """
 
 
@@ -187,7 +188,7 @@ class Detection(Struct, frozen=True, eq=False):
     methods: Mapping[Method, Sighting | None]
     """The sighting of every method that was tried."""
     opinions: Opinions | None = None
-    """The two opinions on the best registration; None if the second was not asked."""
+    """The two opinions on the best registration; None without a second opinion."""
     elsewhere: Sighting | None = None
     """Sighting that is surer than `selected`, or the only one, at a place that a fresh estimate excludes.
 

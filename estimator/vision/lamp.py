@@ -14,9 +14,9 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 
 FEWEST, MOST = 5, 40
-"""Numbers of lamps of a pad that has any: with four in view nothing would tell a pad from four other lights."""
+"""Numbers of lamps of a pad that has any: with four in view a pad could not be distinguished from four other lights."""
 _WIDTH_LEAST = 0.2
-"""Least extent of the lamps across their longest line, as a part of that: of a row of lamps the far side is not told apart."""
+"""Least extent of the lamps across their longest line, as a part of that: of a row of lamps the far side is not distinguished."""
 _ALIKE = 0.25
 """Part of the distance between two lamps by which a turned pattern must miss a lamp, or the pattern looks the same."""
 
@@ -41,7 +41,7 @@ def points_of(lamps: Sequence[Lamp]) -> F64:
 
 
 def check_lamps(lamps: Sequence[Lamp], where: str) -> None:
-    """Check that lamps make a pattern that can be told apart from any other heading of it.
+    """Check that lamps make a pattern that can be distinguished from any other heading of it.
 
     Raises:
         BadInput: too few, two in one place, all in a line, or a pattern that looks the same after a turn.
@@ -98,7 +98,7 @@ class LampAccuracy:
 
 
 def lamp_accuracy(lamps: tuple[Lamp, ...], camera: Camera, height_m: float) -> LampAccuracy:
-    """Return what one frame tells from a height over the pad's centre, by spots whose centres are known to `CENTRE_PX`."""
+    """Return the accuracy of one frame at a height over the pad's centre, by spots whose centres are known to `CENTRE_PX`."""
     focal_px = 0.5 * (camera.fx + camera.fy)
     places = places_of(lamps)
     uv = focal_px / height_m * places

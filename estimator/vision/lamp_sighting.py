@@ -16,9 +16,9 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.core.abi import LAMP_PAIRS
 from estimator.core.library import CORE
-from estimator.vision.believed import expected, sigma_of
 from estimator.vision.by_paint import TrackerMemory
 from estimator.vision.camera import Camera
+from estimator.vision.expectation import expected, sigma_of
 from estimator.vision.lamp import Lamp, places_of
 from estimator.vision.native import checked, image_of, native_prior, tracker_of
 from estimator.vision.pad import Pad
@@ -29,11 +29,11 @@ from estimator.vision.tracker_config import TrackerConfig
 
 _SEEN = 1
 _EXPECTED_SIGMAS = 3.0
-"""Standard deviations of the believed position within which the pad is expected."""
+"""Standard deviations of the expected position within which the pad is expected."""
 REACH_PX = 40.0
-"""Largest reach about the believed position in which lamps are assigned to spots; beyond it the frame is searched for them."""
+"""Largest reach about the expected position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 _EVERY_PX = 16
-"""Every so many columns and rows tell whether a frame is dark."""
+"""Sampling step of columns and rows for the test whether a frame is dark."""
 _DARK = 25
 """Value of the brightest channel below which half of a dark frame's pixels lie: 0.9 % of the light that saturates the camera, in
 which a paint's contrast is a few values. Of night frames from 1 m or more nearly all are, and no frame by day."""

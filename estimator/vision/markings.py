@@ -59,7 +59,7 @@ class Markings:
     h_length_m: float
     """Extent of the lettering along the arrow: twice its farthest point."""
     h_width_m: float
-    """The same across the arrow."""
+    """Extent of the lettering across the arrow."""
     leg_width_m: float
     """Width of the strokes along the arrow."""
     bar_width_m: float

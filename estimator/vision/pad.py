@@ -67,7 +67,7 @@ class Calibration(Struct, frozen=True, forbid_unknown_fields=True):
     chance: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Chance of a false pad in a frame of 640x360 that is searched, with that."""
     least_px: Annotated[float, Meta(ge=0.0)] = 0.0
-    """Radius in a frame from which on the pad is found; 0 where it is not found at all sizes from one on."""
+    """Radius in a frame from which the pad is found; 0 where it is not found at all sizes from one on."""
     drawing: str = ""
     """The drawing's fingerprint: another drawing is not calibrated."""
 
@@ -256,7 +256,7 @@ class Pad:
     size_sigma_m: float = 0.0
     """Sigma of the painted sizes against those of the regions, m: the tolerance of print and deck."""
     lamps: tuple[Lamp, ...] = ()
-    """Lamps that shine upwards; their pattern tells its heading."""
+    """Lamps that shine upwards; their pattern shows its heading."""
     ground: str = ""
     """The paint of the sheet or the deck around; empty where it is not known."""
     calibration: Calibration | None = None
@@ -269,7 +269,7 @@ class Pad:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "markings", markings_of(self.regions, dict(self.paints), self.ground))
-        # A pad is the key of caches that every frame asks.
+        # A pad is the key of caches that every frame uses.
         drawn = self.name, self.paints, self.regions, self.size_sigma_m, self.lamps, self.ground
         object.__setattr__(self, "_hash", hash((*drawn, self.calibration)))
 

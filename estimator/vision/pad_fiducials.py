@@ -1,4 +1,4 @@
-"""The rules that a pad's fiducials keep, so that each is read, told from the others, and measured."""
+"""The rules that a pad's fiducials keep, so that each is read, distinguished from the others, and measured."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -48,8 +48,8 @@ def check_fiducials(regions: Sequence[Region], paints: Mapping[str, Rgb], where:
     """Check a pad's fiducials against one another and against what they lie on.
 
     Raises:
-        BadInput: one is there twice or cannot be told from another, lies in another's border of light, off the disc or panel, or
-            is not darker than it.
+        BadInput: one is there twice or cannot be distinguished from another, lies in another's border of light, off the disc or
+            panel, or is not darker than it.
     """
     found = {i: region for i, region in enumerate(regions) if isinstance(region, PaintedFiducial)}
     if not found:

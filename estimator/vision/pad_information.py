@@ -19,9 +19,9 @@ NOISE, BLUR_PX = 0.01, 0.8
 _FINE, _FINE_TO_PX = 3, 100.0
 """Points along a pixel's side, and the radius in the frame beyond which one is enough."""
 _ALIKE = 0.02
-"""Share of the painted ground that may differ between two headings that a camera cannot tell apart."""
+"""Share of the painted ground that may differ between two headings that a camera cannot distinguish."""
 _NEARLY_ALIKE = 0.2
-"""The same for two headings that a search may confuse, of which a look at both tells the right one."""
+"""Share of the painted ground that may differ between two headings that a search may confuse; a look at both decides."""
 _TURNS = tuple(math.radians(degrees) for degrees in (60.0, 72.0, 90.0, 120.0, 144.0, 180.0))
 """Turns one way after which regular shapes look the same, rad."""
 
@@ -39,7 +39,7 @@ class PadAccuracy:
     """Standard deviation along the worse direction."""
     range_m: float
     yaw_rad: float
-    """Infinite for a pad that does not tell its heading."""
+    """Infinite for a pad without a heading."""
 
 
 def paint_at(pad: Pad, xy_m: F64, deck: F64) -> F64:
@@ -52,7 +52,7 @@ def paint_at(pad: Pad, xy_m: F64, deck: F64) -> F64:
 
 
 def accuracy(pad: Pad, camera: Camera, height_m: float, deck: F64) -> PadAccuracy:
-    """Return the bound on what one frame tells from a height over the pad's centre.
+    """Return the bound on the accuracy of one frame at a height over the pad's centre.
 
     The information is that of every pixel's luminance on position, height and heading, with white noise (`NOISE`), a Gaussian
     point spread (`BLUR_PX`) and known paints. Source: Kay, Fundamentals of Statistical Signal Processing 1, sec. 3.9.
@@ -102,7 +102,7 @@ def alike_headings(pad: Pad) -> int:
 
 @lru_cache(maxsize=8)
 def confusable_turns(pad: Pad) -> tuple[float, ...]:
-    """Return the turns, rad, after which the pad looks nearly the same, and that only a look at both headings tells apart.
+    """Return the turns, rad, after which the pad looks nearly the same, and that only a look at both headings distinguishes.
 
     Those of a pad whose arrowhead or fiducial says which is right, those of a letter alone, and turns after which it looks the
     same are none of them.

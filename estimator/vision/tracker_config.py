@@ -15,10 +15,15 @@ if TYPE_CHECKING:
     from estimator.vision.rolling import CameraMotion
 
 FRAME_WORK = 8.0
-"""Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
-640x360."""
+"""Work that a search may do in one frame of a flight.
+
+The unit is the time of one BGR to HSV conversion and one inRange of a frame of 640x360.
+"""
 IMAGE_WORK = 5.0 * FRAME_WORK
-"""The same for an image on its own: on 36 frames without a pad a search to the end took 112 at worst, and found no more."""
+"""Work that a search may do in an image on its own.
+
+On 36 frames without a pad a search to the end took 112 at worst, and found no more.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +39,6 @@ class TrackerConfig:
     motion: CameraMotion | None = None
     """Motion of the camera in this frame; None if unknown, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None
-    """The trained network that is asked about what a search finds; None to ask none."""
+    """The trained network for a second opinion on what a search finds; None for no second opinion."""
     integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
     """The guard's limits, by which a belief excludes a place."""

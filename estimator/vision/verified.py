@@ -25,7 +25,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.doubts import LETTER_MOST, cells_log_odds, letter_log_odds
+from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, letter_log_odds
 from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
@@ -103,27 +103,29 @@ def _luminance(pad: Pad, blur: int) -> F32:
 
 
 SURE = 0.5
-"""Confidence from which on a pose is the pad's."""
+"""Confidence from which a pose is the pad's."""
 CLOSE, ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 CODED_PX = 0.12
 """Sigma of the place of a patch of a frame that a codec predicted. H.264 gives motion by quarters of a pixel: that leaves 0.07
 px; 1.6 times that, as what it leaves goes on from frame to frame while each frame counts as a measurement of its own."""
 _CERTAIN = 0.9
-"""Confidence from which on it is not tried whether something covers a part of the pad."""
+"""Confidence from which it is not tried whether something covers a part of the pad."""
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
 _WORTH_TURNING = 1e-4
-"""Confidence from which on the heading of a registration matters: its place may be the pad's then."""
+"""Confidence from which the heading of a registration matters: its place may be the pad's then."""
 _DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
-"""Standard deviations from which on the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
+"""Standard deviations from which the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
 rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
 """
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
-"""Change of the distance from its start, as a fraction and by that of pixels of the radius, and of the place as a fraction of
-the radius, from which on a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
-rest of the pad still fits."""
+"""Changes from its start at which a registration has strayed.
+
+They are of the distance, as a fraction and by that of pixels of the radius, and of the place, as a fraction of the radius. A
+cover over a part of a disc in its own shade pulls the edges there, and the rest of the pad still fits.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,8 +179,8 @@ def verified(
         of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
         best = _of_visible(view.as_seen(), turned, orientation, near, prior, of, paint) or best
         z = _heading_z_scores(view, best.found.pose, turns)
-    doubt = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
-    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * doubt)) if doubt else best
+    alert = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
+    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * alert)) if alert else best
 
 
 def _log_odds(of_confidence: float) -> float:

@@ -229,7 +229,7 @@ class Configuration:
         return value
 
     def set(self, name: str, value: str, ids: Ids | None = None) -> Answer:
-        """Write one key as a client asked.
+        """Write one key as a client requested.
 
         Args:
             ids: what the client's CONFIG_IDS just before named; None when there was none.

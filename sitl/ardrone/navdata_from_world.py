@@ -35,7 +35,7 @@ class SentFrame(Struct, frozen=True):
 
 
 class Situation(Struct, frozen=True):
-    """The values of which one datagram is made."""
+    """The values that one datagram holds."""
 
     state: int
     control_state: int

@@ -42,7 +42,7 @@ AIRBORNE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePha
 _STEERABLE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING})
 
 LOST_COM = 8
-"""Minor control state of a hovering drone that hears nobody."""
+"""Minor control state of a hovering drone that receives no commands."""
 
 _MAJOR = {
     VehiclePhase.LANDED: ControlState.LANDED,
@@ -76,7 +76,7 @@ HOVER = Stick(roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, progressive=False)
 
 @dataclass(frozen=True, slots=True)
 class Leds:
-    """The light show asked for last."""
+    """The light show requested last."""
 
     animation: int
     frequency_hz: float
@@ -209,7 +209,7 @@ class DroneState:
             case at.Led():
                 self.leds = Leds(command.animation, command.frequency_hz, float(command.duration_s))
             case at.Calib() | at.Anim():
-                # The simulated vehicle has no figures to fly; that they were asked for is on record.
+                # The simulated vehicle has no figures to fly; that they were requested is on record.
                 self.counters[f"not_flown_{command.NAME.lower()}"] += 1
             case at.Pmode() | at.Misc():
                 pass

@@ -55,7 +55,7 @@ _STAMP_SIGMA_S = 0.002
 """Standard deviation of the stamps of a drone that sends its clock's time."""
 
 _BACK_TO_BACK_S = 0.001
-"""Time between the arrivals of two pictures of which the first was held up, s: that of sending one."""
+"""Time between the arrivals of two pictures when the first was held up, s: that of sending one."""
 
 
 def synced(measured_at: MonoNs, received: MonoNs) -> Stamp:
@@ -71,7 +71,7 @@ class ArrivingFrames:
         options: the driver's.
         seed: of the arrivals of an AR.Drone 1.0's pictures: they scatter as its options say, about a delay of each flight,
             and keep their order.
-        rendered: whether the images are renderings: one that stands for a drawn detection is told apart by its pixels, and no
+        rendered: whether the images are renderings: one that stands for a drawn detection is distinguished by its pixels, and no
             codec may change it.
     """
 

@@ -105,7 +105,7 @@ class Renderer:
         self._vignette = vignette(self._lens, self.light.vignetting)
         self._even = np.full_like(self._vignette, GAIN_ONE)
         self._darkened, self._dark_part = self._vignette.copy(), (slice(0), slice(0))
-        # The largest arrays of a frame: asking for their memory each time costs as much as filling it.
+        # The largest arrays of a frame: requesting their memory each time costs as much as filling it.
         self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
         self._room = np.empty((camera.height, camera.width, 3), np.int16)
         self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None
@@ -168,7 +168,7 @@ class Renderer:
         # Floodlights differ in colour from the sky: their light and the sky's are added up for each channel.
         even = self._even if self.lamps.floods else gain
         light = development.expose(view.scene, even, view.pad, self._pad_scene, self._room)
-        # Drops refract what is blurred, and blur more than the lens does.
+        # Drops refract the blurred image, and blur more than the lens does.
         blur = development.pad_blur(view.scene, even, view.pad, self._pad_scene) if self.drops is None else None
         if self.lamps.floods:
             gains = self._gains(gain, development, *view.pose)

@@ -32,7 +32,7 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class Drops:
-    """The water that falls on a lens: the same at an instant whatever was asked before."""
+    """The water that falls on a lens: the same at an instant whatever was computed before."""
 
     rain_per_s: float = 0.0
     """Rate of single drops."""

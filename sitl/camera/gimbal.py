@@ -1,4 +1,4 @@
-"""A simulated gimbal: it follows what it is told with a lag, swings about it, and carries the camera."""
+"""A simulated gimbal: it follows its command with a lag, swings about it, and carries the camera."""
 
 import math
 from dataclasses import replace

@@ -284,7 +284,7 @@ class PadBlur:
 
 _LENS_PX_MOST = 12_000
 """Parts of the frame up to so large are blurred exactly: pads from three metres on. Nearer by edges are so long, and cross pixels
-in so many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
+in this many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
 
 
 @lru_cache(maxsize=64)
@@ -416,7 +416,7 @@ class Development:
         return frame
 
     def _tone(self, size: int, rng: np.random.Generator) -> Any:
-        """Return the core's view of the sensor for a frame of so many values: noise, and tone curve."""
+        """Return the core's view of the sensor for a frame of this many values: noise, and tone curve."""
         if self._noisy is None:
             return SIM.new("sim_sensor_tone", codes=self._clean)
         bank = _noise_bank()

@@ -26,7 +26,7 @@ Polygon = tuple[F64, RGB]
 _TARPAULIN: RGB = (92, 96, 98)
 _DECK: RGB = (104, 110, 112)
 _NOISE = 2.0
-"""Standard deviation of the noise on what is drawn, grey levels."""
+"""Standard deviation of the noise on drawn parts, grey levels."""
 
 
 class PictureEffects:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 _PACKAGES = ("companion", "configs", "drivers", "estimator", "sitl")
-_SOURCES = (".py", ".toml", ".c", ".h")
+_SOURCES = (".py", ".toml", ".npz", ".c", ".h")
 _TEST_SUPPORT = ("sitl", "testing")
 """Not in the wheel, and no flight needs it."""
 

@@ -21,7 +21,7 @@ _SHARED = ("camera.file", "pad.file")
 
 
 class Overridable:
-    """A scenario and settings of which single keys can be given other values.
+    """A scenario and settings whose single keys can be given other values.
 
     A key is looked for in the scenario first, then in the settings; `settings.` before it skips the scenario. An item of a list
     has its number for a key, as in `faults.0.speed_m_s`. The scenario's camera and pad are also those of the settings, unless

@@ -1,6 +1,6 @@
 """Plan of a campaign: a scenario or a named set, settings, a level of perception and the values that are varied.
 
-What each scenario of a set (configs/scenarios/sets) expects is said in its own file.
+What each scenario of a set (configs/scenarios/sets) expects is written in its own file.
 """
 
 from __future__ import annotations
@@ -267,6 +267,8 @@ def make_plan(
     if scenario.vessel.motion:
         moved = Path(scenario.vessel.motion)
         files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
+    if settings.guidance.controller == "policy" and (path := Path(settings.guidance.policy_file)).is_file():
+        files["settings: guidance.policy_file"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)

@@ -179,7 +179,7 @@ def shrunk(faults: Sequence[Corrupted], fails: Fails, flights: int = _SHRINKING_
 
 
 def _simpler(faults: tuple[Corrupted, ...]) -> Iterator[tuple[Corrupted, ...]]:
-    """Return what is simpler by one step: one fault less, half as long, half as much."""
+    """Return scenarios that are simpler by one step: one fault less, half as long, half as much."""
     if len(faults) > 1:
         yield from (faults[:n] + faults[n + 1 :] for n in range(len(faults)))
     for n, fault in enumerate(faults):

@@ -152,7 +152,7 @@ class FolderStore:
 
 
 def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the manifest of a campaign of which these seeds are to be flown; `before` is the one that is there already."""
+    """Return the manifest of a campaign for these seeds; `before` is the one that is there already."""
     asked: list[list[int]] = list(before["seeds"]) if before is not None else []
     now = [seeds.start, len(seeds)]
     again: dict[str, Any] = {"options": list(plan.options)}

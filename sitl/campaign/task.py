@@ -68,8 +68,8 @@ def fly_order(order: Order) -> Flight:
         flight = order.flyer(name, scenario, job.seed, settings, perception, model)
     except Exception as why:
         place = traceback.extract_tb(why.__traceback__)[-1]
-        said = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-        flight = failed(name, job, said, _cpu_s() - began_s)
+        output = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+        flight = failed(name, job, output, _cpu_s() - began_s)
     return finished(flight, job, perception)
 
 
@@ -118,7 +118,7 @@ def flight_hash(flight: Flight) -> str:
 
 
 def job_of(flight: Flight) -> Job:
-    """Return the job of which this is the result."""
+    """Return the job of this result."""
     return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
 
 

@@ -1,4 +1,4 @@
-"""A map of wind, sea and vehicle: what lands, how well, and what is refused, drawn from the flights of a campaign."""
+"""A map of wind, sea and vehicle: landings, their accuracy and refusals, drawn from the flights of a campaign."""
 
 import re
 from collections import Counter
@@ -61,8 +61,8 @@ class MapCell:
 
 def _reason(refused: str) -> str:
     """Return why it gave up, without the figures that differ from flight to flight."""
-    said = refused.partition(";")[0]
-    return re.sub(r"\s*\([^)]*\)|\s(by|at|after|for|within) -?\d+(\.\d+)? \S+", "", said)[:60]
+    output = refused.partition(";")[0]
+    return re.sub(r"\s*\([^)]*\)|\s(by|at|after|for|within) -?\d+(\.\d+)? \S+", "", output)[:60]
 
 
 def cells_of(flights: Iterable[Flight]) -> dict[tuple[str, Any, Any], MapCell]:

@@ -172,7 +172,7 @@ class ClusterWorkers:
     def __init__(self, plan: AnyPlan, code: dict[str, str], address: str, flyer: Flyer = fly_flight) -> None:
         require_lab(f"--scheduler {address}", "dask", "distributed")
         distributed: Any = importlib.import_module("distributed")
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it reports is said here, in one line
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its report is printed here, in one line
         self._plan, self._bases = plan, dict[str, bytes]()
         self._code, self._address, self._flyer = code, address, flyer
         self._run, self._orders = uuid.uuid4().hex[:8], 0
@@ -278,8 +278,8 @@ class ClusterWorkers:
         if isinstance(error, BadInput):
             raise OtherCode(f"--scheduler {self._address}: {in_words(error)}") from error
         if isinstance(error, BaseException):
-            said = f"{type(error).__name__}: {in_words(error)}"
-            raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {said}") from error
+            output = f"{type(error).__name__}: {in_words(error)}"
+            raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {output}") from error
         return None
 
     def _fetched(self, future: Any) -> Flight | None:

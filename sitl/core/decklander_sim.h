@@ -45,7 +45,7 @@ enum {
     ECHOES_MAX = 64,
     /* Standard normal numbers that a vehicle takes at a step: gust (3), optical flow (2), tilt (2); the air takes as many. */
     FLIGHT_NOISE = 7,
-    /* Those that its unkind effects take: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
+    /* Standard normal numbers of its disturbing effects: downwash (3), climb rate and turn rates by which the loops fly (1, 3). */
     EFFECT_NOISE = 7,
 };
 
@@ -174,7 +174,7 @@ enum action_number {
 };
 
 /* Where the parts of an observation begin: the pad's place (3) m and its velocity against the body (3) m/s in level axes, the body's
- * lean and the trim against wind and drag as accelerations (2 + 2) m/s^2 forward and right, the deck's velocity and acceleration down, its roll and pitch
+ * tilt and the trim against wind and drag as accelerations (2 + 2) m/s^2 forward and right, the deck's velocity and acceleration down, its roll and pitch
  * about the body's heading, sine and cosine of the heading against the arrow, the last action, seconds since the last sighting. */
 enum view_number {
     VIEW_PLACE = 0, VIEW_VELOCITY = 3, VIEW_LEAN = 6, VIEW_TRIM = 8, VIEW_DECK = 10, VIEW_DECK_TILT = 12, VIEW_HEADING = 14,
@@ -306,9 +306,9 @@ enum {
     CELL_PX = 8,
     /* The widest blur of the simulated lens, px. */
     BLUR_RADIUS_MAX = 30,
-    /* Light up to so many counts is told apart by single counts when noise is added to it, then by four. */
+    /* Light up to this many counts is distinguished by single counts when noise is added to it, then by four. */
     LEVELS_BY_ONE = 512,
-    /* Light from so many counts on is told apart by eight. */
+    /* Light from this many counts on is distinguished by eight. */
     COUNTS_BY_EIGHT = 4096,
     /* The number of levels below that. */
     LEVELS_BY_EIGHT = LEVELS_BY_ONE + (COUNTS_BY_EIGHT - LEVELS_BY_ONE) / 4,
@@ -326,7 +326,7 @@ enum {
     PAD_EDGE = 255,
     /* Numbers of one part of an exposure: homographies in its middle, their change during it, in the first row and in the last. */
     STROKE_NUMBERS = 36,
-    /* So many columns of a row are blurred exactly together, or left as they are. */
+    /* Number of columns of a row that are blurred exactly together, or left as they are. */
     LENS_BLOCK = 16,
     /* The largest number of regions: disc, rim, ring, arrowhead, and the rectangles and convex pieces of lettering of two paints. */
     PAD_REGIONS_MOST = 784,
@@ -417,7 +417,7 @@ typedef struct {
 
 /* Tell the paint of each pixel by the homographies of the whole exposure, and the pixels that edges touch; return how many. */
 int32_t sim_render_pad_kinds(const sim_pad_view *v, const float *whole, uint8_t *kinds, int32_t *edges);
-/* Compute the coverage of `count` pixels by the paints during so many strokes, and of their fine x fine parts. */
+/* Compute the coverage of `count` pixels by the paints during this many strokes, and of their fine x fine parts. */
 void sim_render_pad_shares(const sim_pad_view *v, int32_t strokes, const float *stroke_numbers, int32_t fine, int32_t count,
     const int32_t *edges, float *shares, float *parts);
 
@@ -438,7 +438,7 @@ typedef struct {
 void sim_render_expose(const sim_lit_scene *seen, int16_t *light);
 void sim_render_mix(const sim_lit_scene *seen, int16_t *light);
 
-/* The kernels of a lens on parts of pixels and on pixels, and how far they reach, px. `room` has so many floats and numbers. */
+/* The kernels of a lens on parts of pixels and on pixels, and how far they reach, px. `room` has this many floats and numbers. */
 typedef struct {
     int32_t reach, floats, numbers;
     const float *exact, *sampled;
@@ -450,7 +450,7 @@ typedef struct {
  * or -1 if there is no room for it. */
 int32_t sim_render_pad_lens(const sim_lit_scene *seen, const int32_t *window, const sim_lens_kernels *k, int16_t *added);
 
-/* The blur of a lens: its radius, weights, what is added in a window, or nothing; and so many numbers to work on. */
+/* The blur of a lens: its radius, weights, what is added in a window, or nothing; and this many numbers to work on. */
 typedef struct {
     int32_t radius, numbers;
     const uint16_t *taps;

@@ -25,7 +25,7 @@ SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late
 SIGNALS: tuple[Signal, ...] = get_args(Signal)
 ERRORS: tuple[SignalError, ...] = get_args(SignalError)
 PACKETS = frozenset({"samples", "frames"})
-"""Signals of which whole packets are late or doubled, and not values; of commands both."""
+"""Signals whose whole packets are late or doubled, and not their values; commands have both."""
 UNSIZED = frozenset({"frozen", "doubled", "swapped", "sign"})
 """Errors that have no size."""
 LATE_MAX_S = 2.0
@@ -149,7 +149,7 @@ class Corruptions:
         """The signals that are ever corrupted."""
         self._past: dict[Signal, deque[tuple[MonoNs, Values]]] = {f.signal: deque() for f in listed if f.error == "late"}
         self._held: dict[Signal, dict[int, Values]] = {signal: {} for signal in self.signals}
-        """What each frozen fault repeats, and each doubling one repeats next."""
+        """Value that each frozen fault repeats, and each doubling one repeats next."""
 
     def active(self, signal: Signal) -> list[tuple[Corrupted, float]]:
         """Return the faults of a signal that are active now, each with the seconds since it began."""
@@ -240,7 +240,7 @@ _FACTOR_LEAST = 0.03
 """Least change by a factor."""
 _COMMAND_S = 0.5
 """Longest time in which commands do something else than they say. Nothing on board can fly a vehicle that turns right for left;
-what is asked is that it gets over it."""
+the requirement is that it gets over it."""
 
 
 class Sizes(NamedTuple):

@@ -78,7 +78,7 @@ class LightFalls(PictureFault, frozen=True, tag="light_falls"):
 
 
 class WetLens(PictureFault, frozen=True, tag="wet_lens"):
-    """Drops stand on the lens; what is behind them is blurred."""
+    """Drops stand on the lens and blur the scene behind them."""
 
     drops: Annotated[int, number("number of drops, at places drawn by the seed", "1", 1, 200)] = 12
     radius: Annotated[float, number("mean radius over the height of the image", "1", 0.01, 1.0)] = 0.08
@@ -274,7 +274,7 @@ class NavdataMisstamped(Fault, frozen=True, tag="navdata_misstamped"):
 
 
 class FlowBlind(Fault, frozen=True, tag="flow_blind"):
-    """The vehicle's own optical flow finds nothing: it believes that it stands still."""
+    """The vehicle's own optical flow finds nothing: it measures a standstill."""
 
 
 class LowBattery(Fault, frozen=True, tag="low_battery"):
@@ -305,7 +305,7 @@ class WeakRotor(Fault, frozen=True, tag="weak_rotor"):
 
 
 class TiltLimited(Fault, frozen=True, tag="tilt_limited"):
-    """The vehicle leans no further than this, whatever it is told or configured."""
+    """The vehicle tilts no further than this, whatever its commands or settings are."""
 
     to_deg: Annotated[float, number("largest roll or pitch", "deg", 0.5, 45.0)] = 3.0
 

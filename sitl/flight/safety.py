@@ -28,7 +28,7 @@ BLIND_DESCENT_MAX_M = 0.5
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 MET_AFTER_S = 0.5
-"""Time after a command at which the vehicle has the speed that it asks for, and meets the deck's."""
+"""Time after a command at which the vehicle has the speed that it requests, and meets the deck's."""
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
@@ -48,7 +48,7 @@ COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
 """The phases in which a person commands; a contact is then the person's."""
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
-"""The phases of guidance that end a try by climbing."""
+"""The phases of guidance that end an attempt by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
 either lands or refuses."""
@@ -138,6 +138,7 @@ class MotionWatch:
         self.stood_s = 0.0
         """Longest time for which it stood with turning motors."""
         self._feet_below_m = feet_below_m
+        self._ground_m: float | None = None
         self._stands_since: MonoNs | None = None
 
     def step(self, truth: Truth, phase: str | None, *, reached: bool) -> None:
@@ -149,8 +150,11 @@ class MotionWatch:
         if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in _IN_THE_AIR:
             self._stands_since = None
             return
-        height_m = float(truth.d_body_pad_level[2])
-        self.highest_m = max(self.highest_m, height_m)
+        height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if self._ground_m is None:
+            self._ground_m = altitude_m - height_m
+        # The smaller of both: a deck that falls away under a vehicle that keeps its altitude does not make it climb.
+        self.highest_m = max(self.highest_m, min(height_m, altitude_m - self._ground_m))
         low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False
         if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
             self._stands_since = None
@@ -353,12 +357,12 @@ def grade(
     if end.put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
         return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
     if outcome in REFUSALS or (outcome is None and (end.left_alone or end.asks)):
-        said = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
+        output = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
         if outcome is not None:
-            said = outcome.value
+            output = outcome.value
         if expect in ("land", "go_around"):
-            return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+            return Grade.FAILED, f"{output}, though nothing was wrong enough for that"
         if outcome in REFUSALS and end.refusal[0].lower() not in end.refusal[1].lower():
-            return Grade.FAILED, f"{said} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
-        return Grade.REFUSED_RIGHTLY, said
+            return Grade.FAILED, f"{output} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
+        return Grade.REFUSED_RIGHTLY, output
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

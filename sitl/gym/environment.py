@@ -13,10 +13,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from companion.guidance.policy import STEP_S
 from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
 from sitl.core.abi import ACTION_NUMBERS, VIEW_NUMBERS
-from sitl.gym.training import ENDS, F32, STEP_S, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
+from sitl.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import Scenario, camera_model, load
 from sitl.world.stage import renderer, sea_and_vessel
 

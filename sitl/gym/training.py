@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from companion.guidance.policy import STEP_S, TRIM_TIME_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2
@@ -32,13 +33,9 @@ F32 = NDArray[np.float32]
 Actions = Literal["tilt_thrust", "velocity"]
 Observations = Literal["estimate", "truth"]
 
-STEP_S = 0.02
-"""Seconds from one command to the next."""
 _PHYSICS_STEPS = 4
 DOWN_MAX_M_S, YAW_RATE_MAX_RAD_S = 0.5, 0.6
 """Values of a full action: the velocity down against the deck, the turn rate."""
-_TRIM_TIME_S = 2.0
-"""Time constant of the trim."""
 ENDS = tuple(name.removeprefix("EPISODE_").lower() for name in SIM.names("episode_end"))
 """Endings of an episode, by the core's number."""
 TERMS = tuple(name.removeprefix("REWARD_").lower() for name in list(SIM.names("reward_term"))[:-1])
@@ -160,6 +157,11 @@ class TrainingWorlds:
         """The acceleration of a full action."""
         return float(self._rules.acceleration_max_m_s2)
 
+    @property
+    def truth(self) -> NDArray[Any]:
+        """The core's `sim_training_world` of every world, (count,), whose members are read by name."""
+        return self._kept
+
     def snapshot(self, index: int) -> NDArray[Any]:
         """Return the core's `sim_training_world` of one world, whose members are read by name."""
         return self._kept[index]  # type: ignore[no-any-return]
@@ -208,7 +210,7 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
         velocity_gain=1.5, down_max_m_s=DOWN_MAX_M_S, yaw_rate_max_rad_s=YAW_RATE_MAX_RAD_S,
         start_low=o.start_low, start_high=o.start_high, pad_radius_m=pad_model(scenario).disc_radius_m,
         vertical_max_m_s=o.vertical_max_m_s, lateral_max_m_s=o.lateral_max_m_s, reach_m=o.reach_m,
-        trim_keep=math.exp(-STEP_S / _TRIM_TIME_S), place_sigma_m=e.place_m, place_sigma_by_height=e.place_by_height,
+        trim_keep=math.exp(-STEP_S / TRIM_TIME_S), place_sigma_m=e.place_m, place_sigma_by_height=e.place_by_height,
         velocity_sigma_m_s=e.velocity_m_s, velocity_sigma_by_height=e.velocity_by_height, error_keep=keep, error_fresh=fresh,
         tilt_sigma_rad=math.radians(e.tilt_deg), lost_share=1.0 - math.exp(-e.lost_per_s * STEP_S),
         found_share=1.0 - math.exp(-STEP_S / e.lost_for_s),

@@ -26,7 +26,7 @@ AGES_S = (0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
 LEAST = 30
 """Fewest samples of a cell."""
 _SETTLED_S = 1.0
-"""Time after the first sighting from which on the estimate counts."""
+"""Time after the first sighting from which the estimate counts."""
 _LEAST_M = 0.1
 """Lowest height that counts: below it the drone stands."""
 _LAGS = (5, 10, 20, 40)

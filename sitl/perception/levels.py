@@ -62,7 +62,7 @@ for _cov in (_COV_ACCEL, _COV_DECK, _COV_TILT):
 
 
 class TrueMotion:
-    """Draws the motion that guidance is told. One generator; the errors are Gauss-Markov processes."""
+    """Draws the motion that guidance receives. One generator; the errors are Gauss-Markov processes."""
 
     def __init__(self, world: PerceivedWorld, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
@@ -101,7 +101,7 @@ class TrueMotion:
         """Return the deck ahead of an instant.
 
         Args:
-            d_body_pad_level: (3,) m, where the pad is told to be now.
+            d_body_pad_level: (3,) m, the reported place of the pad now.
         """
         standard = self._wander(now)
         h = np.asarray(horizons_s, dtype=float)

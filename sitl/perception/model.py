@@ -47,7 +47,7 @@ KEPT_SCENES = 512
 _SPAWN_KEY = 1301
 """Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
 MODELLED = (PadCovered, LightFalls, FocalLength)
-"""Faults of the picture that act without a rendered one: on what is shown of the pad, on its light, on its distance."""
+"""Image faults that act without a rendered image: on the visible part of the pad, on its light, on its distance."""
 _EYE = np.eye(3)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _TOKEN = 4
@@ -106,8 +106,8 @@ class Scenes:
     def corrupted(self, t_cam_pad: F64, at: MonoNs) -> F64:
         """Return the pad's place in the camera's axes, (3,) m, as a corrupted detector gives it."""
         place: tuple[float, ...] = tuple(t_cam_pad.tolist())
-        said = self._world.corruptions.of("sighting", place, at)
-        return t_cam_pad if said is place else np.array(said)
+        output = self._world.corruptions.of("sighting", place, at)
+        return t_cam_pad if output is place else np.array(output)
 
     def of(self, frame: Frame) -> Scene:
         """Return the scene of a frame."""

@@ -73,7 +73,7 @@ class PerceivedWorld(Protocol):
 class Perception(Protocol):
     """One level of perception, for one flight.
 
-    A flight asks it for the service's pilot, tells it of the world, and exposes every frame through it; what comes back is a
+    A flight gets the service's pilot from it, gives it the world, and exposes every frame through it; what comes back is a
     frame like any other, and the pilot takes it like any other.
     """
 

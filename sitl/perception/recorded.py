@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
     path: Path
     scenario: Scenario
     name: str
-    """Scenario and seed, as the flight was asked for."""
+    """Scenario and seed, as the flight was requested."""
     settings: Settings
     camera: Camera
     pad: Pad

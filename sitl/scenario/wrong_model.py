@@ -1,7 +1,7 @@
-"""A vehicle that differs from its model: what is true of one airframe, by what its file and the settings believe.
+"""A vehicle that differs from its model: what is true of one airframe, against its file and the settings.
 
 A scenario's table `[wrong_model]` says the differences, and `sigma` draws them for each seed within what an owner's
-identification leaves (docs/sitl.md has the sources). The service goes on to believe the file.
+identification leaves (docs/sitl.md has the sources). The service still uses the file.
 """
 
 import math
@@ -15,7 +15,7 @@ from estimator.contracts.keys import number
 
 _STREAM = 0x3B0D
 _FARTHEST = 2.5
-"""No difference is drawn beyond so many standard deviations."""
+"""No difference is drawn beyond this many standard deviations."""
 
 Factor = Annotated[float, number("true value over that of the model", "1", 0.3, 3.0)]
 Degrees = Annotated[float, number("true angle less that of the camera's file", "deg", -10.0, 10.0)]

@@ -4,7 +4,7 @@ Every sensor has its own random generator and advances with the physics, whether
 readings to the bit. Roll, pitch and velocity are the drone's own estimates, which its loops use too. The formulae are the core's,
 `sitl/core/physics/sensors.c`.
 
-Faults act on finished readings: the same readings, faults and seed give the same result, however often it is asked for.
+Faults act on finished readings: the same readings, faults and seed give the same result, however often it is requested.
 """
 
 import math
@@ -49,7 +49,7 @@ BOARD_TEMPERATURE_C = 43.5
 _PRESSURE_TIME_S = 60.0
 """Correlation time of the pressure's drift."""
 _MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
-"""The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are not told."""
+"""The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are left out."""
 
 
 class Readings(Struct, frozen=True, eq=False):

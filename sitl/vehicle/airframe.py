@@ -21,20 +21,20 @@ from sitl.vehicle.effects import EffectSettings
 
 @dataclass(frozen=True, slots=True)
 class Loops:
-    """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as said."""
+    """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as documented."""
 
     tilt_p: float = 10.0
     """1/s^2: angular acceleration per rad of roll or pitch error."""
     tilt_d: float = 5.0
     """1/s."""
     tilt_gain: float = 1.0
-    """Roll and pitch that the loops fly, over what the stick asks for."""
+    """Roll and pitch that the loops fly, over what the stick requests."""
     tilt_max_rad: float = 0.5
-    """Largest roll or pitch that any loop may ask for."""
+    """Largest roll or pitch that any loop may request."""
     yaw_rate_p: float = 2.0
     """1/s."""
     disturbance_s: float = 0.1
-    """Time in which the loops take up a torque that they did not ask for (`physics/vehicle.c`; assumed). The thesis' loops
+    """Time in which the loops take up a torque that they did not request (`physics/vehicle.c`; assumed). The thesis' loops
     have no such part and overturn with one motor at 80 %; autopilots have an integral (ATC_RAT_RLL_I, MC_ROLLRATE_I)."""
     velocity_p: float = 5.0
     """1/s: acceleration per m/s of horizontal velocity error while hovering."""
@@ -51,7 +51,7 @@ class Loops:
     """1/s^2. Without it the ground effect over the deck can hold the vehicle up for ever at a gentle landing speed."""
     climb_i_max_m_s2: float = 4.0
     height_p: float = 1.0
-    """1/s: climb rate asked per metre away from the height held."""
+    """1/s: climb rate commanded per metre away from the height held."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class Airframe:
     command_delay_s: float = 0.04
     """Delay from the arrival of a stick command to its effect on the loops."""
     layout: Literal["quad_x", "hexa_x"] = "quad_x"
-    """Four rotors in an X, or six of which two stand at the sides (`sitl.vehicle.airframe`)."""
+    """Four rotors in an X, or six with two at the sides (`sitl.vehicle.airframe`)."""
     arm_m: float = 0.127
     """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart. Of six rotors: distance
     from the middle."""
@@ -137,7 +137,7 @@ class Airframe:
 
 @dataclass(slots=True)
 class StickLimits:
-    """The values that a full stick asks for. They can be set in flight."""
+    """The values that a full stick requests. They can be set in flight."""
 
     euler_angle_max_rad: float = 0.21
     vz_max_m_s: float = 0.7
@@ -253,7 +253,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
         )
 
     def stick_limits(self) -> StickLimits:
-        """Return what a full stick asks for."""
+        """Return what a full stick requests."""
         v = self.limits
         return StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
 
@@ -328,7 +328,7 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
         )
 
     def stick_limits(self, vehicle: VehicleFile) -> StickLimits:
-        """Return what a full stick of a vehicle asks for at first, with these changes."""
+        """Return what a full stick of a vehicle requests at first, with these changes."""
         limits = vehicle.stick_limits()
         if self.euler_angle_max_deg is not None:
             limits.euler_angle_max_rad = math.radians(self.euler_angle_max_deg)

@@ -61,7 +61,7 @@ class NoiseRows:
 
     @staticmethod
     def of(seed: np.random.SeedSequence, width: int) -> NoiseRows:
-        """Return rows of so many numbers, all from one generator."""
+        """Return rows of this many numbers, all from one generator."""
         rng = np.random.Generator(np.random.PCG64(seed))
         return NoiseRows(lambda: rng.standard_normal((BLOCK, width)))
 

@@ -62,17 +62,17 @@ class Vehicle:
         q: unit quaternion (w, x, y, z) of R_ned_body.
         w: rad/s in body.
         a: mean acceleration over the last step, m/s^2 in ned.
-        flow: velocity forward and right that the drone itself believes in, m/s.
+        flow: velocity forward and right that the drone itself estimates, m/s.
         gust: m/s in ned, on top of the steady wind.
         air_ned: velocity of the air at the vehicle, without `gust` and `extra_wind`, m/s.
-        unasked_rad_s2: angular acceleration about the body's axes that the loops did not ask for, as they observe it.
+        unasked_rad_s2: angular acceleration about the body's axes that the loops did not request, as they observe it.
         tied: whether it stands still on the deck and is carried with it.
         touched_s: seconds since the first step of the newest contact after flight; nan before any.
         touched_phase: phase before that contact.
         touched_d: body's origin from the pad's centre in the pad frame at that contact, m.
         touched_v: velocity against the deck (against the water) just before it, in the pad frame, m/s.
         touched_yaw: heading against the arrow at it, rad.
-        tilt_max_rad: largest roll or pitch that any loop asks for.
+        tilt_max_rad: largest roll or pitch that any loop requests.
         extra_wind: m/s in ned, on top of the wind: a single gust as it passes.
         current: velocity of the water, m/s north and east, against which the optical flow measures beside the deck.
 
@@ -180,7 +180,7 @@ class Vehicle:
         SIM.fill(self.state, air_u=pairs[0], air_v=pairs[1], air_w=pairs[2], eddy=start[3:6])
 
     def place(self, p_ned: F64, v_ned: F64, yaw_rad: float) -> None:
-        """Put it into the air, hovering and leaning against the steady wind: (3,) m and m/s, and the heading."""
+        """Put it into the air, hovering and tilting against the steady wind: (3,) m and m/s, and the heading."""
         k, air = self.airframe.drag_per_s, self.wind.v_ned
         against_x, against_y = k[0] * (float(v_ned[0]) - air[0]), k[1] * (float(v_ned[1]) - air[1])
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)

@@ -47,7 +47,7 @@ class Manoeuvre:
     def begin(self, fault: Fault, at_s: float) -> bool:
         """Take note of a fault that begins at an instant; return whether it is one of the vessel.
 
-        What `pad` has said of later times no longer holds.
+        Earlier results of `pad` for later times become invalid.
         """
         if not isinstance(fault, ShipFault):
             return False
@@ -86,7 +86,7 @@ class Manoeuvre:
         return Mounted(p, now.v_ned, (after.v_ned - before.v_ned) / (2.0 * _APART_S), now.R_ned, now.w)
 
     def _moved(self, t_s: F64) -> Mounted:
-        """Return the pad as `pad` does, at any times, but for the way along the other course; the acceleration is left out."""
+        """Return the pad as `pad` does, at any times, except for the way along the other course; the acceleration is left out."""
         ship = self._vessel.mounted(t_s, np.zeros(3))
         course = self._course(t_s)
         heading = float(self._vessel.heading_rad[0])

@@ -291,7 +291,7 @@ class Course:
 
 
 class TurningCourse:
-    """The course of a ship that turns; `at` is exact but for the path while the turn develops."""
+    """The course of a ship that turns; `at` is exact except for the path while the turn develops."""
 
     def __init__(self, turn: Turn, speed_m_s: float, length_m: float) -> None:
         self.turn, self.before_m_s = turn, speed_m_s

@@ -47,12 +47,12 @@ def flight_seeds(seed: int) -> Seeds:
 
 
 def airframe(scenario: Scenario) -> Airframe:
-    """Return the vehicle that a scenario asks for, as far as it differs from its model; the inertia is scaled with the mass."""
-    s, wrong, believed = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
-    loops, (x, y, z) = believed.loops, believed.drag_per_s
+    """Return the vehicle that a scenario requests, as far as it differs from its model; the inertia is scaled with the mass."""
+    s, wrong, estimate = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
+    loops, (x, y, z) = estimate.loops, estimate.drag_per_s
     return replace(
-        believed,
-        mass_kg=believed.mass_kg + scenario.effects.unknown_mass_kg,
+        estimate,
+        mass_kg=estimate.mass_kg + scenario.effects.unknown_mass_kg,
         loops=replace(
             loops,
             tilt_p=loops.tilt_p * wrong.tilt_frequency**2,
@@ -60,7 +60,7 @@ def airframe(scenario: Scenario) -> Airframe:
             tilt_gain=wrong.tilt_gain,
         ),
         drag_per_s=(x * wrong.drag, y * wrong.drag, z * wrong.drag),
-        command_delay_s=max(0.0, believed.command_delay_s + wrong.command_delay_s),
+        command_delay_s=max(0.0, estimate.command_delay_s + wrong.command_delay_s),
         effects=msgspec.structs.replace(scenario.effects, drag_per_m=scenario.effects.drag_per_m * wrong.drag),
         lift_share=wrong.thrust,
         downwash_share=wrong.downwash,
@@ -88,7 +88,7 @@ def true_camera(scenario: Scenario) -> Camera:
 
 
 def limits(scenario: Scenario) -> StickLimits:
-    """Return the initial values that a full stick asks for."""
+    """Return the initial values that a full stick requests."""
     return scenario.vehicle.stick_limits(vehicle_model(scenario))
 
 
@@ -106,7 +106,7 @@ def wind(scenario: Scenario) -> Wind:
 
 
 def air(scenario: Scenario, ship: Hull) -> AirModel | None:
-    """Return the air, for scenarios that ask for more than a uniform wind with gusts; else None."""
+    """Return the air, for scenarios that request more than a uniform wind with gusts; else None."""
     return wind_of(scenario).air(ship, math.radians(scenario.vessel.pad_yaw_deg))
 
 
@@ -156,7 +156,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
 
 
 def film(scenario: Scenario, made: Renderer | Film, seed: int) -> Film:
-    """Return what renders the frames one after the other, each taken as it is told (`Taken`)."""
+    """Return what renders the frames one after the other, each taken under given conditions (`Taken`)."""
     if isinstance(made, Film):
         return made
     v = scenario.video

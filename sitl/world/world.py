@@ -5,7 +5,7 @@
     world.stick(Stick(roll=0.1, progressive=True))
     world.readings(), world.render(), world.truth()
 
-Commands take effect at the next step; asking for readings, frames or truth changes nothing.
+Commands take effect at the next step; requesting readings, frames or truth changes nothing.
 """
 
 import math
@@ -86,7 +86,7 @@ class Physics:
             at_most: how many steps to take, 1 or more; there are fewer where a block of noise ends.
 
         Raises:
-            IndexError: there are not so many decks.
+            IndexError: there are not this many decks.
         """
         if decks is not self._decks:
             self._decks, self._first_deck = decks, SIM.array("sim_deck", decks)
@@ -186,16 +186,16 @@ class World:
         self.guidance_phase: str | None = None
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
         self.streams = VehicleStreams(self.faults, seed)
-        """What becomes of samples, frames and commands, for the code that carries them."""
+        """Fate of samples, frames and commands, for the code that carries them."""
         self._has_faults = bool(self.faults)
         self.corruptions = Corruptions(self.faults, seed)
-        """What signals say instead of what was measured."""
+        """Corrupted values of signals."""
         self._faulty = FaultySensors(self.faults, seed, self.corruptions)
         self._stick = Stick()
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._touched_s = math.nan
-        """When the newest of them began, by the vehicle's own clock."""
+        """Time when the newest of them began, by the vehicle's own clock."""
         self._truth: tuple[tuple[int, float, int], Truth] | None = None
         """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
@@ -408,7 +408,7 @@ class World:
         return self._tick * self._step_s
 
     def _run(self, at_most: int) -> int:
-        """Take so many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
+        """Take this many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
         v = self._vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done

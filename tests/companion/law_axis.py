@@ -78,7 +78,7 @@ class AxisMeasured(Struct, frozen=True):
 
 
 def begun(z: AxisMeasured, n: int) -> TiltAxis:
-    """Return the memory at the first cycle, with room for so many commands."""
+    """Return the memory at the first cycle, with room for this many commands."""
     return TiltAxis(Observed(z.p, z.w, 0.0, 0.0), z.lean, 0.0, z.lean, (z.lean,) * n)
 
 

@@ -18,7 +18,7 @@ class DeckTurn(NamedTuple):
 
 
 class OwnPart(NamedTuple):
-    """The lean of one axis that the vehicle adds by itself, the lean that its response explains, and that one's rate."""
+    """The tilt of one axis that the vehicle adds by itself, the tilt that its response explains, and that one's rate."""
 
     own: float
     lean: float

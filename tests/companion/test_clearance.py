@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import State
+from companion.base.mission import Event, State
 from companion.base.reason import ReasonCause
 from companion.guidance import cone
-from companion.guidance.clearance import rise_beyond_climb_m
+from companion.guidance.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
 from companion.guidance.limits import InputQuality, gate
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import aim
+from companion.guidance.watch import events
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns
 
@@ -43,7 +45,7 @@ def swell(largest_m_s: float, t_s: float = 0.0) -> F64:
 def knowledge(
     ahead: Forecast | None, at_s: float = 0.0, climb_m_s: float | None = CLIMB_M_S, height_m: float = 0.35
 ) -> Knowledge:
-    return Knowledge(ns(at_s), estimate(at_s, [0.0, 0.0, height_m]), forecast=ahead, climb_max_m_s=climb_m_s)
+    return Knowledge(ns(at_s), estimate(at_s, [0.0, 0.0, height_m]), forecast=ahead, climb_max_m_s=climb_m_s, swell_rad_s=OMEGA)
 
 
 def gained_m(largest_m_s: float) -> float:
@@ -52,7 +54,7 @@ def gained_m(largest_m_s: float) -> float:
     return 2.0 * (largest_m_s * math.sin(a) - CLIMB_M_S * a) / OMEGA
 
 
-def test_a_deck_that_the_drone_can_follow_asks_for_nothing() -> None:
+def test_a_deck_that_the_drone_can_follow_needs_no_further_height() -> None:
     assert rise_beyond_climb_m(knowledge(forecast(swell(0.95)))) == 0.0
     assert rise_beyond_climb_m(knowledge(None)) == 0.0
     assert rise_beyond_climb_m(knowledge(forecast(swell(1.6)), climb_m_s=None)) == 0.0, "somebody else limits the climb"
@@ -81,7 +83,7 @@ def test_it_is_the_largest_sum_over_any_part_of_the_forecast_and_of_the_swell_th
     assert found == pytest.approx((total - np.minimum.accumulate(total)).max(), abs=3e-3)
 
 
-def test_what_of_a_forecast_is_over_does_not_count_and_an_old_one_says_nothing() -> None:
+def test_what_of_a_forecast_is_over_does_not_count_and_an_old_one_reports_nothing() -> None:
     steady = forecast(np.full(len(HORIZONS_S), 1.6))
     whole = rise_beyond_climb_m(knowledge(steady))
     for age_s in (0.1, 0.3, 0.5):
@@ -126,3 +128,29 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
         assert high.d_body_pad_level[2] > 1.2
         assert low.d_body_pad_level[2] < 0.4
         assert high.descent_rate_m_s is None or high.descent_rate_m_s < -0.89
+
+
+@pytest.mark.parametrize(("period_s", "rate_m_s"), [(7.0, 0.4), (9.0, 0.9), (12.0, 0.8)])
+def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(period_s: float, rate_m_s: float) -> None:
+    """WHAT: a swell whose rate has this deviation, watched for a minute; a slow one is assumed before."""
+    watch, w, dt = SwellWatch(), math.tau / period_s, 0.02
+    assert watch.rad_s == pytest.approx(math.tau / 12.0)
+    for i in range(3000):
+        rate = math.sqrt(2.0) * rate_m_s
+        v, a = (np.array([0.0, 0.0, x]) for x in (rate * math.cos(w * i * dt), -w * rate * math.sin(w * i * dt)))
+        watch = watched_swell(watch, ns(i * dt), DeckMotion(ns(i * dt), v, a, np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4)))
+    assert watch.rad_s == pytest.approx(w, rel=0.1)
+    if 2.0 * rate_m_s <= CLIMB_M_S:
+        assert watch.gained_m(CLIMB_M_S) == 0.0
+    else:
+        a = math.acos(CLIMB_M_S / (2.0 * rate_m_s))
+        gained = 2.0 * (2.0 * rate_m_s * math.sin(a) - CLIMB_M_S * a) / w
+        assert watch.gained_m(CLIMB_M_S) == pytest.approx(gained, rel=0.2)
+
+
+def test_a_deck_that_outruns_the_climb_by_more_than_the_safe_height_is_refused_before_the_descent() -> None:
+    for outrun_m, refused in ((1.6, False), (1.8, True)):
+        s = GuidanceCycle(ns(9.0), replace(knowledge(None, at_s=9.0), outrun_m=outrun_m))
+        p = Progress(State.INTERCEPT, automatic=True, begun=True, since=ns(8.0), seen=ns(9.0), in_sight=True, track=1)
+        found = [reason.cause for event, reason in events(p, s, GuidanceOptions()) if event is Event.NO_CONDITIONS]
+        assert found == ([ReasonCause.DECK_RISE] if refused else [])

@@ -40,6 +40,7 @@ def flight(seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[type-ar
     return np.asarray(9.81 + 0.3 * np.sin(1.3 * t) + lagging + 0.25 * rng.standard_normal(t.size))
 
 
+@pytest.mark.hazard("H4")
 @pytest.mark.parametrize("seed", range(3))
 def test_no_flight_is_a_contact(seed: int) -> None:
     assert heard(flight(60.0, seed)) == []
@@ -169,6 +170,7 @@ def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
 FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerometer", 300.0, doubtful=True)
 
 
+@pytest.mark.hazard("H4")
 @pytest.mark.parametrize(
     ("feet_m", "down_m_s", "felt_by", "more", "contact"),
     [
@@ -196,3 +198,19 @@ def test_what_is_not_known_has_no_vote() -> None:
     for seen in (None, estimate(10.0, (0.0, 0.0, 1.0), consistent=False), estimate(10.0, (0.0, 0.0, 1.0), sigma=0.2)):
         s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen))
         assert (votes(s, FIRM, cone, 1.0), votes(s, FAINT, cone, 1.0), votes(s, None, cone, 1.0)) == (1.0, 0.5, -0.5)
+
+
+def test_one_foot_that_touches_is_a_contact_only_at_the_deck() -> None:
+    """WHAT: the push of a foot in simulation: 7 m/s^2 that fall off within 20 ms, below what a deck under all feet takes away."""
+    up = flight(4.0)
+    for k, push in enumerate((7.0, 5.2, 3.7)):
+        up[600 + k] += push
+    watch = ContactWatch()
+    for k, force in enumerate(up.tolist()):
+        watch = felt(watch, 5.0 * k, force)
+    assert watch.newest is None or watch.newest.doubtful
+    assert watch.touch is not None
+    cone = ConeOptions()
+    for height_m, is_contact in ((cone.feet_below_m + 0.04, True), (cone.feet_below_m + 0.1, False)):
+        s = GuidanceCycle(ns(9.0), Knowledge(ns(9.0), estimate(9.0, (0.0, 0.0, height_m), v=(0.0, 0.0, 0.4))))
+        assert (votes(s, watch.touch, cone, 0.5) >= ENOUGH) is is_contact

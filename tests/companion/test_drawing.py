@@ -1,4 +1,4 @@
-"""A service without the extra `report`: commands that draw say so before they work, and nothing else asks for matplotlib."""
+"""A service without the extra `report`: commands that draw say so before they work, and nothing else requests matplotlib."""
 
 import subprocess
 import sys

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
-from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, sigma_m, stop_m
+from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, of_try, sigma_m, stop_m
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.ekf import Forecast
@@ -25,7 +25,7 @@ TO_CONTACT_S = 0.3 / CONE.commit_rate_m_s
 def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, down_m_s: float = 0.0) -> DeckMotion:
     roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
     v = np.array([0.0, 0.0, down_m_s])
-    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-4 * np.eye(4))
+    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-12 * np.eye(4))
 
 
 def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
@@ -55,6 +55,7 @@ def shut(
     return gate(ns(NOW), one, knowledge, quality or InputQuality(), LIMITS, CONE, aligned=aligned)
 
 
+@pytest.mark.hazard("H3")
 @pytest.mark.parametrize(
     ("within", "beyond", "cause", "limit"),
     [
@@ -148,6 +149,7 @@ def test_the_commit_has_limits_of_its_own() -> None:
     assert in_commit({"d": (0.0, 0.0, 1.0)}) is None
 
 
+@pytest.mark.hazard("H3")
 def test_a_commit_ends_on_the_error_to_come_while_a_climb_comes_before_the_contact() -> None:
     for height_m, ends in ((0.3, True), (CONE.feet_below_m + 0.1, False)):
         one = estimate(NOW, (0.0, 0.0, height_m))
@@ -191,8 +193,30 @@ def test_feet_that_slide_come_to_stand_farther_on() -> None:
     assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))
 
 
+@pytest.mark.hazard("H3")
 @pytest.mark.parametrize(("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.1, 0.9, False)])
 def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
     found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen), LIMITS, CONE)
     assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
+
+
+def test_a_tilt_that_is_hardly_known_shuts_no_gate() -> None:
+    for sigma_deg, shut in ((0.5, True), (3.0, False)):
+        deck = replace(tilted(2.5, 2.5), cov_tilt=math.radians(sigma_deg) ** 2 * np.eye(4))
+        found = gate(
+            ns(NOW),
+            estimate(NOW, (0.0, 0.0, 0.3)),
+            Knowledge(ns(NOW), None, deck=deck),
+            InputQuality(),
+            LIMITS,
+            CONE,
+            aligned=False,
+        )
+        assert (found is not None and found.cause is ReasonCause.DECK_TILT) is shut
+
+
+def test_the_limits_grow_with_each_go_around_up_to_a_half_more() -> None:
+    found = [of_try(LIMITS, n).error_m / LIMITS.error_m for n in (0, 1, 2, 9)]
+    assert found == pytest.approx([1.0, 1.25, 1.5, 1.5])
+    assert of_try(LIMITS, 9).sigma_m == LIMITS.sigma_m

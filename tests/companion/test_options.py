@@ -102,7 +102,7 @@ def test_no_option_is_declared_a_second_time() -> None:
 
 
 def test_no_class_repeats_the_default_of_another() -> None:
-    """A struct declares a key itself or inherits it, and a key that is declared again says the same but for being required."""
+    """A struct declares a key itself or inherits it, and a key that is declared again says the same except for being required."""
     for kind in classes():
         if not issubclass(kind, msgspec.Struct):
             continue

@@ -112,7 +112,7 @@ def test_a_ship_that_is_never_reached_is_given_up() -> None:
     assert p.state is State.GAVE_UP
 
 
-def test_the_lean_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> None:
+def test_the_tilt_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> None:
     o = GuidanceOptions(rendezvous=OPTIONS)
     way_s, strong, calm = (
         3.0,

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import GROUND, State
+from companion.base.mission import GROUND, Event, State
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.limits import InputQuality
+from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
-from companion.guidance.watch import account
+from companion.guidance.watch import account, events
+from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
@@ -52,7 +54,7 @@ def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
 
-def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
+def test_before_a_landing_is_requested_nothing_but_a_hover_is_commanded() -> None:
     p, found = aim(Progress(State.READY, automatic=False), GuidanceCycle(ns(NOW), known()), guided(), over_ground=True)
     assert (p.state, found) == (State.READY, Hover())
 
@@ -101,7 +103,7 @@ def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
     assert target(State.COMMIT, known()).descent_rate_m_s == guided().cone.commit_rate_m_s
 
 
-def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
+def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     found = target(State.PRESS, known())
     assert (found.lean_max_rad, found.descent_rate_m_s) == (0.0, guided().cone.commit_rate_m_s)
     assert found.d_body_pad_level.tolist() == list(ABOVE)
@@ -109,7 +111,9 @@ def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
         assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
 
 
-@pytest.mark.parametrize(("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None)])
+@pytest.mark.parametrize(
+    ("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None), ("across", 0.01, None)]
+)
 def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(
     heading: str, sigma: float, yaw_rad: float | None
 ) -> None:
@@ -237,6 +241,26 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
     assert found.d_body_pad_level.tolist() == [*ABOVE[:2], 1.4]
 
 
+@pytest.mark.parametrize(
+    ("state", "age_s", "over_m", "climbs_m_s"),
+    [
+        (State.REFUSED, 0.0, 0.0, 0.6), (State.ABORTED, 0.0, 0.5, 0.3), (State.HOLD_BLIND, 0.0, 1.5, 0.0),
+        (State.REFUSED, 0.9, 1.5, 0.6), (State.ANOTHER_PAD, 0.0, 1.5, 0.6), (State.COMMIT, 0.9, 1.5, 0.6),
+    ],
+)  # fmt: skip
+def test_what_was_lifted_over_its_held_height_lets_a_rising_deck_come_up(
+    state: State, age_s: float, over_m: float, climbs_m_s: float
+) -> None:
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 5.0 + over_m), age=age_s))
+    p = Progress(state, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
+    found = allowed(up, p, s, guided(), over_ground=True)
+    assert isinstance(found, Lean)
+    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+    by_driver = Velocity(np.array([0.0, 0.0, -0.6]), 0.0)
+    assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
+
+
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
 def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, over: bool) -> None:
     found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))
@@ -245,7 +269,7 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
 
 
 @pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
-def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
+def test_a_question_about_another_pad_waits_higher_up(entered_m: float, rate_m_s: float | None) -> None:
     found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
     assert found.descent_rate_m_s == rate_m_s
 
@@ -273,3 +297,47 @@ def test_motors_stop_by_force_only_on_a_deck_that_was_felt() -> None:
     assert asked(State.DOWN, replace(low, impact=struck), reckoned=ns(NOW - 0.1))[1] == Land(on_deck=True)
     assert asked(State.DOWN, high, bounces=2, track=1)[1] == Land(on_deck=False), "it lands by the vehicle's own landing"
     assert asked(State.DOWN, low, bounces=2, track=1)[1] == Land(on_deck=True)
+
+
+def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_and_to_lee() -> None:
+    o, strong = guided(), WindOverDrone(9.0, 1.0, 12.0, (0.0, 1.0), 0.3, False, 0.4)
+    for wind, turn in ((strong, 0.1 + 0.4), (strong._replace(lean_rad=0.05), None)):
+        found = aim(
+            Progress(State.DESCEND, automatic=True, begun=True),
+            GuidanceCycle(ns(NOW), known(yaw=0.1), wind=wind),
+            o,
+            over_ground=False,
+        )[1]
+        assert isinstance(found, Target)
+        assert found.yaw_rad == (None if turn is None else pytest.approx(turn))
+    for since_s, side in ((1.0, 1.0), (15.0, -1.0), (35.0, 1.0)):
+        p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s))
+        found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
+        assert isinstance(found, Velocity)
+        assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
+        assert found.yaw_rate_rad_s == pytest.approx(0.32)
+
+
+def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
+    for refused in ("hold", "return"):
+        o = replace(guided(), refused=refused)
+        for since_s in (1.0, 9.0):
+            p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s))
+            found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), o, over_ground=False)[1]
+            if since_s < 4.0:
+                assert isinstance(found, Velocity)
+                assert found.v_level.tolist() == [0.0, 0.0, -o.tries.climb_m_s]
+            else:
+                assert found == Hover(returns=refused == "return")
+    found = target(State.REFUSED, replace(known(), outrun_m=0.7))
+    assert found.d_body_pad_level[2] == pytest.approx(guided().tries.safe_height_m + 0.7)
+
+
+@pytest.mark.parametrize("state", [State.GATE, State.HOLD_BLIND, State.GO_AROUND, State.INTERCEPT])
+def test_a_soft_contact_near_the_centre_while_it_waits_is_the_landing(state: State) -> None:
+    p = Progress(state, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW), in_sight=True, track=1)
+    for aside_m, taken in ((0.1, True), (0.5, False)):
+        knows = replace(known((aside_m, 0.0, 0.05)), impact=Impact(ns(NOW - 0.01), "accelerometer", 6.0))
+        found = [event for event, _ in events(p, GuidanceCycle(ns(NOW), knows), guided()) if event is Event.CONTACT]
+        assert bool(found) is (taken and state is not State.INTERCEPT)
+        assert not found or TABLES["cone"][state][Event.CONTACT] is State.PRESS

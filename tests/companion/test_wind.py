@@ -1,4 +1,4 @@
-"""The wind over the drone: its mean and gusts by the lean, whatever the nose does, and how much of it the tilt can fly."""
+"""The wind over the drone: its mean and gusts by the tilt, whatever the nose does, and how much of it the tilt can fly."""
 
 import math
 
@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.guidance.controller import Knowledge
+from companion.guidance.view import FieldOfView
 from companion.guidance.wind import GUST_SIGMAS, MEAN_S, WindWatch, watched, wind_over_drone
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import Rotation
@@ -19,7 +20,7 @@ DT = 0.02
 
 
 def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.ndarray) -> Knowledge:
-    """Return a body that leans against an air's push and accelerates beside it."""
+    """Return a body that tilts against an air's push and accelerates beside it."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     level = np.array([[c, s], [-s, c]])
     forward, right = level @ (against_ned + a_ned)
@@ -32,7 +33,7 @@ def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.nda
 
 @given(st.floats(0.0, 12.0), st.floats(-3.1, 3.1), st.floats(-0.3, 0.3), st.floats(0.0, 2.0))
 @settings(max_examples=15, deadline=None)
-def test_wind_is_what_the_lean_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
+def test_wind_is_what_the_tilt_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
     into = np.array([math.cos(bearing), math.sin(bearing)])
     watch, heading = WindWatch(), 0.0
     for n in range(1500):
@@ -63,3 +64,26 @@ def test_a_pause_keeps_what_is_known_and_no_motion_changes_nothing() -> None:
     assert watched(watch, Knowledge(ns(8.1), None)) is watch
     late = watched(watch, leaning(60.0, 0.3, np.array([9.0, 9.0]), np.zeros(2)))
     assert (late.mean, late.known_s) == (watch.mean, watch.known_s)
+
+
+@given(st.floats(-3.1, 3.1))
+@settings(max_examples=30, deadline=None)
+def test_the_turn_across_the_wind_is_the_smaller_one_to_the_wider_side(bearing: float) -> None:
+    watch = WindWatch(known_s=MEAN_S, mean=(3.0 * math.cos(bearing), 3.0 * math.sin(bearing)))
+    for half_forward, half_right in ((0.4, 0.7), (0.7, 0.4)):
+        wind = wind_over_drone(watch, TILT, 0.0, FieldOfView(0.0, 0.0, half_forward, half_right))
+        assert wind is not None
+        assert abs(wind.across_rad) <= 0.5 * math.pi + 1e-9
+        after = bearing - wind.across_rad
+        narrow = math.cos(after) if half_right > half_forward else math.sin(after)
+        assert narrow == pytest.approx(0.0, abs=1e-9)
+    level = wind_over_drone(watch, TILT, 0.0)
+    assert level is not None
+    assert level.across_rad == 0.0
+
+
+def test_a_vehicle_touches_upwind_by_what_levelling_takes_to_lee() -> None:
+    wind = wind_over_drone(WindWatch(known_s=MEAN_S, mean=(3.57, 0.0)), TILT, 0.5 * math.pi)
+    assert wind is not None
+    ahead, aside = wind.aim_level(0.1)
+    assert (ahead, aside) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.056, abs=1e-3)), "the wind comes over the left side"

@@ -128,7 +128,7 @@ def test_faults_reach_the_status() -> None:
 def test_repeats_of_slow_sensors_are_left_out() -> None:
     sampler = NavdataSampler(repeat_s=0.1)
     given: dict[type[Any], list[int]] = {Range: [], Baro: [], VehicleStatus: [], Imu: []}
-    for k in range(40):  # 200 Hz; ultrasound anew every 40 ms, barometer every 10 ms
+    for k in range(40):  # 200 Hz; ultrasound again every 40 ms, barometer every 10 ms
         navdata = of(
             DEMO,
             nd.PhysMeasures(40.0, 0, (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)),

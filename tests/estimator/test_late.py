@@ -1,4 +1,4 @@
-"""A late sequence is made once, when somebody reads it, and not by asking for its length."""
+"""A late sequence is made once, when somebody reads it, and not by requesting its length."""
 
 from estimator.late import Late
 

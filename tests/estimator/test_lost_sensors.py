@@ -41,7 +41,7 @@ class Flown:
     """NEES of position and velocity, over their six dimensions."""
     consistent: list[bool] = field(default_factory=list)
     named: dict[str, float] = field(default_factory=dict)
-    """Instant from which on a sensor is left out, by the sentence, s after the fault's beginning."""
+    """Instant from which a sensor is left out, by the sentence, s after the fault's beginning."""
     lost: tuple[str, ...] = ()
     restarts: int = 0
 

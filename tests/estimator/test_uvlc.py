@@ -38,7 +38,7 @@ def aligned(bits: str, to: int = 8) -> str:
 
 
 def picture(first: str = PLAIN, quantizer: int = 31, kind: int = 0, rows: int = 9, align: int = 8) -> bytes:
-    """Return a picture of 176x144 px, grey but for its first macroblock."""
+    """Return a picture of 176x144 px, grey except for its first macroblock."""
     bits = start(0) + "01" + "010" + f"{kind:03b}{quantizer:05b}{77:032b}" + first.replace(" ", "") + PLAIN * 10
     for row in range(1, rows):
         bits = aligned(bits, align) + start(row) + f"{quantizer:05b}" + PLAIN * 11

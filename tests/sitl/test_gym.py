@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from companion.guidance.policy import STEP_S
 from estimator.contracts.errors import BadInput
 from sitl.gym.environment import LandEnv, LandVectorEnv, register, weighted
-from sitl.gym.training import ENDS, STEP_S, TERMS, TrainingOptions, TrainingWorlds
+from sitl.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import load
 from sitl.world.stage import sea_and_vessel
 

@@ -137,7 +137,7 @@ def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
     assert watch.worst.descent_m == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
+def test_a_contact_that_no_order_could_prevent_is_distinguished() -> None:
     """WHAT: the link is lost from 1 s to 4 s; contacts before, then, in the landing begun then, and long after."""
 
     def touched(at_s: float, phase: VehiclePhase = VehiclePhase.FLYING, surface: Literal["deck", "water"] = "deck") -> Touchdown:
@@ -168,8 +168,8 @@ def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
 
 def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_service() -> None:
     assert dangers(SAFE, [contact("pad")], None) == ()
-    said = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
-    assert said == (
+    output = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
+    assert output == (
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "came down 1.30 m, to 0.20 m over the deck, without true sight of the pad for 5.2 s",
         "touched the deck 0.48 m from the pad's centre",
@@ -251,6 +251,20 @@ def test_a_climb_that_nobody_calls_for_is_unsafe_unless_a_person_or_nobody_comma
     assert dangers(SAFE, (), None, motion=moved(high, BY_HAND)) == ()
     assert dangers(SAFE, (), None, motion=moved(high, None)) == ()
     assert dangers(SAFE, (), None, motion=moved(high, reached=False)) == ()
+
+
+def moved_to(at_s: float, height_m: float, down_m: float) -> Truth:
+    at = np.array([0.0, 0.0, down_m])
+    return replace(truth(at_s, height_m), p_body_ned=at, p_pad_ned=np.array([0.0, 0.0, down_m + height_m]))
+
+
+def test_a_deck_that_falls_away_below_makes_nobody_climb() -> None:
+    watch = MotionWatch(7.0, 0.1)
+    for at_s, height_m, down_m in ((0.0, 7.0, -9.0), (1.0, 10.9, -9.0), (2.0, 10.2, -11.9)):
+        watch.step(moved_to(at_s, height_m, down_m), "search", reached=True)
+    assert watch.unsafe == ()
+    watch.step(moved_to(3.0, 10.2, -12.3), "search", reached=True)
+    assert len(watch.unsafe) == 1
 
 
 def test_standing_on_the_deck_with_turning_motors_is_unsafe_after_three_seconds() -> None:

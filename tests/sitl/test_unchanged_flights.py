@@ -3,7 +3,7 @@
 WHY: recordings, measured tables and other people's seeds refer to these flights. WHAT: positions and velocities of vehicle and
 pad along eight seconds of physics under a fixed stick, to a tenth of a micrometre, on any machine.
     python -m tests.sitl.test_unchanged_flights
-prints them anew; a change needs its reason in the commit.
+prints them again; a change needs its reason in the commit.
 """
 
 import math

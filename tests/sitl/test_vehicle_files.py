@@ -90,7 +90,7 @@ def test_a_hexacopter_flies_on_with_a_weak_rotor_and_rolls_away_from_a_lost_side
 @given(name=st.sampled_from(shipped("vehicles")), rotor=st.integers(0, 5), left=st.floats(0.8, 1.0), seed=st.integers(0, 1000))
 @settings(max_examples=12)
 def test_a_vehicle_with_a_weak_rotor_and_authority_left_flies_on_level(name: str, rotor: int, left: float, seed: int) -> None:
-    """WHY: a motor at 80 % leans a real multicopter by some degrees, for a moment: its loops have an integral."""
+    """WHY: a motor at 80 % tilts a real multicopter by some degrees, for a moment: its loops have an integral."""
     f = shipped_vehicle(name).airframe()
     n = len(rotors(f))
     assert f.mass_kg * 9.80665 / left < 0.75 * f.thrust_max_n, "the weak rotor can still carry its part of the weight"

@@ -273,7 +273,7 @@ def test_a_turn_leaves_what_was_before_and_meets_the_sea_on_its_new_heading() ->
     course = turning._course.at(np.array([late]))
     heading = 0.7 + float(course.yaw[0])
     assert heading == pytest.approx(0.7 + math.radians(2.0) * (50.0 - 5.0))
-    # A ship that always ran on that heading and is at that place now answers the same waves alike, but for the turn's heel.
+    # A ship that always ran on that heading and is at that place now answers the same waves alike, except for the turn's heel.
     speed = float(course.speed[0])
     here = p[:2] - late * speed * np.array([math.cos(heading), math.sin(heading)])
     other = Vessel(TURNING, waves, heading_rad=heading, speed_m_s=speed, p0_ne_m=(float(here[0]), float(here[1])))

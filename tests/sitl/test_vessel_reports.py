@@ -1,4 +1,4 @@
-"""The ship's reports: as often as she sends them, true but for their noise, and wrong as a fault says."""
+"""The ship's reports: as often as she sends them, true except for their noise, and wrong as a fault says."""
 
 import math
 

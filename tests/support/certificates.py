@@ -1,4 +1,4 @@
-"""Certificates made anew for each run of the tests."""
+"""Certificates made again for each run of the tests."""
 
 import subprocess
 from pathlib import Path

@@ -190,7 +190,7 @@ def _exp(v: F64) -> F64:
 
 
 def events(flight: TruthFlight) -> list[Event]:
-    """Everything the sensors tell, in the order in which it is heard."""
+    """Everything the sensors tell, in the order in which it is received."""
     s = flight.s
     rng = np.random.default_rng([s.seed, 2])
     out: list[Event] = []

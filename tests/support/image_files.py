@@ -17,7 +17,7 @@ def encoded(suffix: str, width: int = 64, height: int = 48) -> bytes:
 
 
 def claiming(suffix: str, width: int, height: int) -> bytes:
-    """Return a few hundred bytes of JPEG or PNG that claim so many pixels."""
+    """Return a few hundred bytes of JPEG or PNG that claim this many pixels."""
     data = bytearray(encoded(suffix))
     if suffix == ".jpg":
         struct.pack_into(">HH", data, data.index(b"\xff\xc0") + 5, height, width)

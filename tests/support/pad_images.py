@@ -1,4 +1,4 @@
-"""Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and asked for its paint."""
+"""Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and requested its paint."""
 
 import math
 from dataclasses import dataclass

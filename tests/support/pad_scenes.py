@@ -280,7 +280,7 @@ def ring_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Pad
 def _exposure(
     rng: np.random.Generator, R_ned_body: Rotation, R_ned_pad: Rotation, p_pad: F64, height_m: float, aside_m: float
 ) -> Exposure:
-    """Return an exposure over a place, aside of it by so much at one sigma, in motion."""
+    """Return an exposure over a place, aside of it by this much at one sigma, in motion."""
     aim = rng.normal(0, aside_m, 2)
     p_body = p_pad + np.array([aim[0], aim[1], -height_m])
     v = rng.normal(0, 0.4, 3) * min(1.0, height_m)

@@ -72,7 +72,7 @@ class Webcam:
             (_PROCESSING, 0x0B): self.auto_balance,
         }
         self.stubborn = False
-        """Whether it refuses a new exposure time."""
+        """True if it refuses a new exposure time."""
         self._probe = self._offer(1, 1)
         self._chosen: tuple[str, tuple[int, int]] | None = None
         self._plug: Plug | None = None
@@ -166,7 +166,7 @@ class Webcam:
         for at in range(0, len(data), TRANSFER - 2):
             last = at + TRANSFER - 2 >= len(data)
             payload = bytes((2, flags | 2 * last)) + data[at : at + TRANSFER - 2]
-            # A stream that is begun anew begins with a whole frame, not with the rest of this one.
+            # A stream that is begun again begins with a whole frame, not with the rest of this one.
             if not plug.send(payload, lambda: self._chosen is chosen):
                 return
 

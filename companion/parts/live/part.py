@@ -49,7 +49,7 @@ from estimator.vision.pad import Pad
 # What viewers are shown: events are taken on the flight's loop, encoded on a thread of its own, and dropped when that is
 # behind.
 #
-# Nothing is taken that no viewer asked for. The messages are those of a recording, by the same encoder.
+# Nothing is taken that no viewer requested. The messages are those of a recording, by the same encoder.
 
 Encoded = tuple[str, int, bytes]
 """Topic, time on the viewer's axis in ns, and the message as JSON."""
@@ -81,7 +81,7 @@ class LiveFeed(NullObserver):
 
     Args:
         offset_ns: the offset from the monotonic clock to the viewers' time axis, ns.
-        send: is given each message that somebody asked for.
+        send: is given each message that somebody requested.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class LiveFeed(NullObserver):
         """Take what these topics need from now on.
 
         Args:
-            new: somebody asked for another topic, and is told again what does not change.
+            new: somebody requested another topic, and gets the latched topics again.
         """
         self._wanted = wanted
         self._again = self._again or new
@@ -203,7 +203,7 @@ class LiveServer(Protocol):
 
 
 class LiveViewer:
-    """One viewer that is connected: what it asked for, and what is sent to it without ever waiting for it."""
+    """One viewer that is connected: what it requested, and what is sent to it without ever waiting for it."""
 
     def __init__(self, served: LiveServer, socket: web.WebSocketResponse) -> None:
         self._served = served
@@ -218,7 +218,7 @@ class LiveViewer:
 
     @property
     def wanted(self) -> frozenset[str]:
-        """The topics that it asked for."""
+        """The topics that it requested."""
         return frozenset(self._subscriptions.values())
 
     def tell(self, text: str) -> None:
@@ -226,7 +226,7 @@ class LiveViewer:
         self._offer(text)
 
     def show(self, topic: str, at_ns: int, payload: bytes) -> None:
-        """Send a message of a topic, if it was asked for."""
+        """Send a message of a topic, if it was requested."""
         for number, wanted in self._subscriptions.items():
             if wanted == topic:
                 self._offer(protocol.message_data(number, at_ns, payload))

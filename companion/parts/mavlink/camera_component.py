@@ -1,4 +1,4 @@
-"""The camera as a MAVLink component: what a ground station asks before it shows the picture (camera protocol v2).
+"""The camera as a MAVLink component: answers that a ground station needs before it shows the picture (camera protocol v2).
 
     camera = CameraComponent(links.send, model, options, flows)    # `on_message` takes what the links receive, `tick` the time
 
@@ -54,7 +54,8 @@ class Send(Protocol):
 class CameraComponent:
     """The component; see the module's docstring.
 
-    Whoever is sent telemetry may ask. Nothing can be commanded: the stream flows as long as the settings name where to.
+    Every receiver of telemetry may send requests. Nothing can be commanded: the stream flows as long as the settings name where
+    to.
 
     Args:
         size: (width, height) of the streamed picture, px.

@@ -36,7 +36,7 @@ _INTERVAL_MIN_S, _INTERVAL_MAX_S = 0.01, 2000.0
 """Shortest and longest interval of a message that is sent periodically; MESSAGE_INTERVAL cannot carry a longer one."""
 
 _HEARTBEAT_BOUNDS_S = 0.2, 2.0
-"""A component whose HEARTBEAT comes more rarely counts as lost; whoever is behind the autopilot's router may not ask for that."""
+"""A component whose HEARTBEAT comes more rarely counts as lost; whoever is behind the autopilot's router may not request that."""
 
 Params = tuple[float, float, float, float, float, float, float]
 

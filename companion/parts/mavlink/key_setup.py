@@ -29,7 +29,7 @@ _STATION = (255, 190)
 _KNOCK_S = 0.3
 _REPEATS = 3
 _CHANGES_OVER_S = 3.0
-"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may change over when it hears us speak 2."""
+"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may switch when it receives MAVLink 2."""
 _NO_KEY = [0] * 32
 
 

@@ -89,7 +89,7 @@ class DeckVelocity:
         self._known_s = 0.0
         self._at: MonoNs | None = None
         self._kept: tuple[MonoNs, F64] | None = None
-        """When the pad was last seen, and its horizontal velocity then."""
+        """Time when the pad was last seen, and its horizontal velocity then."""
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
@@ -253,7 +253,7 @@ class LinkWatch:
     """Judges the links of an open autopilot once a second.
 
     Args:
-        wanted: the system id that the settings ask for; 0 for any.
+        wanted: the system id that the settings request; 0 for any.
     """
 
     def __init__(self, autopilot: Autopilot, wanted: int, health: Health, clock: Clock) -> None:

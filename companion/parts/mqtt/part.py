@@ -91,7 +91,7 @@ class MqttPart:
         self._started = clock.now()
         self._client_id = client_id(self._topics.drone)
         self._namesake_at: MonoNs | None = None
-        """When another service was heard last that publishes under our drone's name."""
+        """Time of the last message of another service that publishes under our drone's name."""
         self._changes = Changes()
         self._decision: Decision | None = None
         self._seen: ProcessedFrame | None = None
@@ -185,7 +185,7 @@ class MqttPart:
             await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
             if self._ship is not None:
                 await connection.subscribe_to(self._topics.vessel, qos=1)
-        with suppress(Recoverable):  # who may not read it hears of no namesake
+        with suppress(Recoverable):  # who may not read it learns of no namesake
             await connection.subscribe_to(self._topics.status, qos=0)
         await self._publish_status(connection)
         self._counts["connections"] += 1

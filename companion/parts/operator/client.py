@@ -1,4 +1,4 @@
-"""A terminal's end of the service's local socket: in which folder and under which name it is, and what is said through it."""
+"""A terminal's end of the service's local socket: its folder, its name, and the messages through it."""
 
 import asyncio
 import os

@@ -216,7 +216,7 @@ class PageEndpoint(NullObserver):
         viewer.tell(self._recordings.ticket(name, flying=self._flying))
 
     def make_report(self, viewer: PageViewer, name: str) -> None:
-        """Make the report of a recording for this viewer, or tell why not."""
+        """Make the report of a recording for this viewer, or report the reason for none."""
         self._reports.ask(viewer, name)
 
     def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:
@@ -369,7 +369,7 @@ class PageEndpoint(NullObserver):
             lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self.pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
-                # Nothing for one that has asked for another codec meanwhile: the next picture is for it.
+                # Nothing for one that has requested another codec meanwhile: the next picture is for it.
                 if viewer.encoder in messages:
                     viewer.show(number, exposed, messages[viewer.encoder])
 

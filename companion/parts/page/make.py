@@ -193,7 +193,7 @@ class CalibrationTool:
         """Write the camera file beside the settings and return what follows.
 
         Raises:
-            BadInput: it must not be written now or at all; the text says why.
+            BadInput: it must not be written now or at all; the text gives the reason.
         """
         if self._flying() or self._armed():
             raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._flying() else ARMED)
@@ -208,7 +208,7 @@ class CalibrationTool:
 
 IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
 _AGAIN_S = 5.0
-"""An examination that is younger is told again."""
+"""A younger diagnosis is used again."""
 
 
 class DoctorTool:
@@ -270,8 +270,8 @@ def _about(snapshot: Snapshot) -> str:
     """Return what was examined, as a sentence."""
     a, sync = snapshot.autopilot, snapshot.sync
     if a is None:
-        heard = ", no autopilot is heard" if snapshot.links else ""
-        return f"Examined: settings and their files, camera{heard}."
+        received = ", no autopilot is heard" if snapshot.links else ""
+        return f"Examined: settings and their files, camera{received}."
     firmware = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
     clock = "" if sync is None or sync.round_trip_s is None else f", clock round trip {1e3 * sync.round_trip_s:.0f} ms"
     return f"Examined: {a.stack}{firmware}, system {a.system}, {len(a.parameters)} parameters{clock}; settings, camera."

@@ -31,7 +31,7 @@ class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="draw
 
 
 class PictureRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="picture", forbid_unknown_fields=True):
-    """Send pictures so from now on; H.264 begins anew with a key frame."""
+    """Send pictures so from now on; H.264 begins again with a key frame."""
 
     codec: Literal["jpeg", "h264"]
 
@@ -219,5 +219,5 @@ def text_of(message: ToPage) -> str:
 
 def picture_message(header: PictureHeader, image: bytes) -> bytes:
     """Return a picture's message: the header's length as a little-endian u32, the header as JSON, the encoded image."""
-    said = _encode(header)
-    return struct.pack("<I", len(said)) + said + image
+    output = _encode(header)
+    return struct.pack("<I", len(output)) + output + image

@@ -1,6 +1,6 @@
 """The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
 
-A browser's download carries no token, so the page asks for an address over its own connection first.
+A browser's download carries no token, so the page requests an address over its own connection first.
 """
 
 import asyncio
@@ -66,7 +66,7 @@ class ReportMaker:
         self._under_way = False
 
     def ask(self, viewer: PageViewer, name: str) -> None:
-        """Make a report of a recording soon and tell the viewer its address, or tell at once why there will be none."""
+        """Make a report of a recording soon and send the viewer its address, or at once the reason for none."""
         refusal = self._refusal(name)
         if refusal is not None:
             viewer.tell(ReportAnswer(name=name, address=None, text=refusal))
@@ -131,7 +131,7 @@ class ReportMaker:
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
         )  # fmt: skip
         async with asyncio.TaskGroup() as group:
-            said = group.create_task(_last_line(process))
+            printed = group.create_task(_last_line(process))
             try:
                 _stand_back(process.pid)
                 fault = await self._ended(process)
@@ -140,7 +140,7 @@ class ReportMaker:
                     process.kill()
                 await process.wait()
         if fault is None and process.returncode != 0:
-            return said.result() or f"ended with {process.returncode}"
+            return printed.result() or f"ended with {process.returncode}"
         return fault
 
     async def _ended(self, process: asyncio.subprocess.Process) -> str | None:

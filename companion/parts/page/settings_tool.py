@@ -139,7 +139,7 @@ class SettingsTool:
         return SavedSettings(number=request.number, saved=True, text=f"Saved; {kept}. {AFTERWARDS}.", revision=revision)
 
     def _draft(self, text: str) -> tuple[str, Draft]:
-        """Return the text with its secrets, and what is to be said of it."""
+        """Return the text with its secrets, and its remarks."""
         whole = whole_file.toml(self._in_force)
         original = whole if self._file is None else self._file.read()[0]
         path = Path("settings.toml") if self._file is None else self._file.path

@@ -35,7 +35,7 @@ _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
 
 
 def video_quality(settings: PageSettings) -> VideoQuality:
-    """Return what the encoder of one browser's pictures is asked for: little work, and a key frame only where it begins."""
+    """Return the settings of the encoder of one browser's pictures: little work, and a key frame only where it begins."""
     return VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=settings.bitrate_kbit_s)
 
 

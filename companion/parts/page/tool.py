@@ -15,7 +15,7 @@ class Tool(Protocol):
     """The requests that it answers."""
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        """Take a request and return at once; the answer is told to the viewer, now or later."""
+        """Take a request and return at once; the answer goes to the viewer, now or later."""
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         """Look at a frame; it must be quick."""
@@ -25,6 +25,6 @@ class Tool(Protocol):
 
 
 def flying(pilot: Pilot) -> bool:
-    """Return whether the vehicle flies, as far as it has said so."""
+    """Return whether the vehicle reports that it flies."""
     status = pilot.vehicle
     return status is not None and bool(status.flying)

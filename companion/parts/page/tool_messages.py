@@ -1,4 +1,4 @@
-"""The messages of the page's tools: what a browser asks of them, and what they answer. No I/O."""
+"""The messages of the page's tools: requests of browsers, and answers. No I/O."""
 
 from typing import Annotated, Literal
 

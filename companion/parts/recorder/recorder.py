@@ -40,7 +40,7 @@ PART = "recorder"
 _ROOM_AGAIN_MB = 20.0
 """The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
 _HANGS_S = 1.5
-"""Time for one record after which the disk is said to hang: a card that tidies itself takes up to a second."""
+"""Time for one record after which the disk counts as hanging: a card that tidies itself takes up to a second."""
 P = ParamSpec("P")
 
 
@@ -101,7 +101,7 @@ class Recorder:
         self._recorded_health: MonoNs | None = None
         self._shown = RecorderState.IDLE
         self._busy_since_s: float | None = None
-        """When the thread began with its present record; None while it waits for one."""
+        """Time when the thread began with its present record; None while it waits for one."""
         self._hanging: int | None = None
         """The number of records dropped before the disk hung; None while it does not."""
         self._seen = 0
@@ -119,7 +119,7 @@ class Recorder:
         self.dropped: Counter[str] = Counter()
         """The number of dropped records, by kind: the thread was behind, or the disk had no space."""
         self.faults = 0
-        """The number of the recorder's own faults, each of which costs one record at most."""
+        """Number of the recorder's own faults; each costs one record at most."""
         self.files = 0
 
     @property

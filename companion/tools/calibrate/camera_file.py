@@ -36,7 +36,7 @@ def text(solution: Solution, source: str, rpy_body_cam_deg: tuple[float, float, 
 
 
 def foreign(camera: Camera, kind: str) -> str:
-    """Return the camera as a file of ROS (camera_info), OpenCV (FileStorage) or Kalibr (camchain); none of them tells the mount.
+    """Return the camera as a file of ROS (camera_info), OpenCV (FileStorage) or Kalibr (camchain); none of them has the mount.
 
     Raises:
         BadInput: the kind has no place for k3, and the camera has one.

@@ -52,7 +52,7 @@ def write_response(path: Path, title: str, courses: FlownCourses, tilt: TiltFit,
 
 def _panel(axes: Axes, course: FlightCourse, fitted: Fitted, k: int, name: str) -> None:
     t = STEP_S * np.arange(course.asked.shape[0])
-    asked = np.where(course.asked[:, k] == course.reported[:, k], np.nan, course.asked[:, k])  # where nobody asked
+    asked = np.where(course.asked[:, k] == course.reported[:, k], np.nan, course.asked[:, k])  # where no command was given
     axes.step(t, asked, where="post", color=_ASKED, lw=0.9, label="asked")
     axes.plot(t, course.reported[:, k] - fitted.offset[:, k], color=_REPORTED, lw=1.8, label="reported less its offset")
     axes.plot(t, fitted.model[:, k], color=_MODEL, lw=1.0, label="model")

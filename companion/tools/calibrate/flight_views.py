@@ -21,7 +21,7 @@ TILT_SIGMA_MAX_RAD = math.radians(2.0)
 _NEIGHBOURS_S = 0.25
 """Longest time between the frames before and after a view whose rate of place is used."""
 VIEWS_LEAST, VIEWS_MOST = 100, 600
-"""More views of a minute tell hardly more: the errors of neighbours are alike."""
+"""More views of a minute add hardly anything: the errors of neighbours are alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,9 +34,9 @@ class FlownCourses:
     by_accelerometer: bool
     """True if the vertical speed is the integral of the accelerometer, because the vehicle reports none."""
     leans: int
-    """Number of commands that ask for a tilt."""
+    """Number of commands that request a tilt."""
     velocities: int
-    """Number of commands that ask for a velocity over the ground."""
+    """Number of commands that request a velocity over the ground."""
 
 
 @dataclass(slots=True)
@@ -100,7 +100,7 @@ def _course(
         return None
     reported = sorted(reported)
     if drifts:
-        # Without a command an integrated accelerometer drifts away from anything that could be asked.
+        # Without a command an integrated accelerometer drifts away from any possible command.
         commanded = [row[0] for row in asked if all(map(math.isfinite, row))] or [math.inf]
         asked, reported = ([row for row in rows if commanded[0] <= row[0] <= commanded[-1]] for rows in (asked, reported))
     return course_of(track(asked), track(reported), sigma_s, drifts) if asked and reported else None

@@ -167,7 +167,7 @@ async def watch(
         size: the width and height of the camera's frames, px; None where a stream decides.
 
     Raises:
-        Recoverable: no image came within `first_s`; the text says why.
+        Recoverable: no image came within `first_s`; the text gives the reason.
         BadInput, SetupImpossible: `open_camera` raised it.
     """
     loop = asyncio.get_running_loop()

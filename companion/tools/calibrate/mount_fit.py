@@ -47,7 +47,7 @@ class Noise(NamedTuple):
     deck_rad: float = math.radians(0.02)
     """Turning of the deck itself."""
     view: float = 1.0
-    """Standard deviation of a view over what it claims."""
+    """Ratio of a view's standard deviation to its claim."""
     tilt_s: float = 1.0
     """Time constants of the wandering."""
     heading_s: float = 5.0
@@ -172,7 +172,7 @@ COUNT = 13
 _MOUNT_PRIOR_RAD, _DELAY_PRIOR_S, _GYRO_PRIOR_RAD_S, _PAD_PRIOR_RAD = 0.5, 0.3, 0.05, 1.0
 _READOUT_PRIOR_S, _READOUT_FIXED_S = 0.05, 1e-6
 _LEVEL_LEAST_RAD = math.radians(0.5)
-"""An attitude that claims less than this for its constant error is not believed."""
+"""An attitude that claims less than this for its constant error is not used."""
 _STEPS, _SEARCHED_AT, _GATED_FROM = 8, (2, 4), 1
 _CONVERGED = 1e-5
 _SEARCH_VIEWS = 300

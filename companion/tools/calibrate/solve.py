@@ -136,7 +136,7 @@ def solve(
     Args:
         size: (width, height) px of the images.
         mount: `T_body_cam` of the camera; None means straight down with the nose at the top of the image.
-        lens: model of the lens; "auto" takes a fisheye where the views speak for it strongly.
+        lens: model of the lens; "auto" takes a fisheye where the views favour it strongly.
 
     Raises:
         BadInput: there are too few views, or no camera fits them (because of the wrong board, for example).
@@ -251,7 +251,7 @@ def _own_covariance(one: _Candidate, views: Sequence[BoardView], board: Board) -
     for k, (view, (rvec, tvec)) in enumerate(zip(views, one.poses, strict=True)):
         uv, by_pose, by_camera = _projected(board.corners_m[view.ids], rvec, tvec, one.camera)
         left, by_camera = (view.uv_px - uv).ravel(), by_camera[:, :free]
-        # The pose is eliminated by what is orthogonal to its columns.
+        # The pose is eliminated by a projection orthogonal to its columns.
         basis = np.linalg.qr(by_pose / np.linalg.norm(by_pose, axis=0))[0]
         by_camera = by_camera - basis @ (basis.T @ by_camera)
         normals[k], gradients[k] = by_camera.T @ by_camera, by_camera.T @ left

@@ -5,12 +5,12 @@ A camera that is turned by an angle sees the pad beside its place by the angle t
 place by a speed times the delay, and by the angle that the vehicle has turned meanwhile, times the distance. The law that follows
 the deck reacts late as well, so the speed is not that across the pad but what simulated landings show. A readout time that is
 wrong is a delay that differs from row to row. A focal length that is wrong by a share makes every distance wrong by it; a pad
-that stays in the middle of the frame does not move aside by that, one beside it by the vehicle's lean does.
+that stays in the middle of the frame does not move aside by that, one beside it by the vehicle's tilt does.
 
 Of the vehicle's response: near the deck, at sea state 4, gusts, the deck and the filter's errors drive the loop of
 `companion.guidance.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by more,
 and the squares' difference is the cost, as for mount and delay. In the climb a commit is a step of the wanted rate at the gate.
-By a wrong climb the rate is another at the contact and differs more from flight to flight; and the thrust that leaning turns into
+By a wrong climb the rate is another at the contact and differs more from flight to flight; and the thrust that tilting turns into
 a push aside is another, which is all that the climb does to the place.
 """
 
@@ -60,13 +60,13 @@ def of_mount_sigma(cov: F64) -> TouchdownCost:
 
 
 def of_distance(share: float) -> tuple[TouchdownCost, TouchdownCost]:
-    """Return what distances that are wrong by a share cost: of the height, and aside by the lean of a vehicle in wind."""
+    """Return what distances that are wrong by a share cost: of the height, and aside by the tilt of a vehicle in wind."""
     height = TouchdownCost(100.0 * share * LAST_SIGHTING_M, 100.0 * share * APPROACH_M)
     return height, TouchdownCost(*(math.tan(LEAN_RAD) * cm for cm in height))
 
 
 def of_delay(seconds: float) -> TouchdownCost:
-    """Return the cost of a delay that is wrong by so much."""
+    """Return the cost of a delay that is wrong by this much."""
     late = abs(seconds)
     touchdown, approach = (
         math.hypot(DELAY_SPEED_M_S, TURN_RATE_RAD_S * distance_m) * late for distance_m in (LAST_SIGHTING_M, APPROACH_M)
@@ -75,20 +75,20 @@ def of_delay(seconds: float) -> TouchdownCost:
 
 
 def of_readout(seconds: float) -> TouchdownCost:
-    """Return the cost of a readout time that is wrong by so much, for a pad a quarter of the frame off the middle row."""
+    """Return the cost of a readout time that is wrong by this much, for a pad a quarter of the frame off the middle row."""
     return of_delay(0.25 * seconds)
 
 
 # The loop of the climb over a heaving deck as one matrix: the law made for one response around a vehicle with another.
 #
-# The law's own cycle (`law_step` of the native core) is asked what it does to each unit vector, as in
-# `companion.guidance.margins`. It goes down at a wanted rate, as in a commit. A drone that leans against the wind is pushed
+# The law's own cycle (`law_step` of the native core) is applied to each unit vector, as in
+# `companion.guidance.margins`. It goes down at a wanted rate, as in a commit. A drone that tilts against the wind is pushed
 # aside as its thrust changes; the horizontal axis of `margins` takes that push as a gust.
 
 LEAN_RAD = math.radians(8.5)
 """Lean of a small vehicle near the deck, against a wind of 2.5 m/s and the way of a ship at 1.5 m/s."""
 _SMALL = 1e-3
-"""Size of the vectors that the law is asked for, within each of its limits."""
+"""Size of the vectors for which the law is computed, within each of its limits."""
 _LARGEST_M_S = 5.0
 _V, _DECK, _DECK_ACCEL, _UNKNOWN, _GUST, _SPEED, _ACCEL, _PUSHED, _UNDER_WAY = range(9)
 """The state: speeds of the vehicle and of the deck down, the deck's acceleration, what disturbs them, and the law's memory."""

@@ -19,7 +19,7 @@ _NEW = 0.06
 _STILL = 0.004
 """Share of the diagonal that the board may have moved since the previous frame of a video: more causes blur."""
 _MIRROR_TRIES = 8
-"""So many images without the board are searched for a mirrored one."""
+"""Number of images without the board that are searched for a mirrored one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -190,7 +190,7 @@ def _gimbal(settings: Settings, counts: Mapping[str, float], rates_hz: Mapping[s
 
 
 def _sources_refused(counts: Mapping[str, Mapping[str, float]]) -> dict[str, int]:
-    """Return the number of sentences and reports of the ship that were refused before they told a place, by reason."""
+    """Return the number of sentences and reports of the ship that were refused before they gave a place, by reason."""
     out: dict[str, int] = {}
     for part, prefix in _SHIP_SOURCES:
         for name, value in counts.get(part, {}).items():

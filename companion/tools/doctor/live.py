@@ -1,6 +1,6 @@
 """Examine the setup from inside the running service: over the links that it has open, on the ground alone.
 
-The links of a service cannot be opened twice, and what the autopilot is asked for shares them with the flight. An examination
+The links of a service cannot be opened twice, and requests to the autopilot share them with the flight. An examination
 therefore needs a vehicle that stands, and a take-off ends it at once.
 """
 
@@ -20,7 +20,7 @@ from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
 
-if TYPE_CHECKING:  # the dialect is large, and a service without an autopilot does not need it before somebody asks
+if TYPE_CHECKING:  # the dialect is large, and a service without an autopilot does not need it before the first request
     from companion.tools.doctor.finding import Finding
     from drivers.mavlink.autopilot import Autopilot
 

@@ -11,7 +11,7 @@ ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 _LIMITED_SHARE = 0.1
 """Share of the frames with a pad that may be too dark or too bright at the camera's limits."""
 _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
-"""Rates of a gimbal's reports below which most frames have none near them, and below which there are none."""
+"""Rates of a gimbal's reports below which most frames have no report near them, and below which there are no reports."""
 _NO_ANSWER = -1
 _LISTED_MAX = 6
 _REFUSED_MIN, _LATE_MIN = 2, 20
@@ -162,7 +162,7 @@ def link_lossy(p: Snapshot) -> Finding | None:
 
 
 def wrong_system(p: Snapshot) -> Finding | None:
-    """Find a wished system id that no autopilot has, while others are heard."""
+    """Find a wished system id that no autopilot has, while others are present."""
     there = sorted({one.system for one in p.heard if one.hovers})
     if p.autopilot is not None or not p.wanted_system or not there:
         return None
@@ -185,10 +185,10 @@ def no_autopilot(p: Snapshot) -> Finding | None:
         if any(one.component != 1 for one in others):
             fix = "an autopilot is expected as component 1: set its component id to 1"
         return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); heard: {_listed(p)}", fix)
-    said = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+    output = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
     return error(
         "no-autopilot",
-        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {said}",
+        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {output}",
         "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
     )
 
@@ -222,7 +222,7 @@ def id_conflict(p: Snapshot) -> Finding | None:
 
 
 def unanswered(p: Snapshot) -> bool:
-    """Return whether an autopilot is heard and answered nothing at all: then silence is no refusal, and nothing is absent."""
+    """Return whether an autopilot sends messages but no answers: its silence is then no refusal, and nothing is absent."""
     a = p.autopilot
     if a is None or not p.links or not a.wanted_hz or a.parameters:
         return False
@@ -234,7 +234,7 @@ def unanswered(p: Snapshot) -> bool:
 
 
 def link_one_way(p: Snapshot) -> Finding | None:
-    """Find a link on which the autopilot is heard and does not hear us."""
+    """Find a link on which we receive the autopilot and it does not receive us."""
     if not unanswered(p) or p.autopilot is None:
         return None
     what = f"system {p.autopilot.system} is heard, and answers nothing: no parameter, no stream, no TIMESYNC"
@@ -276,9 +276,9 @@ def stream_silent(p: Snapshot) -> Finding | None:
     a = p.autopilot
     if a is None or p.seconds < 3.0 or unanswered(p):
         return None
-    heard = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
+    received = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
     asked = [n for n in ESSENTIAL if n in a.wanted_hz and a.refused.get(n, _NO_ANSWER) == _NO_ANSWER]
-    silent = [n for n in asked if n not in heard and INSTEAD.get(n, n) not in heard]
+    silent = [n for n in asked if n not in received and INSTEAD.get(n, n) not in received]
     if silent:
         return error(
             "stream-silent",
@@ -416,7 +416,7 @@ def camera_slow(p: Snapshot) -> Finding | None:
 
 
 def exposure_limited(p: Snapshot) -> Finding | None:
-    """Find a camera that refuses the exposure that is asked of it, or whose limits leave the pad too dark or too bright."""
+    """Find a camera that refuses the requested exposure, or whose limits leave the pad too dark or too bright."""
     counts = p.service.exposure
     if refused := int(counts.get("refused", 0)):
         return warning(
@@ -510,4 +510,4 @@ WATCHED: tuple[Rule, ...] = (
     id_conflict, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
     wrong_system, no_autopilot,
 )  # fmt: skip
-"""Those that a running service looks at all the time."""
+"""Rules that a running service applies all the time."""

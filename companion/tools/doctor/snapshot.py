@@ -168,13 +168,13 @@ class Snapshot(Struct, frozen=True):
     sync: TimeSyncSnapshot | None = None
     service: ServiceSnapshot = ServiceSnapshot()
     wanted_system: int = 0
-    """System id of the autopilot that was asked for; 0 for any."""
+    """System id of the autopilot that was requested; 0 for any."""
     heard: tuple[HeardSystem, ...] = ()
     """Everything that sent HEARTBEATs."""
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""
     ship_speed_m_s: float | None = None
-    """Greatest speed of the ship over the ground, m/s; None if it was not told."""
+    """Greatest speed of the ship over the ground, m/s; None if it was not reported."""
     moving_pad: bool = True
     """True if the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None
@@ -191,7 +191,7 @@ def decode(data: bytes, where: str) -> Snapshot:
     """Return the snapshot in a JSON text.
 
     Raises:
-        BadInput: the text holds no snapshot; the message says where it is wrong.
+        BadInput: the text holds no snapshot; the message names the place.
     """
     try:
         return msgspec.json.decode(data, type=Snapshot)

@@ -66,7 +66,7 @@ def decode_undo(data: bytes, where: str) -> UndoFile:
     """Return the file in a JSON text.
 
     Raises:
-        BadInput: the text holds none; the message says where it is wrong.
+        BadInput: the text holds none; the message names the place.
     """
     try:
         return msgspec.json.decode(data, type=UndoFile)
@@ -93,7 +93,7 @@ class WriteResult:
 
 
 async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:
-    """Return the values that the autopilot tells of these parameters at this moment; those without an answer are left out."""
+    """Return the autopilot's present values of these parameters; those without an answer are left out."""
     wanted, parameters = tuple(dict.fromkeys(names)), autopilot.parameters
     assert parameters is not None, "an autopilot is connected"
     parameters.request(wanted)
@@ -106,8 +106,8 @@ async def write_parameters(
 ) -> tuple[WriteResult, ...]:
     """Write one parameter after the other, and return what became of each.
 
-    A parameter is written only if it still has the value that the plan names, and only while the autopilot is heard and says
-    that it is disarmed; this is looked at again before each message.
+    A parameter is written only if it still has the value that the plan names, and only while the autopilot sends messages and
+    says that it is disarmed; this is looked at again before each message.
 
     Args:
         on_result: called with each result as soon as it is known.

@@ -21,8 +21,8 @@ class Machine:
 
     Args:
         root: the folder of its root; "/" for this computer.
-        out: where each change is told.
-        dry: tell the changes and make none.
+        out: where each change is
+        printed. dry: print the changes and make none.
     """
 
     def __init__(self, root: Path, out: TextIO, *, dry: bool = False) -> None:
@@ -50,7 +50,7 @@ class Machine:
         return not self.dry
 
     def exists(self, inside: str) -> bool:
-        """Return whether there is something at a path, be it a link to nothing."""
+        """Return whether there is something at a path, even a link to nothing."""
         return os.path.lexists(self.path(inside))
 
     def target(self, inside: str) -> str | None:
@@ -139,7 +139,7 @@ class Machine:
         """Run a command that changes the computer.
 
         Args:
-            outside: run it here even if the computer is only a root; the command is told the root itself.
+            outside: run it here even if the computer is only a root; the command gets the root as an argument.
 
         Raises:
             Recoverable: it failed; the text has its own last words.
@@ -148,8 +148,8 @@ class Machine:
             return
         done = self.run(command if outside else self._within(command))
         if done.returncode != 0:
-            said = " ".join(line.strip() for line in (done.stderr or done.stdout).strip().splitlines()[-4:])
-            raise Recoverable(f"{' '.join(command)}: {said or f'ended with {done.returncode}'}")
+            output = " ".join(line.strip() for line in (done.stderr or done.stdout).strip().splitlines()[-4:])
+            raise Recoverable(f"{' '.join(command)}: {output or f'ended with {done.returncode}'}")
 
     def ask(self, command: Sequence[str]) -> subprocess.CompletedProcess[str]:
         """Run a command that changes nothing, also in a dry run."""

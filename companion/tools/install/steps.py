@@ -78,12 +78,12 @@ def state(machine: Machine) -> ServiceState | None:
     if not has_manager(machine):
         return None
     done = machine.ask(["systemctl", "show", UNIT_NAME, "--property=ActiveState,MainPID,NRestarts,StatusText"])
-    said = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    output = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
     return ServiceState(
-        said.get("ActiveState", "unknown"),
-        int(said.get("MainPID") or 0),
-        int(said.get("NRestarts") or 0),
-        said.get("StatusText", ""),
+        output.get("ActiveState", "unknown"),
+        int(output.get("MainPID") or 0),
+        int(output.get("NRestarts") or 0),
+        output.get("StatusText", ""),
     )
 
 
@@ -127,7 +127,8 @@ def refuse_in_flight(machine: Machine, *, on_ground: bool = False) -> None:
 def start(machine: Machine, sleep: Callable[[float], None] = time.sleep, seconds: float = WATCHED_S) -> str | None:
     """Start the service again and watch it; return why it does not come up, None if it does.
 
-    It is up when it has said that it is ready, keeps its process for `seconds`, and has the frames and samples that came before.
+    It is up when it has reported that it is ready, keeps its process for `seconds`, and has the frames and samples that came
+    before.
     """
     before = state(machine)
     try:

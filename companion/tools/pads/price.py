@@ -1,8 +1,8 @@
 """Price a pad by clutter: how often a search takes something else for it, from what size on it is found, and what decides that.
 
-The pad is searched for in views without one (`clutter`), and in views that it is planted in (`planted`). What clutter
-tells has an exponential tail, as every likelihood ratio has: from it follow the chance of a false pad in a frame, and what the
-drawing has to tell so that it is rare.
+The pad is searched for in views without one (`clutter`), and in views that it is planted in (`planted`). The support
+that clutter gives has an exponential tail, as every likelihood ratio has. From it follow the chance of a false pad in a frame,
+and the support that makes it rare.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verified
 
 FRAMES = 4.0
-"""Views in a frame of 640x360: it has so many times as many places."""
+"""Factor from places in one view to places in a frame of 640x360."""
 _MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
 CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
@@ -46,9 +46,9 @@ _TOP, _LEAST_SCALE = 0.06, 0.7
 _BY_COUNT = 0.01
 """Least share of the views that may be the pad, over that which was counted: the fall is not followed farther."""
 _DOUBTED = -1.0
-"""Log-odds of a find's edges and light from which on it counts as one that might be the pad."""
+"""Log-odds of a find's edges and light from which it counts as one that might be the pad."""
 _CLEAR_PX, _MISSED, _BELOW = 28.0, 0.2, 0.6
-"""Radius of a pad that is seen clearly, and the share of what the weakest of those tell that is asked at most."""
+"""Radius of a pad that is seen clearly, and the largest required share of the weakest support among them."""
 _CANDIDATES, _DECK_RAD = 2, math.radians(2.0)
 _TAKEN_PX = (24.0, 48.0)
 """Radii of other pads that the pad is looked for in."""
@@ -102,7 +102,7 @@ def price(
 
 class _Find(NamedTuple):
     log_odds: float
-    """Those of its edges and its light alone."""
+    """Log-odds of the find's edges and its light alone."""
     support: float
     """Support that the drawing gives there, times the share that follows it."""
 
@@ -147,13 +147,13 @@ class _Tail:
 
         Args:
             by_parts: whether the log-odds are of a pad whose parts verification was fitted to.
-            presumed: what that one more find tells.
+            presumed: the support of that one more find.
         """
         support = [
             max(f.support for f in finds if f.log_odds > _DOUBTED) for finds in views if any(f.log_odds > _DOUBTED for f in finds)
         ]
         counted = (len(support) + 1.0) / (len(views) + 1.0)
-        # Where none is likely, how fast the log-odds of the likeliest fall says more than that none was seen.
+        # If none is likely, the fall of the largest log-odds is a better bound than a count of zero.
         likely = np.sort([max((f.log_odds for f in finds), default=-30.0) for finds in views])[::-1]
         n = max(4, round(_TOP * len(views)))
         start, scale = float(likely[n]), max(_LEAST_SCALE, float(likely[:n].mean()) - float(likely[n]))
@@ -164,9 +164,9 @@ class _Tail:
         )
 
     def chance(self, support: float) -> float:
-        """Return the chance that a view tells so much."""
+        """Return the chance that a view gives this support."""
         return min(1.0, self.share * math.exp(-support / self.mean))
 
     def exceeded(self, chance: float) -> float:
-        """Return what a view tells with a small chance, and more."""
+        """Return the support that a view exceeds with a small chance."""
         return max(0.0, self.mean * math.log(self.share / chance))

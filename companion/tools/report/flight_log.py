@@ -108,7 +108,7 @@ class DeckSample:
     at: MonoNs
     """The instant that it is about."""
     made_at: MonoNs
-    """The instant at which it was said; `at` for what is not a forecast."""
+    """The instant of the decision; `at` for what is not a forecast."""
     height_m: float
     """The height of the pad's centre above its mean level, positive up."""
     sigma_height_m: float

@@ -19,7 +19,7 @@ from estimator.contracts.time import seconds_between
 _SCRIPTS = ("numbers", "clock", "video", "plot", "gestures", "view", "report")
 """The parts of the page's script, in order: they share one scope, since a page opened as a file may import no modules."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; media-src blob:; img-src data:"
-"""The page asks for nothing, and a browser refuses it if it did."""
+"""The page requests nothing, and a browser refuses it if it did."""
 
 
 def document(title: str, body: str, more_style: str = "", head: str = "") -> str:
@@ -28,7 +28,7 @@ def document(title: str, body: str, more_style: str = "", head: str = "") -> str
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}{more_style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{style}{more_style}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
     )
 
 
@@ -60,9 +60,9 @@ def flight_page(title: str, body: str, data: str, films: Sequence[FilmFile | Non
 def header(title: str, outcome: str, good: bool, facts: Iterable[tuple[str, str]]) -> str:
     """Return the head of a page: its title, how the flight ended, and the facts."""
     items = "".join(f"<li>{escape(k)} <b>{escape(v)}</b></li>" for k, v in facts)
-    told = f'<ul class="facts">{items}</ul>' if items else ""
+    reported = f'<ul class="facts">{items}</ul>' if items else ""
     ink = "outcome good" if good else "outcome"
-    return f'<header><h1>{escape(title)}</h1><span class="{ink}">{escape(outcome)}</span></header>\n{told}'
+    return f'<header><h1>{escape(title)}</h1><span class="{ink}">{escape(outcome)}</span></header>\n{reported}'
 
 
 def cards(cells: Iterable[tuple[str, str]]) -> str:
@@ -115,8 +115,8 @@ def beside(flights: Sequence[PageFlight], events: Sequence[Sequence[FlightEvent]
         rows = "".join(map(_event, happened)) or '<li class="note">Nothing was recorded.</li>'
         label = f"events of {flight.label}" if len(flights) > 1 else "events; each moves the cursor"
         parts.append(
-            f'<div class="beside"><h3>{title}</h3><dl class="figures" data-flight="{k}">{figures}</dl>'
-            f'<h3>Events</h3><ol class="events" aria-label="{escape(label, quote=True)}">{rows}</ol></div>'
+            f'<div class="beside"><h2>{title}</h2><dl class="figures" data-flight="{k}">{figures}</dl>'
+            f'<h2>Events</h2><ol class="events" aria-label="{escape(label, quote=True)}">{rows}</ol></div>'
         )
     return "".join(parts) if len(parts) == 1 else f'<div class="beside">{"".join(parts)}</div>'
 

@@ -96,7 +96,7 @@ def _is_fault_of_disk(why: BaseException) -> bool:
 
 
 def _kept() -> Any:
-    """Return the quality of service of a topic of which a late subscriber gets the newest message, too."""
+    """Return the quality of service of a topic whose newest message late subscribers get, too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(2147483647, 4294967295)

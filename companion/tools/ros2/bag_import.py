@@ -70,7 +70,7 @@ def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
 
 
 def _suffix(path: Path) -> str:
-    """Return the ending by which rosbags tells files apart."""
+    """Return the ending by which rosbags distinguishes files."""
     if path.is_dir():
         return ""
     with path.open("rb") as file:

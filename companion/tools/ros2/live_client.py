@@ -49,8 +49,8 @@ class LiveClient:
     Args:
         url: the port's address, ws://HOST:PORT.
         token: its token; None for none.
-        wanted: says of a topic whether its messages are asked for.
-        note: is told what a person should know: a connection, its loss and why.
+        wanted: says of a topic whether its messages are wanted.
+        note: receives what a person should know: a connection, its loss and why.
     """
 
     def __init__(self, url: str, token: str | None, wanted: Callable[[str], bool], note: Callable[[str], None]) -> None:
@@ -60,7 +60,7 @@ class LiveClient:
         self._note = note
         self._told = ""
         self.connections = 0
-        """How often the service was reached."""
+        """Number of connections to the service."""
 
     async def messages(self) -> AsyncIterator[LiveMessage]:
         """Yield the messages of one connection after the other, without end; `connections` counts up before each one's first.

@@ -139,7 +139,7 @@ _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 
 
 class RosMessages:
-    """Turns events into messages; it remembers the phase last told and where the newest estimate has the pad.
+    """Turns events into messages; it remembers the phase last sent and where the newest estimate has the pad.
 
     Args:
         types: the class of each message by its name, such as `sensor_msgs/msg/Imu`.
@@ -215,7 +215,7 @@ class RosMessages:
         return self._make("geometry_msgs/msg/Twist", linear=self._vector(v), angular=turn)
 
     def _twist_with_cov(self, v: F64, cov: F64) -> Any:
-        """Return a twist of which the turn is not known: its variances are those of anything."""
+        """Return a twist with an unknown turn: the variances are very large."""
         whole = np.diag([0.0, 0.0, 0.0, 1e6, 1e6, 1e6])
         whole[:3, :3] = cov
         return self._make("geometry_msgs/msg/TwistWithCovariance", twist=self._twist(v), covariance=_row(whole))

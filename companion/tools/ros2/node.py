@@ -1,6 +1,6 @@
-"""A flight in ROS 2 while it is flown: what the service's live port tells, as the messages that a recording's bag has.
+"""A flight in ROS 2 while it is flown: the data of the service's live port, as the messages of a recording's bag.
 
-The node sends messages as the bytes that they are (CDR), so only their types are asked of the ROS that is there.
+The node sends messages as the bytes that they are (CDR), so only their types come from the installed ROS.
 """
 
 import importlib
@@ -88,7 +88,7 @@ class RosBridge:
 
     Args:
         camera: the vehicle's camera; None leaves out its place on the vehicle and `/camera/camera_info`.
-        note: is told what a person should know.
+        note: receives what a person should know.
         gimballed: whether a gimbal turns the camera.
     """
 

@@ -132,7 +132,7 @@ int nis_of(int m, const double *innov, const double *S, double *nis)
     return isfinite(*nis) ? DONE : NOT_POSITIVE;
 }
 
-/* Multiplied out, Joseph's form is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes but for the errors of K, which so
+/* Multiplied out, Joseph's form is P - K C' + (K S - C) K' with C = P H'. The bracket vanishes except for the errors of K, which so
  * enter in the second order alone, as they do in Joseph's form. */
 WIDE
 int kalman_correct(int n, const double *P, const measured *z, double *dx, double *P_after, double *S, double *nis)

@@ -5,7 +5,7 @@
 #include "decklander.h"
 #include "filter/propagate.h"
 
-/* Each takes one sample at the belief's instant; `out` tells what became of it. */
+/* Each takes one sample at the belief's instant; `out` receives its outcome. */
 void take_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_attitude *seen, dl_outcome *out);
 void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out);
 void take_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out);

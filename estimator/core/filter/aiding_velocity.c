@@ -16,7 +16,7 @@ static const double OVER_EXPECTED = 3.0;
 /* Log-odds of the deck while the pad was never seen, and the least then: samples count as over the water until they say otherwise,
  * and three that do are enough. */
 static const double UNSEEN_EXPECTED = -4.0;
-/* Variance of the vessel's velocity, (m/s)^2, below which her reports tell what a deck that was never seen does below the body. */
+/* Variance of the vessel's velocity, (m/s)^2, below which her reports give the motion of an unseen deck below the body. */
 static const double KNOWN_VAR = 0.25;
 /* NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it. */
 static const double REFUTED = 6.0;
@@ -142,7 +142,7 @@ static double evidence_for_the_deck(const dl_belief *b, const double *P, const d
     return fmax(-3.0, fmin(3.0, 0.5 * (fmax(misfit_ground, least) - fmax(misfit_deck, least))));
 }
 
-/* Whether samples can tell the deck from the water: once the pad was seen, or while the vessel's reports tell her velocity. A drone
+/* Whether samples can distinguish the deck from the water: once the pad was seen, or while the vessel reports her velocity. A drone
  * that comes from astern is over a large deck before it sees the pad. */
 static int surface_is_open(const dl_filter_params *o, const dl_belief *b, const double *P)
 {
@@ -200,7 +200,7 @@ static void ambiguity_of(const dl_belief *b, const double *P, const double x[DL_
     }
 }
 
-/* Whether a sample is refused because it contradicts the surface that is believed in and not the other one: the body has come over
+/* Whether a sample is refused because it contradicts the assumed surface and not the other one: the body has come over
  * an edge. Fused, it would be taken for a leap of the body's velocity before the odds have turned. */
 static int refused_at_an_edge(const dl_filter_params *o, const dl_belief *b, const double *P, const double v[3], const double cov[9],
                               const dl_aid *begun, const double innov[3], dl_outcome *out)

@@ -14,7 +14,7 @@ enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, FORCE_RATE = DL_
 /* Rate at which a noise density is the noise of one sample, Hz. */
 static const double IMU_HZ = 200.0;
 
-/* A settled belief, and what its parts are asked through. */
+/* A settled belief, and access to its parts. */
 typedef struct {
     const dl_belief *b;
     const double *P;

@@ -18,7 +18,7 @@ static const double MEMORY_S = 180.0;
 static const double NIS_MAX = 16.0;
 /* The least logarithm of a member's weight against the best one's. */
 static const double LOG_WEIGHT_MIN = -30.0;
-/* Variance from which on a direction was not seen. */
+/* Variance from which a direction was not seen. */
 static const double UNSEEN_VAR = 1e5;
 /* Prior of offset, its rate, acceleration: of places, and of a deck's list, which is an offset that does not drift. */
 static const double DRIFT_VAR[3] = {25.0, 9.0, 1.0};

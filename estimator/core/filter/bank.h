@@ -1,8 +1,8 @@
-/* Learning how the deck moves: a bank of oscillators for each direction, weighed by how well each foretold what was seen.
+/* Learning the deck's motion: a bank of oscillators for each direction, weighted by the likelihood of each.
  *
- * Every member is a Kalman filter of its own on one number, where the pad was seen plus where the IMU has carried the body since
+ * Every member is a Kalman filter of its own on one number: where the pad was seen plus where the IMU has carried the body since
  * the start; the IMU's drift (an offset, its rate, a wandering acceleration) is part of each member's state. The main filter is
- * not involved, so nothing it believes of the sea can confirm itself. Member 0 says that the deck stands still: it does so in all
+ * not involved, so its estimate of the sea cannot confirm itself. Member 0 says that the deck stands still: it does so in all
  * directions or in none, because no vessel surges without heaving. In `sea` the numbers of one kind lie side by side for all
  * members, and of a covariance, which is symmetric, the upper triangle in rows.
  *

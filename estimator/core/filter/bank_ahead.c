@@ -215,7 +215,7 @@ static void row_of(const double *row, double mean[STATES][OSCILLATORS], double o
     }
 }
 
-/* The sum over the oscillators of row spread row', of which `squares` are the products of the row's numbers. */
+/* The sum over the oscillators of row spread row', `squares` are the products of the row's numbers. */
 static double spread_along(const double *squares, double spread[WAVE_PAIRS][OSCILLATORS])
 {
     double along[OSCILLATORS] = {0.0}, sum = 0.0;

@@ -34,7 +34,7 @@ typedef struct {
 
 /* From the bank's last look to instant t, ns. */
 void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_steps *steps);
-/* The members of direction k after these steps, with the present rate that the main filter believes, which has seen more. */
+/* The members of direction k after these steps, with the present rate of the main filter, which has seen more. */
 void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double rate, waves_now *now);
 /* The direction at a horizon, without regard to the forecasts' skill. */
 void waves_ahead(waves_now *now, const dl_horizon_reach *there, waves_then *then);

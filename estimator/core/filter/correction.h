@@ -1,4 +1,4 @@
-/* What every measurement needs: the deck's own motion by the state, the correction of a belief, and what is told of it. */
+/* What every measurement needs: the deck's own motion by the state, the correction of a belief, and its statistics. */
 #ifndef DECKLANDER_CORRECTION_H
 #define DECKLANDER_CORRECTION_H
 
@@ -27,7 +27,7 @@ void correct_belief(dl_belief *b, covariance *c, const double dx[DL_N], double *
 double *changeable(covariance *c);
 /* Everything that is known of a state is forgotten but the variance that it gets. */
 void forget_state(double *P, int state, double var);
-/* What became of a measurement of m numbers; S is NULL where there is none. */
+/* Outcome of a measurement of m numbers; S is NULL where there is none. */
 void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
 
 #endif

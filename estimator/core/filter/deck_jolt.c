@@ -14,7 +14,7 @@ static const double RATIO_MAX = 2.5;
 static const double RATIO_COUNTED = 49.0;
 /* Sightings older than this, against the newest, are not counted, ns. */
 static const int64_t MEMORY_NS = 350000000;
-/* The median is of at least so many sightings that span at least so long, ns. */
+/* The median is of at least this many sightings that span at least so long, ns. */
 static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 /* Time for which the unknown acceleration is assumed to have acted, s. */
 static const double ACTED_S = 0.3;

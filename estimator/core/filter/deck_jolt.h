@@ -5,8 +5,8 @@
  * The innovations say so at once. Along each axis of `ned` the filter keeps by how much the newest squared innovations exceed
  * the largest that their claimed variances let expect. If the median is positive, the wave along that axis has received an
  * acceleration that the model does not have, and the covariance gains the median (covariance matching: Mehra, Approaches to
- * adaptive filtering, IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting that
- * itself tells little of an axis neither adds to it nor scales it. */
+ * adaptive filtering, IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting
+ * with little information on an axis neither adds to it nor scales it. */
 #ifndef DECKLANDER_DECK_JOLT_H
 #define DECKLANDER_DECK_JOLT_H
 

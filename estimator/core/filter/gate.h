@@ -13,7 +13,7 @@ void streak_extend(dl_belief *b, int64_t t, const double offset_ned[3], double v
 /* Whether the streak outweighs the belief. A belief made by few sightings is reset by few. */
 int streak_resets(const dl_filter_params *o, const dl_belief *b);
 /* The recent mean of NIS over degrees of freedom after one more innovation (m), with S (m, m) widened by what a landing does not
- * notice: close to the deck a sighting claims a millimetre, and whether it is off by five tells nothing against the estimate.
+ * notice: close to the deck a sighting claims a millimetre, and whether it is off by five does not contradict the estimate.
  * Some fourteen sightings renew half of it. */
 double nis_mean_of(double nis_mean, const double *innov, const double *S, int m);
 

@@ -13,7 +13,7 @@ void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c);
 void spread_of(int m, int kind, const double *H, const double *P, double *out);
 /* Whether a kind still gathers against the same axes and surface. */
 int still_gathers(const dl_filter_params *o, const dl_belief *b, int kind, int axes, double deck_weight);
-/* Begin to gather a kind of sample, of which m, axes and deck_weight are set: the prediction's Jacobian and covariance hold for the
+/* Begin to gather a kind of sample, with m, axes and deck_weight set: the prediction's Jacobian and covariance hold for the
  * whole period. */
 void begin_gathering(dl_aid *a, const dl_belief *b, const covariance *c, int kind, const double *H, const double *ambiguity);
 /* Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.

@@ -21,7 +21,7 @@ void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const d
 void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, double *Q);
 /* Bring x and P from t_cov to t. */
 void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c);
-/* Propagate to t by the IMU sample that holds, and the covariance as often as the parameters ask. */
+/* Propagate to t by the IMU sample that holds, and the covariance as often as the parameters require. */
 void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t);
 /* x = the state at t without propagating the covariance; the sea's motion has an error of order (t - t_cov)^2. */
 void peek(const dl_belief *b, double x[DL_N]);

@@ -16,9 +16,9 @@ static const double SMOOTH_S = 0.03;
 /* Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds. */
 static const double DIVERGED_VAR = 0.35 * 0.35;
 
-/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body of which no turn is known. */
+/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body with an unknown turn. */
 static const double TURN_BY_ATTITUDE = 0.02;
-/* The cosine of the largest lean at which a thrust is taken to carry the weight. */
+/* The cosine of the largest tilt at which a thrust is taken to carry the weight. */
 static const double LEAST_UPRIGHT = 0.7;
 
 static double largest_step(const double a[3], const double b[3])
@@ -95,7 +95,7 @@ static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, con
     forget_the_pad(o, b);
 }
 
-/* An attitude that sets the belief's own outright is none of ours. */
+/* An attitude that sets the belief's own outright is handled elsewhere. */
 static int sets_the_attitude(const dl_belief *b, const double *P)
 {
     double var = 0.0;
@@ -113,7 +113,7 @@ static void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c
     fuse_gathered(o, b, c);
 }
 
-/* One of the vehicle's samples; returns 0 if it is none of ours. */
+/* One of the vehicle's samples; returns 0 for other samples. */
 static int take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
     if (e->kind == DL_IMU) {

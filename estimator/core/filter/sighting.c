@@ -185,7 +185,7 @@ static int measured_numbers(const dl_sighting *s, double yaw_sigma, int place_on
     return s->has_yaw && s->cov[15] < KNOWN_YAW_VAR && chosen ? 4 : 3;
 }
 
-/* How what is compared changes with a later exposure: by the body's motion, as with the delay, and by the deck's. The delay's own
+/* Change of the compared quantity with a later exposure: by the body's motion, as with the delay, and by the deck's. The delay's own
  * column lacks the deck's because the state holds the deck that the camera shows; a single stamp's error moves both. */
 static void by_exposure(const double x[DL_N], int m, const double *H, double slipped[SEEN_MAX])
 {
@@ -213,7 +213,7 @@ static double rate_variance(const dl_belief *b)
     return dot(apart, apart);
 }
 
-/* The noise of what is compared, (m, m): without the part of the attitude that levelled it, and with the stamp's own error. */
+/* Noise of the compared quantity, (m, m): without the part of the attitude that levelled it, and with the stamp's own error. */
 static void noise_of(const dl_belief *b, const dl_sighting *s, int m, const double A[9], const double cov_levelled_by[9],
                      const double *H, double *R)
 {

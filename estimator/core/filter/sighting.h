@@ -27,7 +27,7 @@ void camera_to_ned(const dl_belief *b, double back[9]);
  * gives what the camera saw, without that attitude's error.
  *
  * When the frame is later than its stamp, the deck in it is later too. The state holds the deck that the camera shows: its waves
- * cannot be told from the same waves a little later. So only the body's motion is corrected by the delay; the answers move the
+ * cannot be distinguished from the same waves a little later. So only the body's motion is corrected by the delay; the answers move the
  * deck.
  *
  * cov_levelled_by (3, 3) is the part of the covariance that comes from the levelling attitude; yaw_sigma, rad: an ambiguous heading

@@ -1,4 +1,4 @@
-/* Forecast skill: past forecasts of the waves compared with what happened. `Skill` in estimator/ekf/deck_motion_bank.py says what it is for. */
+/* Forecast skill: past forecasts of the waves compared with what happened. `Skill` in estimator/ekf/deck_motion_bank.py explains it. */
 #ifndef DECKLANDER_SKILL_H
 #define DECKLANDER_SKILL_H
 
@@ -9,9 +9,9 @@ extern const double SKILL_HORIZONS_S[SKILL_HORIZONS];
 
 /* Forecasts that have been compared, by horizon, direction, and displacement or rate. */
 typedef struct {
-    /* Root mean square of what came less what was forecast. */
+    /* Root mean square of the outcome minus the forecast. */
     double rms[SKILL_HORIZONS][DIRECTIONS][2];
-    /* How far it is believed, 0..1. */
+    /* How far it is trusted, 0..1. */
     double trust[SKILL_HORIZONS];
 } forecast_misses;
 

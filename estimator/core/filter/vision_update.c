@@ -18,7 +18,7 @@
 static const double WITHHELD_MOUNT = 0.95;
 /* Fraction of the correction of the camera's delay that is withheld on a rough sea. */
 static const double WITHHELD_DELAY = 0.85;
-/* The same for the root of its covariance: on waves the errors of ten sightings in a row are alike, and count as those of few. */
+/* Fraction of the reduction of the covariance's root that is withheld: on waves the errors of ten sightings in a row are alike. */
 static const double WITHHELD_DELAY_COV = 0.975;
 /* Heave rate of the deck, m/s, separating a rough sea from a calm one: far below it, no part of the correction is withheld. */
 static const double ROUGH_M_S = 0.1;
@@ -183,7 +183,7 @@ static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
     b->heading_seen = b->t;
 }
 
-/* Set the pad's yaw from a sighting, whatever was believed. */
+/* Set the pad's yaw from a sighting, whatever the state was. */
 static void take_new_heading(dl_belief *b, covariance *c, const dl_sighting *s)
 {
     if (!s->has_pose6 && !s->has_yaw) {

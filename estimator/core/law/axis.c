@@ -1,4 +1,4 @@
-/* One horizontal axis of the law: what is observed, what is under way, and the tilt to command.
+/* One horizontal axis of the law: observer, commands under way, and the tilt to command.
  *
  * The observer and its sources: companion/guidance/disturbance.py; the regulator's: tilt_law.py. */
 
@@ -10,7 +10,7 @@
 static const double DISTURBANCE_MAX_M_S2 = 6.0;
 /* Weight of the gyro against the model in the rate of the tilt. */
 static const double GYRO_SHARE = 0.25;
-/* Time constants of the mean of the vehicle's own part: while the law steers, and while all of the lean is its own. */
+/* Time constants of the mean of the vehicle's own part: while the law steers, and while all of the tilt is its own. */
 static const double OWN_FLOWN_S = 0.7, OWN_HOVERED_S = 2.0, OWN_MAX_M_S2 = 3.0;
 
 double law_limited(double value, double most)

@@ -11,12 +11,12 @@
 
 /* Lean beside the trim that the view never takes away, m/s^2: without any, the wind would carry the drone off. */
 static const double LEAN_LEAST_M_S2 = 0.6;
-/* Below this height the pad leaves the picture anyway, and the lean is left alone. */
+/* Below this height the pad leaves the picture anyway, and the tilt is left alone. */
 static const double VIEW_FROM_M = 0.6;
 /* An estimate that leaps is another one, as when the pad is found again after a while. The observer would come after it for seconds
  * and fly there; corrections of a pad in view stay below half of this. */
 static const double LEAP_M = 0.5;
-/* The tangent of a larger angle is not asked for. */
+/* The tangent of a larger angle is never needed. */
 static const double ANGLE_MOST_RAD = 1.2;
 
 /* The heading of `level`: between it and the axes of the memory. */
@@ -73,7 +73,7 @@ static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, const
     }
 }
 
-/* What a vehicle with a velocity loop of its own adds to the lean. */
+/* What a vehicle with a velocity loop of its own adds to the tilt. */
 static void observe_own(const dl_law_params *o, const dl_law_cycle *in, const dl_law_axis axes[2], const dl_law_own before[2], dl_law_own after[2])
 {
     for (int i = 0; i < 2 && o->over_ground; i++) {
@@ -91,7 +91,7 @@ static void observe_own(const dl_law_params *o, const dl_law_cycle *in, const dl
 static void regulate(const dl_law_axis axes[2], const dl_law_gains *gains, const double far_m[2], double speed_max_m_s,
                      const double a_deck[2], const double a_deck_then[2], double u[2])
 {
-    /* A place far off asks for no more than the speed that is allowed. */
+    /* A place far off calls for no more than the allowed speed. */
     const double size = hypot(far_m[0], far_m[1]), reach = speed_max_m_s * gains->w / gains->p;
     const double shrink = size > reach ? reach / size : 1.0;
     for (int i = 0; i < 2; i++) {
@@ -106,7 +106,7 @@ static double within_view(double lean, double trim, double bearing_rad, double h
     return fmin(fmax(most, trim + LEAN_LEAST_M_S2), fmax(fmin(least, trim - LEAN_LEAST_M_S2), lean));
 }
 
-/* Cut the lean so that the pad's centre stays in the picture. Leaning forward turns the camera astern, so the pad moves towards
+/* Cut the tilt so that the pad's centre stays in the picture. Leaning forward turns the camera astern, so the pad moves towards
  * the picture's forward edge by as much. */
 static void keep_in_view(const dl_law_params *o, const double d[3], const double trim[2], double lean[2])
 {
@@ -117,7 +117,7 @@ static void keep_in_view(const dl_law_params *o, const double d[3], const double
     lean[1] = within_view(lean[1], trim[1], atan2(d[1] - o->view_right_m, d[2]), o->half_right_rad);
 }
 
-/* Cut the lean to the vehicle's limit. The trim that holds against the wind comes first: a cut of both alike would let the drone be
+/* Cut the tilt to the vehicle's limit. The trim that holds against the wind comes first: a cut of both alike would let the drone be
  * blown off while it corrects aside. */
 static void shorten(const dl_law_params *o, const dl_law_cycle *in, const double trim[2], double lean[2])
 {
@@ -134,7 +134,7 @@ static void shorten(const dl_law_params *o, const dl_law_cycle *in, const double
     lean[0] = base[0] + share * more[0], lean[1] = base[1] + share * more[1];
 }
 
-/* The lean to command, m/s^2 forward and right, and the part of it that is trim; the deck now and when the command acts. */
+/* The tilt to command, m/s^2 forward and right, and the part of it that is trim; the deck now and when the command acts. */
 static void lean_to(const dl_law_in_use *law, const dl_law_cycle *in, nose n, const dl_law_axis axes[2], const deck_then *here,
                     const deck_then *then, double lean[2], double trim[2])
 {

@@ -21,19 +21,19 @@ void axis_begin(int64_t remembered, const dl_axis_measured *z, const dl_law_axis
 void under_way_note(int64_t remembered, double command, double *under_way);
 /* The memory of one axis after dt with a measurement; the command that has arrived is an acceleration. */
 void axis_observe(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after);
-/* The tilt to command, m/s^2, not limited yet: the later reference less what is off now, the commands under way included. */
+/* The tilt to command, m/s^2, not limited yet: the later reference less the present error, the commands under way included. */
 double axis_tilt(const dl_law_axis *x, const dl_law_gains *gains, double off_m, double a_deck, double a_deck_then);
 /* The tilt that keeps the body over the deck, m/s^2: its acceleration less the disturbance. */
 double axis_reference(const dl_law_axis *x, double a_deck);
-/* The lean that the vehicle adds by itself, after a cycle in which the law steered or somebody else did. */
+/* The tilt that the vehicle adds by itself, after a cycle in which the law steered or somebody else did. */
 void own_flown(const dl_law_params *o, double dt, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after);
 void own_hovered(double dt, double lean, const dl_law_own *before, dl_law_own *after);
 
-/* The deck so many seconds ahead; still where nothing is known of its motion. */
+/* The deck this many seconds ahead; still where nothing is known of its motion. */
 void deck_ahead_of(const dl_law_params *o, const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out);
 /* The deck's turn, by the course of the heading against the arrow. */
 void turn_observe(const dl_law_cycle *in, const dl_law_memory *before, dl_law_memory *after);
-/* The turn to command, rad/s; 0 where no heading is wanted or none is known. */
+/* The turn to command, rad/s; 0 where no heading is wanted or known. */
 double turn_command(const dl_law_cycle *in, const dl_law_memory *memory);
 
 /* What accelerates the body beside its answer to climb commands, m/s^2 down. */

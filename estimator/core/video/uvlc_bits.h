@@ -27,7 +27,7 @@ static inline uint32_t peek_32(bit_reader *in)
             const uint32_t word = (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
             in->bits |= (uint64_t)word << (32 - in->held);
         }
-        /* The count of words goes on beyond the end, as far as any picture, so that `overrun` can tell. */
+        /* The count of words continues beyond the end, as far as any picture, so that `overrun` can tell. */
         in->next++;
         in->held += 32;
     }

@@ -15,7 +15,7 @@ enum { CHANNELS = 3, LARGEST = 16 * 255, EVERY_ROW = 12, EVERY_COLUMN = 5 };
 static const double QUARTILE = 0.3186, OF_DIFFERENCES = 6.0;
 /* Noise, in values of a pixel, that what reads a clear frame allows for anyway. */
 static const double USUAL = 3.0;
-/* Range of a frame's values from which on it is clear, without the outermost of them: airlight narrows it. The least contrast. */
+/* Range of a frame's values from which it is clear, without the outermost of them: airlight narrows it. The least contrast. */
 static const double CLEAR_RANGE = 90.0, OUTERMOST = 0.005, LEAST_CONTRAST = 0.15;
 
 static int second_differences(const uint8_t *at, ptrdiff_t stride)

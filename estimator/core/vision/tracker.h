@@ -44,7 +44,7 @@ static inline int lies_within(int64_t value, int64_t least, int64_t most)
     return value >= least && value <= most;
 }
 
-/* Whether an image has pixels of so many channels in rows that do not overlap, and no more of them than 32 bits count. */
+/* Whether an image has pixels of this many channels in rows that do not overlap, and no more of them than 32 bits count. */
 int is_image(const dl_image *image, int channels);
 
 /* Whether a frame is of the tracker's camera, its rows one after the other, and of the right size at every size that was made. */

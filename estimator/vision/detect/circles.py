@@ -1,8 +1,8 @@
 """Find circles: by the votes of edges for their centres, and pads of some pixels by their area.
 
 The first finds the pad's disc and ring in any light, without colour. A pad of 12 to 40 px across that is seen obliquely has too
-few pixels for its edges to tell the centre. It differs from its surroundings as a whole: its area tells the centre, and the
-ellipse of the area's second moments tells the tilt. The native core finds both.
+few pixels for its edges to give the centre. It differs from its surroundings as a whole: its area gives the centre, and
+the ellipse of the area's second moments gives the tilt. The native core finds both.
 """
 
 from dataclasses import dataclass

@@ -25,7 +25,7 @@ _MIDDLE = 80
 _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 """Steps for a factor e."""
 _COLOURED, _HAZY = 0.25 * _NAT, 0.06 * _NAT
-"""Measure from which on a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
+"""Measure from which a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
 colour: 99 of 100 discs stand out by 0.56 in any light, and by a seventh of that in haze.
 """
 _LOG = np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)

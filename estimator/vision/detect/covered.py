@@ -14,7 +14,7 @@ from estimator.vision.detect.verification import log_odds
 from estimator.vision.pad_pose import PadPose
 
 COVERED_LOG_ODDS = -1.0
-"""Prior of a drawing of which something covers a part, for `fit_verification.confidence`: the line is chosen so that the
+"""Prior of a partly covered drawing, for `fit_verification.confidence`: the line is chosen so that the
 rest fits best.
 """
 _TURNS = 6

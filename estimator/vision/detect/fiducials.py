@@ -48,7 +48,7 @@ class _Read:
     p_pad: F64
     """Its corners on the pad, (4, 3) m."""
     uv_px: F64
-    """The same in the frame, (4, 2)."""
+    """Its corners in the frame, (4, 2) px."""
 
     @property
     def side_px(self) -> float:
@@ -64,7 +64,7 @@ class FiducialPose(NamedTuple):
 
 
 def fiducial_poses(grey: U8, camera: Camera, pad: Pad, plane: Plane, window_px: int) -> list[FiducialPose]:
-    """Return poses of a pad from its fiducials, the one that most of them agree with first; none if none is read.
+    """Return poses of a pad from its fiducials, best supported first; empty if none is read.
 
     Args:
         grey: (H, W) luminance.

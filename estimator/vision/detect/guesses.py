@@ -166,7 +166,7 @@ _REACH_PX, _STEP_PX = 4.0, 1.5
 _SIDES = 4
 """Directions of the half that is taken for the one in view."""
 _OUTLINE = 3
-"""Points of a half's outline, which tell the direction."""
+"""Points of a half's outline, which give the direction."""
 _MOST_TURNED_RAD = 0.5
 """Largest heading of a guess relative to the expected one, modulo half a turn."""
 

@@ -1,6 +1,6 @@
 """Learn the colours of the pad's paints under the present light.
 
-An aligned and trusted drawing tells for every pixel which paint it shows. The memory is an input and an output; it moves slowly,
+An aligned and trusted drawing gives the paint of every pixel. The memory is an input and an output; it moves slowly,
 fades while the pad is not found, and is ignored below a certain trust. Where the disc stands out by its
 colour, a search begins with colour.
 """

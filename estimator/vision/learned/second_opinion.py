@@ -59,7 +59,7 @@ class Patch:
     seen: NDArray[np.bool_]
     """Mask of the points in the frame that nothing covers, (SIDE, SIDE)."""
     drawn: U8
-    """The drawing's blue, green, red and what share of a sample the pad's file tells the paint of, (SIDE, SIDE, 4)."""
+    """The drawing's blue, green, red and the share of a sample whose paint the pad's file gives, (SIDE, SIDE, 4)."""
     pixel: float
     """Logarithm to base 2 of a sample's side in pixels."""
 
@@ -155,7 +155,7 @@ def _drawn(pad: Pad, blur: int) -> U8:
 
 
 WORTH_ASKING = 0.1
-"""Confidence of the verification below which the second opinion is not asked: no pad is seen there anyway."""
+"""Confidence of the verification below which the second opinion is not used: no pad is seen there anyway."""
 _CURE = "name one that benches.train_verifier wrote, or none for the shipped one"
 
 

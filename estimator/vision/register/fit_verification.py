@@ -16,7 +16,7 @@ from estimator.core.library import CORE
 EVIDENCE = tuple(name.removeprefix("EVIDENCE_").lower() for name in CORE.names("look_evidence") if name != "EVIDENCE")
 """Names of the inputs, in order."""
 FITTED, HAND_SET = EVIDENCE[:EVIDENCE_FITTED], EVIDENCE[EVIDENCE_FITTED:]
-"""Those whose weights are fitted, and those whose weights are set by hand."""
+"""Inputs with fitted weights, and inputs with weights set by hand."""
 _HAND_SET = {
     "no_ring": -3.0,
     "no_h": -2.5,
@@ -63,7 +63,7 @@ h_disagrees: half of a distant pad's pixels disagree with the drawing, by the fr
 """
 
 _UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_disagrees", "no_h_in_view", "h_disagrees")
-"""Those that count only while no track has confirmed the pad before."""
+"""Inputs that count only while no track has confirmed the pad before."""
 
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
@@ -75,7 +75,7 @@ is set and not fitted: glare on a green disc with a ring may hide the H.
 SEARCHED = np.array([*_COEFFICIENTS, *(_HAND_SET[name] for name in HAND_SET)])
 """Weights in the order of `EVIDENCE` of a drawing where a search or a cue led to."""
 TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else _HAND_SET[name] for name in HAND_SET)])
-"""The same where a track has confirmed the pad before."""
+"""Weights in the order of `EVIDENCE` where a track has confirmed the pad before."""
 
 
 _BY_SUPPORT = 6.0
@@ -93,5 +93,5 @@ def support_log_odds(times_least: float) -> float:
 
 
 def confidence(log_odds: float) -> float:
-    """Return the confidence, 0..1, of a registration from all that speaks for and against it."""
+    """Return the confidence, 0..1, of a registration from all evidence for and against it."""
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))

@@ -18,7 +18,7 @@ from estimator.vision.register.look import Looked
 
 _NAMES = {kind: kind.name.lower() for kind in EdgeKind}
 _YAW_VAR_MAX = 0.5
-"""Variance of the heading from which on it counts as unknown, rad^2."""
+"""Variance of the heading from which it counts as unknown, rad^2."""
 
 
 def sighting_of_look(frame: Frame, found: Looked, confidence: float) -> Sighting:

@@ -50,7 +50,7 @@ class Lamps:
     pad_lamps_level: float = 1.0
     """Brightness of a small lamp; white paint in daylight is 1."""
     own_level: float = 0.0
-    """The same of the lamps that the pad's file names; 0 while they are off."""
+    """Brightness of the lamps that the pad's file names; 0 while they are off."""
 
     def __post_init__(self) -> None:
         if self.floods < 0 or self.pad_lamps < 0 or min(self.flood_height_m, self.flood_distance_m, self.pad_lamps_radius_m) <= 0:

@@ -89,7 +89,7 @@ class PadPainter:
         self._change = lens.jacobian if lens.camera.distorted else np.ascontiguousarray(lens.jacobian[0, 0])
         self._regions = regions_of(pad)
         self._reference = np.concatenate([np.zeros((1, 3)), pad.circle(pad.disc_radius_m, 8)])
-        # Room for a frame's pad: asking for its memory each time costs as much as filling it.
+        # Room for a frame's pad: requesting its memory each time costs as much as filling it.
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
         self._kinds = np.empty((lens.camera.height, lens.camera.width), np.uint8)
         self._view = SIM.new(

@@ -37,7 +37,7 @@ void buoyancy(const sim_vehicle_params *o, double depth, const double v[3], cons
               double torque[3]);
 /* The thrust of each rotor; together they give this thrust and torque, with the least sum of squares. */
 void rotor_thrusts(const sim_vehicle_params *o, double thrust, const double torque[3], double each[ROTORS_MAX]);
-/* The thrust and torque that result when each rotor gives only its share of what is asked of it. */
+/* The thrust and torque that result when each rotor gives only its share of its command. */
 void delivered(const sim_vehicle_params *o, double *thrust, double torque[3], const double share[ROTORS_MAX]);
 /* The factor of the ground effect on thrust at a height of the body's origin over a surface. */
 double ground_effect(const sim_vehicle_params *o, double height);

@@ -9,7 +9,7 @@
 
 #include "physics/physics.h"
 
-/* A stick this near to its middle asks for no climb. */
+/* A stick this near to its middle requests no climb. */
 static const double STICK_MIDDLE = 1e-3;
 /* The vehicle stops climbing within this time, s, so that it holds the height where it will have come to a stop. */
 static const double STOP_S = 0.3;
@@ -131,10 +131,10 @@ static void take_command(const sim_vehicle_params *o, sim_vehicle *v, double com
     v->pending_at = (v->pending_at + 1) % o->delay_steps;
 }
 
-/* The angular acceleration that the loops did not ask for.
+/* The angular acceleration that the loops did not request.
  *
- * The loops know the torque that they asked for, and the gyro says how the body turned. The difference is a disturbance. Added to
- * what the loops ask for, it acts as an integral that holds nothing while the vehicle does as it is told: without a disturbance
+ * The loops know the torque that they requested, and the gyro says how the body turned. The difference is a disturbance. Added to
+ * what the loops request, it acts as an integral that holds nothing while the vehicle follows its command: without a disturbance
  * the loops are those of the thesis' simulator.
  * Source: Smeur, Chu & de Croon, Adaptive incremental nonlinear dynamic inversion for attitude control of micro air vehicles,
  * Journal of Guidance, Control, and Dynamics 39(3), 2016, section III, whose increment of the torque is the same sum. */
@@ -168,7 +168,7 @@ static void velocity_past(const sim_vehicle_params *o, const sim_vehicle *v, con
     }
 }
 
-/* The velocity that the drone itself believes in, by its optical flow against the deck or the water. */
+/* The velocity that the drone itself estimates, by its optical flow against the deck or the water. */
 static void measure_flow(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double cos_psi, double sin_psi)
 {
     if (!o->flow_works) {
@@ -183,7 +183,7 @@ static void measure_flow(const sim_vehicle_params *o, sim_vehicle *v, const step
     v->flow[1] += o->flow_lag * (aside - v->flow[1]);
 }
 
-/* Roll, pitch and yaw rate asked for: the stick's, or those that hold the vehicle by its optical flow. */
+/* Roll, pitch and yaw rate requested: the stick's, or those that hold the vehicle by its optical flow. */
 static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], double cos_psi, double sin_psi,
                            double asked[3])
 {
@@ -281,7 +281,7 @@ static void drive_unkindly(const sim_vehicle_params *o, sim_vehicle *v, const st
     }
 }
 
-/* Thrust and torque follow what is asked with the motors' lag, and reach the body through weak rotors and the ground effect. */
+/* Thrust and torque follow their commands with the motors' lag, and reach the body through weak rotors and the ground effect. */
 static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double *lift, double turn[3])
 {
     double thrust = v->driven_n, torque[3] = {v->driven_n_m[0], v->driven_n_m[1], v->driven_n_m[2]}, share[ROTORS_MAX];

@@ -29,7 +29,7 @@ static range add_row(int32_t n, const uint8_t *restrict mask, columns *restrict 
     return r;
 }
 
-/* Widen bounds, of which the upper one is excluded; they are empty while both are equal. */
+/* Widen bounds, the upper one excluded; they are empty while both are equal. */
 static void widen(int32_t *bounds, int32_t at)
 {
     if (bounds[0] == bounds[1]) {

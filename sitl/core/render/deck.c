@@ -11,7 +11,7 @@
 /* Cells beside each other are drawn together, as many as keep the texels that they read in the processor's nearest cache. */
 enum { FRACTION = 16, CELL_BITS = 3, TEXEL_MOST = 16000, STEPS = 32, BLOCK_CELLS = 8, BLOCK = BLOCK_CELLS * CELL_PX };
 
-/* a + (b - a) f / 65536, to one part of 65536; what is cut off twice is made up for once. */
+/* a + (b - a) f / 65536, to one part of 65536; two truncations are corrected once. */
 static inline lanes between(lanes a, lanes b, lanes f)
 {
     const lanes rest = lanes_xor(f, lanes_all(UINT16_MAX));

@@ -8,7 +8,7 @@
 #include "base/lanes.h"
 #include "base/wide.h"
 
-/* Factors on the light stay below this, part of 65536; so many pixels are exposed together. */
+/* Factors on the light stay below this, part of 65536; this many pixels are exposed together. */
 enum { SHARPEST = 32767, EIGHT = 8 };
 
 /* The exposure as factors below a half, to keep all of sixteen bits; what that takes off is doubled again. */

@@ -7,7 +7,7 @@
 
 enum { CHANNELS = 3, LIGHT_MOST = 32767 };
 
-/* The light of paint at full gain: the upper half of what is reflected times `of_one`, doubled so many times; and the light of the
+/* The light of paint at full gain: the upper half of what is reflected times `of_one`, doubled this many times; and the light of the
  * pad's paints, in parts of a count's GAIN_ONE x SCENE_ONE. */
 typedef struct {
     uint16_t of_one[CHANNELS], paint[PAD_PAINTS][CHANNELS];

@@ -10,7 +10,7 @@ enum { SQUARE = CELL_PX };
 /* Up to so much change of the distance across a square, the plane is linear in it to a twentieth of a pixel. */
 static const float TILT_MOST = 0.02f;
 
-/* What the division of the frame works on, and what it writes. */
+/* Inputs and results of the frame's division. */
 typedef struct {
     const sim_pad_view *seen;
     const stroke *whole;
@@ -25,7 +25,7 @@ typedef struct {
     int32_t paint[TOGETHER];
 } patch;
 
-/* Put a region's paint over what is below it; near the region's edges both show. */
+/* Put a region's paint over the paint below; near the region's edges both show. */
 WIDE
 static void put(int32_t paint, const float *restrict depth, patch *p)
 {

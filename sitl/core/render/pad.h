@@ -8,7 +8,7 @@
 #include "decklander_sim.h"
 #include "base/wide.h"
 
-/* So many pixels are computed together. */
+/* Number of pixels that are computed together. */
 enum { EDGE = PAD_EDGE, TOGETHER = 64 };
 
 /* The homographies of one part of the exposure: in its middle, its change during it, and in the first and last row. */

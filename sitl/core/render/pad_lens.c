@@ -191,7 +191,7 @@ static inline int16_t rounded(float counts)
     return (int16_t)(limited + (limited < 0.0f ? -0.5f : 0.5f));
 }
 
-/* Add the light of some pixels in which a paint covers more than the blur of pixels says, in place of what is around the pad. */
+/* Add the light of some pixels in which a paint covers more than by the blur of pixels, in place of the pad's surroundings. */
 static void add_light(const window *v, int paint, int32_t y, int32_t x, const float *difference, const exposure16 *e,
                       int16_t *added)
 {

@@ -412,7 +412,7 @@ static inline int32_t nearer(int32_t i, int32_t n)
     return i < 0 ? 0 : i >= n ? n - 1 : i;
 }
 
-/* So many squares of a row are interpolated together. */
+/* Number of squares of a row that are interpolated together. */
 enum { WATER = 256 };
 
 /* The codes of squares mixed with those of the row beside them; their own count three times as much. */

@@ -8,7 +8,7 @@
 #include "decklander_sim.h"
 #include "base/wide.h"
 
-/* So many rays are followed together. */
+/* Number of rays that are followed together. */
 enum { TOGETHER = 32 };
 
 /* Weights of the slopes to north and to east, and the brightness of a slope of one. */

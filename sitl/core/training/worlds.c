@@ -248,7 +248,7 @@ static void observe(const sim_training *o, sim_training_world *w, float *view)
     w->view_at = (w->view_at + 1) % VIEWS_MAX;
 }
 
-/* How far there is to go: beside the pad, and half of what is above it, m. */
+/* Remaining way: the distance beside the pad, and half of the height above it, m. */
 static double distance_to_go(const sim_training_world *w, double *lateral, double *height)
 {
     relative r;
@@ -316,7 +316,7 @@ static void command(const sim_training *o, sim_training_world *w, const float ac
     stick[4] = 1.0;
 }
 
-/* Carry on the mean of what the lean gives beyond the acceleration that is measured: wind, drag and the attitude's error. */
+/* Carry on the mean of what the tilt gives beyond the acceleration that is measured: wind, drag and the attitude's error. */
 static void learn_trim(const sim_training *o, sim_training_world *w)
 {
     const sim_vehicle *v = &w->vehicle;

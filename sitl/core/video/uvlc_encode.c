@@ -13,7 +13,7 @@ static int32_t digits_of(uint32_t value)
     return 32 - leading_zeros(value);
 }
 
-/* A number as so many zeros, then its binary digits; a level has one zero more from 2 on, since a single one ends the block. */
+/* A number as this many zeros, then its binary digits; a level has one zero more from 2 on, since a single one ends the block. */
 static void put_run(bit_writer *out, uint32_t run)
 {
     const int32_t digits = digits_of(run);

@@ -138,7 +138,7 @@ async def serve(
     repeat: bool = False,
     faults: bool = False,
 ) -> None:
-    """Fly `scenario` until told to end.
+    """Fly `scenario` until ordered to end.
 
     Args:
         repeat: begin a new flight with the next seed after each one.

@@ -70,7 +70,7 @@ class Habits:
 
 
 class ArDroneServer:
-    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and speaks for it.
+    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and answers for it.
 
     `server.ports` holds the ports in use, `server.drone` what is behind them, `server.counters` what passed. A bug inside takes
     the body of the `async with` down with an ExceptionGroup.
@@ -240,7 +240,7 @@ class ArDroneServer:
             await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
             config = self.drone.state.config
             period_s = 1.0 / config.number(self._habits.generation.frame_rate)
-            # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
+            # A host too slow to render them all films fewer, evenly numbered: only lost frames leave a gap.
             due = max(after(due, period_s), after(self._clock.now(), -period_s))
             if not self._video.busy or not config.flag("general:video_enable"):
                 continue

@@ -35,7 +35,7 @@ class _BufferedDatagrams(Protocol):
 
 
 class NavdataPort(asyncio.DatagramProtocol):
-    """UDP 5554: whoever asks is sent every datagram until nothing is heard of it any more."""
+    """UDP 5554: every client is sent each datagram until it falls silent."""
 
     def __init__(self, now: Callable[[], MonoNs], counters: Counter[str]) -> None:
         self._now = now
@@ -153,7 +153,7 @@ class VideoPort:
 
 
 class VideoDatagramPort(asyncio.DatagramProtocol):
-    """UDP 5555 of a 1.0: whoever asked last is sent every picture until nothing is heard of it any more."""
+    """UDP 5555 of a 1.0: the newest client is sent every picture until it falls silent."""
 
     def __init__(self, now: Callable[[], MonoNs], counters: Counter[str]) -> None:
         self._now = now

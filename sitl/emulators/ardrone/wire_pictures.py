@@ -239,7 +239,7 @@ class PavePictures:
 class UvlcPictures:
     """The 1.0's: UVLC pictures of 176x144 px of the bottom camera or 320x240 of the front one, with the other one inset or not.
 
-    There is no encoder of P264 here: a client that asks for it gets the headers of its pictures alone.
+    There is no encoder of P264 here: a client that requests it gets the headers of its pictures alone.
     """
 
     def make(self, shot: Shot) -> WirePicture:

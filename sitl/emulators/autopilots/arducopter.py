@@ -13,7 +13,7 @@ PARAMETERS: dict[str, float] = {
     "FRAME_TYPE": 1,
     "MOT_THST_EXPO": CURVE,
     "MOT_THST_HOVER": 0.48,
-    # Gains of its yaw: the airframe yaws weakly, at the default rate gain more slowly than the default angle gain asks for, and
+    # Gains of its yaw: the airframe yaws weakly, at the default rate gain more slowly than the default angle gain requests, and
     # its heading swings by itself, 10 degrees to either side (ATC_RAT_YAW_P 0.18, ATC_ANG_YAW_P 4.5)
     "ATC_RAT_YAW_P": 0.6,
     "ATC_RAT_YAW_I": 0.06,

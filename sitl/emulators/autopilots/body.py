@@ -106,7 +106,7 @@ class Body:
         self.exposure: SimulatedExposure | None = None
         """The exposure of the camera where the service drives it."""
         self.gimbal = SimulatedGimbal(scenario.gimbal, step_s) if scenario.gimbal.given else None
-        """What carries the camera; None for a camera that is fixed on the vehicle."""
+        """Gimbal of the camera; None for a camera that is fixed on the vehicle."""
 
     @property
     def t_s(self) -> float:
@@ -245,7 +245,7 @@ class Silence:
     """Height over the deck then, m."""
     lasted_s: float = 0.0
     modes: list[str] = field(default_factory=list)
-    """Modes of the autopilot in their order, as a ground station heard them."""
+    """Modes of the autopilot in their order, as a ground station received them."""
     sank_m: float = 0.0
     """Largest loss of altitude, m."""
     lowest_m: float = 0.0
@@ -265,7 +265,7 @@ class Silence:
         Args:
             since_s: time since its begin, s.
             height_m: height over the deck, m.
-            mode: the autopilot's mode, as a ground station heard it.
+            mode: the autopilot's mode, as a ground station received it.
             contacts: number of contacts so far.
         """
         if self._p_ned is None:

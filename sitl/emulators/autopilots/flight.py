@@ -166,7 +166,7 @@ class AutopilotFlight:
         self._reporter = VesselReporter(self.graded)
 
     def service_settings(self, port: int) -> Settings:
-        """Return the settings that the daemon flies with, which hears the autopilot at a UDP port of this machine."""
+        """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""
         response = "px4" if self.autopilot.name == "px4" else None
         return beside_autopilot(self.settings, f"udpin://{HOST}:{port}", response=response)
 

@@ -22,7 +22,7 @@ PARAMETERS: dict[str, float] = {
     "NAV_DLL_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
     "COM_OBL_RC_ACT": 5,
-    # Without the checks that compare GNSS with a vehicle at rest: a ship under way is none (docs/px4.md)
+    # Without the checks that compare GNSS with a vehicle at rest: a ship under way is not at rest (docs/px4.md)
     "EKF2_GPS_CHECK": 21,
     # Thrust is linear in the command, as for the simulated motors
     "THR_MDL_FAC": 0.0,

@@ -42,7 +42,7 @@ OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
 
 @asynccontextmanager
 async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
-    """Run the program with parameters over the doctor's good ones; yield it and the URL at which it is heard."""
+    """Run the program with parameters over the doctor's good ones; yield it and the URL of its link."""
     asked = {name: float(value) for name, value in (DATA[stack]["good"]["defaults"] | dict(parameters)).items()}
     binary = Path(PROGRAMS[stack])
     if stack == "ArduPilot":
@@ -63,9 +63,9 @@ def examined(capsys: pytest.CaptureFixture[str], *words: str) -> set[str]:
     """Return the rules that the doctor's findings are named by."""
     capsys.readouterr()
     main(["doctor", *words, "--json", "--seconds", "8"])
-    said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    return {json.loads(line)["rule"] for line in said.out.splitlines() if line.startswith("{")}
+    output = capsys.readouterr()
+    assert "Traceback" not in output.err
+    return {json.loads(line)["rule"] for line in output.out.splitlines() if line.startswith("{")}
 
 
 @pytest.mark.timeout(300)

@@ -28,7 +28,7 @@ TICK_S = 0.01
 
 
 async def settled(one: Links, other: Links, also: Callable[[], bool], over: Callable[[], bool]) -> None:
-    """Wait, in real time, until what one side sent the other has heard, and `also` is so, or all is `over`."""
+    """Wait, in real time, until what one side sent the other has received, and `also` is so, or all is `over`."""
     calm = 0
     async with asyncio.timeout(60):
         while calm < 3 and not over():
@@ -60,9 +60,9 @@ class Aircraft(MiniatureAutopilot):
         """Horizontal distance from the pad of each place we were told of, when we were told."""
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
-        told = Px4Receiver().on_message(m)
-        if told is not None and told[0] == "absolute":
-            off = np.array(told[1])[:2] - self.body.p_pad_ned[:2]
+        reported = Px4Receiver().on_message(m)
+        if reported is not None and reported[0] == "absolute":
+            off = np.array(reported[1])[:2] - self.body.p_pad_ned[:2]
             self.told_off_m.append(float(np.hypot(off[0], off[1])))
 
     def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
@@ -76,7 +76,7 @@ class Aircraft(MiniatureAutopilot):
             s = self.body.state()
             if self.body.landing() is not None and self.landed_state == 2:
                 self.landed_state, self.armed = 1, False
-            # The place it holds is led along with the velocity asked for, and not let far away
+            # The place it holds is led along with the velocity requested, and not let far away
             self._hold = s.p_ned + np.clip(self._hold + self._wanted * STEP_S - s.p_ned, -0.2, 0.2)
             motors = self._cascade.motors(s.p_ned, s.v_ned, s.R_ned_body, s.w_body, self._hold, self._wanted)
             self.body.step(motors if self.armed else (0.0, 0.0, 0.0, 0.0))

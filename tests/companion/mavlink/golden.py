@@ -1,6 +1,6 @@
 """The golden vectors: 8 headings x 3 tilts x both stacks, as bytes on the wire.
 
-    python -m tests.companion.mavlink.golden     writes golden_landing_target.json anew
+    python -m tests.companion.mavlink.golden     writes golden_landing_target.json again
 
 The fields are computed here with one turn after the other (tests.companion.mavlink.receivers), not by the codec under test.
 """

@@ -1,4 +1,4 @@
-"""The camera as a ground station asks for it: who is answered, and that the answers are those of the camera and the settings."""
+"""The camera as a ground station sees it: who is answered, and that the answers are those of the camera and the settings."""
 
 import math
 from typing import Any

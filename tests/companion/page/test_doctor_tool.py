@@ -39,7 +39,7 @@ async def flown_by(fake: MiniatureAutopilot) -> AsyncIterator[Autopilot]:
 
 
 def reads_of(fake: MiniatureAutopilot) -> int:
-    """Return the parameters that were asked for, beside those that the driver reads on each connect."""
+    """Return the parameters that were requested, beside those that the driver reads on each connect."""
     asked = [message.param_id for message in fake.messages if message.get_type() == "PARAM_REQUEST_READ"]
     return sum(name not in samples.DELAY_PARAMETERS[Stack.ARDUPILOT] for name in asked)
 

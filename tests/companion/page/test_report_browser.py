@@ -25,7 +25,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @asynccontextmanager
 async def opened(path: Path, **options: Any) -> AsyncIterator[tuple[Window, list[str]]]:
-    """Open a page as a file, off line, and list what it asks for."""
+    """Open a page as a file, off line, and list what it requests."""
     asked: list[str] = []
     async with chromium() as browser:
         context = await browser.new_context(offline=True, **{"viewport": LAPTOP, **options})

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
@@ -127,10 +128,13 @@ async def test_of_two_with_one_id_the_first_is_listened_to_and_nobody_commanded(
         await until(lambda: autopilot.attitude is not None and autopilot.condition.flying is True)
         autopilot.command(AHEAD)
         await until(lambda: bool(flying.setpoints))
+        time.sleep(0.7)  # noqa: ASYNC251 - the whole process stands still, which is no silence of the autopilot
         await stack.enter_async_context(standing.talking_to(url))
         await until(lambda: names(autopilot) == {"autopilot-id-twice": True})
         with pytest.raises(Recoverable, match=r"two autopilots have one id.*vehicle\.system_id"):
             autopilot.command(AHEAD)
+        autopilot.links.send(mav.MAVLink_statustext_message(6, b"all setpoints before have arrived"))
+        await until(lambda: bool(flying.of("STATUSTEXT")))
         sent, asked = len(flying.setpoints), flying.commands[511] + len(flying.of("PARAM_REQUEST_READ"))
         flights = set()
         for _ in range(40):

@@ -37,7 +37,7 @@ static void cycle_of(dl_law_cycle *in)
     poisoned(values, n);
 }
 
-/* Up to so many horizons, and now and then more than the law takes. */
+/* Up to this many horizons, and now and then more than the law takes. */
 static void course_of(dl_law_course *course)
 {
     memset(course, 0, sizeof *course);

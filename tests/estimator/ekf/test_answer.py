@@ -126,7 +126,7 @@ def test_an_answer_is_worked_out_once_for_all_that_ask() -> None:
 
 
 def test_an_answer_holds_through_later_samples_and_no_longer_after_one_that_was_before_its_instant() -> None:
-    """Vision asks for the estimate at an exposure, and the guard again when the sighting comes, after some more samples."""
+    """Vision requests the estimate at an exposure, and the guard again when the sighting comes, after some more samples."""
 
     def turning(at_ns: int) -> Imu:
         return imu(at_ns, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))

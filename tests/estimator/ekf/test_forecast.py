@@ -92,7 +92,7 @@ def test_a_motion_of_a_micrometre_is_foretold_by_the_skill_in_foretelling_it() -
 
 
 def test_a_bank_from_after_the_instant_is_taken_as_it_is() -> None:
-    """A sighting may be newer than the instant asked for, by the camera's clock."""
+    """A sighting may be newer than the instant requested, by the camera's clock."""
     sea = learned(5, 6, 1.0)
     b = beginning(5)._replace(sighted=T, sea=sea._replace(t=T + 30 * MS))
     same_forecast(b, T, (0.0, 1.0), TOOLS)

@@ -32,7 +32,7 @@ def watched(
         t = i / 30
         sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
         R = Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
-        # A body that leans one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the lean moves it.
+        # A body that tilts one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the tilt moves it.
         drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
         true = np.array([0.1 - drift_m * sways[1], drift_m * sways[0], height_m])
         if frozen:
@@ -56,10 +56,11 @@ def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
     assert frozen_shares(seed, frozen=False, sway_rad=math.radians(sway_deg)) == 0.0
 
 
-def test_a_still_body_says_nothing() -> None:
+def test_a_still_body_reports_nothing() -> None:
     assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("axis_deg", [0.0, 90.0, 35.0])
 def test_a_mirrored_view_is_known_within_two_seconds_of_a_flight_that_sways(seed: int, axis_deg: float) -> None:

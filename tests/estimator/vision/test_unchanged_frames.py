@@ -3,7 +3,7 @@
 WHY: constants of search, alignment, registration and lamps are tuned on thousands of frames. Another value breaks no property and
 must not come unseen. WHAT: frames by day from 0.3 to 12 m, searched from cold and looked at from the truth, and by night.
     python -m tests.estimator.vision.test_unchanged_frames
-prints them anew; a change needs its reason in the commit.
+prints them again; a change needs its reason in the commit.
 """
 
 import sys

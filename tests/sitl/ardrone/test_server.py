@@ -58,7 +58,7 @@ def peer(server: ArDroneServer, stack: ExitStack) -> Peer:
     return peer
 
 
-async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
+async def test_bootstrap_reports_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
     for request in (b"\x01", b"\x01\x00\x00\x00"):
         peer.ask(request)
     first = await peer.on_message()
@@ -185,7 +185,7 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & NavdataState.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    # By the drone's own clock, from the last command on that it took: a busy machine hears and says late.
+    # By the drone's own clock, from the last command on that it took: a busy machine receives and says late.
     spoken_us = server._drone_clock.microseconds(server.drone.state._received_at or world.now)
     hovered_us, landing_us = (t.time_us for n in (hovering, landing) if (t := n.get(navdata.NavdataTime)) is not None)
     assert 1.0e6 <= hovered_us - spoken_us < 1.1e6
@@ -400,7 +400,7 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     assert (await watcher.frame()).header.frame_number >= 1
 
 
-async def test_truth_log_tells_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
+async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
     world, path = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl"
     began = SystemClock().now()
     async with serving(world, truth_path=path) as server:

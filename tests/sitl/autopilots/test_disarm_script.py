@@ -89,7 +89,7 @@ class Scripting:
 
 
 def aboard(deck: Deck, **parameters: float) -> Scripting:
-    """Put the script aboard; a companion is heard each second until `deck.silent` is set."""
+    """Put the script aboard; a companion's message arrives each second until `deck.silent` is set."""
     pilot = deck.pilot
     assert isinstance(pilot, CopterStandIn)
     script, fly, steps, per = Scripting(pilot, **parameters), pilot.fly, [0], round(PERIOD_S / STEP_S)
@@ -146,7 +146,7 @@ def test_in_the_air_it_never_disarms_however_the_copter_is_thrown_about() -> Non
     assert not any("disarming" in text for text in script.texts)
 
 
-def test_while_the_companion_is_heard_or_somebody_else_flies_it_does_nothing() -> None:
+def test_while_the_companion_is_received_or_somebody_else_flies_it_does_nothing() -> None:
     deck = Deck("moderate", Stack.ARDUPILOT, {"GUID_TIMEOUT": 1.0})
     aboard(deck)
     deck.up(1.0)

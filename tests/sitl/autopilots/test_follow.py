@@ -72,7 +72,7 @@ def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> N
         found.append(pose.p_ned - p)
     errors = np.array(found)[200:]
     assert np.abs(errors - errors.mean(0)).max() < 2e-3, "truth comes in steps of a centimetre, the pose does not"
-    # It counts from the first truth heard, itself in such steps
+    # It counts from the first truth received, itself in such steps
     assert errors.mean(0) == pytest.approx([0.0, 0.0, 0.0], abs=0.012)
     assert pose.w_body == pytest.approx((0.1, 0.2, 0.3))
 
@@ -99,7 +99,7 @@ def test_rubbish_is_no_truth() -> None:
     assert not source.truthful(at(1.0))
 
 
-def test_the_truth_is_asked_for_a_few_times() -> None:
+def test_the_truth_is_requested_a_few_times() -> None:
     source = PoseSource()
     asked = [m for n in range(400) for m in source.ask(Stack.ARDUPILOT, (1, 1), at(0.1 * n))]
     assert [m.param1 for m in asked] == [108, 108, 108]
@@ -129,7 +129,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
 
 
 class Elsewhere(MiniatureAutopilot):
-    """A copter that another simulator flies, with a level attitude; its LAND sinks to the ground at 0."""
+    """A copter that another simulator flies, with a level attitude; its LAND descends to the ground at 0."""
 
     def _streams(self, t: float) -> list[Message]:
         if self.mode == "land" and self.armed:

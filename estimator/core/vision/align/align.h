@@ -12,7 +12,7 @@
 enum {
     /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
     LOCAL_MAX = 128,
-    /* Samples are handled in groups of so many, and their rows are as long as whole groups. */
+    /* Samples are handled in groups of this many, and their rows are as long as whole groups. */
     SAMPLE_LANES = 8,
     /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
     SCRATCH_ROWS = 35,
@@ -61,13 +61,13 @@ typedef struct {
 enum { SUM_ONCE = 4, SUM_SQUARED = 5, SUM_ROWS = 6 };
 typedef float8 fit_sums[SUM_ROWS];
 
-/* The numbers of the scratch that aligning with a part of so many pixels takes. */
+/* The numbers of the scratch that aligning with a part of this many pixels takes. */
 static inline size_t align_room(int64_t width, int64_t height)
 {
     return SCRATCH_ROWS * (size_t)((width * height + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES) + (size_t)width + 2 * LOCAL_MAX;
 }
 
-/* The part of a level that shows the disc, with about as many samples as are asked for; returns whether it is large enough. */
+/* The part of a level that shows the disc, with about as many samples as are requested; returns whether it is large enough. */
 int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
 
 /* The part of a level that shows the arrowhead. */
@@ -79,7 +79,7 @@ void align_light(const dl_tracker *t, const seen_part *part, double depth_m, int
 /* Move a pose by steps of Gauss and Newton in a frame with so much noise; returns whether it is good. */
 int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas);
 
-/* Fit the paints at a pose to the part that shows the disc, and measure what speaks for the pad there and in the part that shows the
+/* Fit the paints at a pose to the part that shows the disc, and measure the evidence for the pad there and in the part that shows the
  * arrowhead; `tilt_sigmas` in `out` stays. Returns whether enough of the pad is in view. */
 int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
               aligned_pad *out);
@@ -178,7 +178,7 @@ void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pos
 void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
                     aligned_pad *out);
 
-/* How much the drawing tells of samples whose local light was fitted. */
+/* How much the drawing explains of samples whose local light was fitted. */
 void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out);
 
 /* The rows of the scratch: of the pixels, then of the samples. */

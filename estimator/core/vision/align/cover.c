@@ -15,7 +15,7 @@ static const double LEAST_LEFT = 0.25, LEAST_COVERED = 0.06, FLOOR = 2e-4;
 /* What is certain of a sum of squares after rounding. */
 static const double ROUNDED = 0.999;
 
-/* A line on the pad: its direction and place, and what it is worth. */
+/* A line on the pad: its direction, place and worth. */
 typedef struct {
     double angle, offset_m, value, left;
 } line;

@@ -10,13 +10,13 @@ enum { SECTORS = 8, FEWEST = 6, PARTS = 3 };
 static const double NOISE = 0.012;
 /* Least difference of H and disc that the orange is placed between. */
 static const double LEAST_SPAN = 0.04;
-/* Linear light of a sample from which on a frame clips it. */
+/* Linear light of a sample from which a frame clips it. */
 static const double CLIPPED = 0.98;
 /* Deviations of the noise's sum that may be left of it by chance. */
 static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
 static const double ENOUGH = 4.0;
-/* Factor on the visible fraction of a part: a part of which a fifth is in view and that does not show counts as missing. */
+/* Factor on the visible fraction of a part: a part counts as missing if a fifth of it is in view and it does not show. */
 static const double TELLING = 5.0;
 /* Weight of one place without an arrowhead while the other is out of view, relative to two. */
 static const double ONE_EMPTY = 0.4;
@@ -85,8 +85,8 @@ static void ordered(int n, double *values)
     }
 }
 
-/* Squared residuals of n samples without what noise of a variance adds to them, and what is left of it for chance, with that of a
- * right drawing. */
+/* Squared residuals of n samples without the share of noise of a variance, and the chance level, with that of
+ * a right drawing. */
 static double above_noise(double n, double squared, const allowed *of)
 {
     const double count = 3.0 * n;

@@ -7,7 +7,7 @@
 
 /* Coverage above which a sample shows one paint alone. */
 static const float PURE = 0.85f, TRUSTED = 0.5f;
-/* Coverage by the H from which on a sample's light may be clipped because of it. */
+/* Coverage by the H from which a sample's light may be clipped because of it. */
 static const float SOME_H = 0.25f;
 
 /* The fraction of the disc's area inside the frame. */
@@ -105,7 +105,7 @@ int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose
     }
     keep_paints(&fit, out->local_paints);
     align_arrow(t, &seen[1], pose, fit.paints, of->noise, out->arrow);
-    /* The root of light is a pixel's value but for a few per cent, and a sample of a higher level the mean of four of the one below. */
+    /* The root of light is a pixel's value within a few per cent, and a sample of a higher level the mean of four of the one below. */
     const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
     align_support(p, &s, blur, from.side_m, &of_samples, &out->support);
     align_features(p, &s, &fit, brightest, &of_samples, out);

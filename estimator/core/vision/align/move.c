@@ -20,7 +20,7 @@ static const double LEAST_DEPTH_M = 0.02, LEAST_FACING = 0.2;
  * the end. Of 290 pads that were found 2 % had less than 0.12 at the start and 0.55 at the end; of 2200 false candidates 40 % and
  * 65 %. */
 static const double LEAST_AT_START = 0.10, LEAST_HALFWAY = 0.15, LEAST_AT_END = 0.40;
-/* The same limits for a disc with a radius up to FAR_PX, in pixels. An occluder can leave as little of it. */
+/* Least explained fractions for a disc with a radius up to FAR_PX, in pixels. An occluder can leave as little of it. */
 static const double FAR_PX = 16.0, LEAST_FAR_AT_START = 0.05, LEAST_FAR_HALFWAY = 0.12, LEAST_FAR_AT_END = 0.25;
 static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29;
 
@@ -134,7 +134,7 @@ static int stepped(const double step[POSE], double depth_m, pad_pose *pose)
     return pose->t[2] > LEAST_DEPTH_M && fabs(log(pose->t[2] / depth_m)) < DEPTH_CHANGE && R[8] > LEAST_FACING;
 }
 
-/* The least that the drawing must explain before step i, or 0 if nothing is asked. */
+/* The least that the drawing must explain before step i, or 0 without a requirement. */
 static double least_explained(int far, int i, int steps)
 {
     if (i == 0) {

@@ -8,7 +8,7 @@
 #include "base/lanes.h"
 #include "base/wide.h"
 
-/* Fewest samples that tell anything. */
+/* Fewest samples that are used. */
 enum { LEAST_SAMPLES = 40 };
 /* Samples between the one that is read and the one whose cells are fetched. */
 enum { AHEAD = 8 };

@@ -11,7 +11,7 @@ enum { CELLS = 7, SAMPLES = 50, FEWEST = 8 };
 static const double USUAL = 0.012;
 /* Log-odds against a cell being hidden: that much speaks against the pad where another thing is seen in its place, and no more. */
 static const double HIDDEN = 2.0;
-/* A Gaussian blurs so many pixels into one, by its variance in pixels: 4 pi. */
+/* A Gaussian blurs this many pixels into one, by its variance in pixels: 4 pi. */
 static const double GROUP = 12.566370614359172;
 
 typedef struct {
@@ -42,7 +42,7 @@ void align_support(const pad_template *p, const samples *s, int blur, double sid
             at->drawn += drawn * drawn;
         }
     }
-    /* Blurred pixels are no separate witnesses: so many are one. */
+    /* Blurred pixels are no separate witnesses: this many are one. */
     const double blur_px = exp(p->log_blur[blur]) / side_m, group = 1.0 + GROUP * blur_px * blur_px;
     const double usual = USUAL * of->contrast, var = usual * usual + of->noise * of->noise;
     double agrees = 0.0;

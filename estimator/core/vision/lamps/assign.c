@@ -8,7 +8,7 @@
 
 /* Part of a spot's radius by which its centre may differ from that of the one lamp, or of the lamps, in it, beyond the reach. */
 static const double ALONE = 0.06, SHARED = 0.35;
-/* A lamp this near to the frame's edge, and so many of its radii, need not show: its spot may be cut. */
+/* A lamp this near to the frame's edge, and this many of its radii, need not show: its spot may be cut. */
 static const double INSET_PX = 5.0, INSET_RADII = 2.0;
 /* Radius of the pad's surroundings over that of the outermost lamp: other spots in them speak against the pad. */
 static const double ABOUT = 1.2;

@@ -10,9 +10,9 @@
 enum { CHANNELS = 3, BACKGROUND = 15, WINDOW = 2 * BACKGROUND + 1, RING = 32, BLUR = 3 };
 /* A Gaussian of 0.7 px. */
 static const float GAUSSIAN[BLUR + 1] = {37346.0f / 65536.0f, 13461.0f / 65536.0f, 630.0f / 65536.0f, 4.0f / 65536.0f};
-/* A pixel is bright above a part of the brightest within so many. Rows are compared in segments. */
+/* A pixel is bright above a part of the brightest within this many. Rows are compared in segments. */
 enum { PEAK = 3, SEGMENT = 32 };
-/* Every so many rows and columns tell the noise. */
+/* Sampling step of rows and columns for the noise. */
 enum { NOISE_STEP = 4 };
 /* Least brightness over the background: linear light, and in standard deviations of the noise; as a part of the brightest one's, for
  * the halo of a lamp near by has faint peaks; and of the peak's beside it, so that two lamps are two spots down to some 3 px. */
@@ -129,7 +129,7 @@ static void add_shifted(int n, const uint32_t *restrict in, int by, uint32_t *re
     }
 }
 
-/* Sums of sixteen columns, of which `eights` get their place. */
+/* Sums of sixteen columns, and `eights` take their place. */
 static void window_sums(const workspace *w)
 {
     const int n = w->width;
@@ -222,7 +222,7 @@ static void blur_row(const workspace *w, int row)
     }
 }
 
-/* Smooth a part's light and take its background off; returns the number of differences that tell the noise. */
+/* Smooth a part's light and take its background off; returns the number of differences for the noise. */
 static int brighten(const lit_part *part, const workspace *w)
 {
     int n = 0;

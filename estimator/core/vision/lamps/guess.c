@@ -1,7 +1,7 @@
 /* Guesses of the pad's pose from pairs of spots, with no idea where it is.
  *
- * Seen level, the pad's plane is a similarity of the drawing: two spots that are two lamps tell place, height and heading. Every pair of
- * spots is tried as each of some pairs of lamps, and each of these poses is asked how many spots it explains. */
+ * Seen level, the pad's plane is a similarity of the drawing: two spots that are two lamps give place, height and heading. Every pair of
+ * spots is tried as each of some pairs of lamps, and each of these poses is scored by the number of spots it explains. */
 
 #include <math.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 #include "vision/lamps/lamps.h"
 #include "base/rotation.h"
 
-/* The brightest so many spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
+/* At most this many of the brightest spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
  * a small pattern those within `CLOSE`; what lies `CELLS` from the first spot's side of the frame is left out. */
 enum { PAIRED = 18, REACH = 2, CLOSE = 1, CELLS = 8192, MARGIN = REACH + 1, LEAST_EXPLAINED = 3 };
 /* Largest distance of a small pattern's lamps from its centre, along the worse axis of the pad, px. */

@@ -12,17 +12,17 @@
 #include "base/rotation.h"
 
 enum { CROWDED = -1, CHANNELS = 3 };
-/* The brightest so many spots are tried in a shift of an expected pose. */
+/* At most this many of the brightest spots are tried in a shift of an expected pose. */
 enum { SHIFTED = 18 };
 /* Reach of a lamp's spot about a searched pose, and about a fitted one, px. */
 static const double SEARCHED_PX = 3.0, FITTED_PX = 0.8;
 /* Margin of the part of a frame about the expected lamps: as a part of their extent, and px. */
 static const double MARGIN = 0.25, MARGIN_PX = 24.0;
-/* Share of the frame from which on such a part is taken as the whole, whose spots serve for a search, too. */
+/* Share of the frame from which such a part is taken as the whole, whose spots serve for a search, too. */
 static const double MOST_OF_FRAME = 0.5;
 /* A deck's and an attitude's errors of tilt, rad: what they add to the first reach, as a part of the pattern's radius in the frame. */
 static const double TILTED = 0.04;
-/* Distances of spots from their lamps within which it is asked how many lie there by chance, px. */
+/* Distances of spots from their lamps within which chance neighbours are counted, px. */
 enum { DISTANCES = 6 };
 static const double WITHIN_PX[DISTANCES] = {0.1, 0.25, 0.4, 0.6, 0.9, 1.3};
 /* Least number of spots that are lamps, and least part of those that the lamps in view would make. */
@@ -34,7 +34,7 @@ static const double EXPECTED_TESTS = 20.0;
 static const double EVEN_LOG10 = -2.0;
 /* What a light among the lamps that is none of them speaks against the pad, and a lamp in view that does not shine. */
 static const double STRANGER_LOG10 = 0.7, MISSING_LOG10 = 0.5;
-/* What each standard deviation by which the middle spot is farther off than so many speaks against the pad. */
+/* What each standard deviation by which the middle spot is farther off than this many speaks against the pad. */
 static const double ASTRAY_SIGMAS = 3.0, ASTRAY_LOG10 = 1.0;
 /* Limits of the odds. */
 static const double LEAST_LOG10 = -12.0, MOST_LOG10 = 12.0, MOST_CHANCE = 0.9, LEAST_TAIL = 1e-300;
@@ -89,7 +89,7 @@ static double chance(const lamp_assignment *of, double within_px)
     return fmin(MOST_CHANCE, spots * PI * within_px * within_px / of->area_px2);
 }
 
-/* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots tell a similarity; a third one lies
+/* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots give a similarity; a third one lies
  * within reach of a tilt that is not known. */
 static double log10_odds(const dark_frame *f, const lamp_assignment *of, const lamp_fit *fit, double tests)
 {
@@ -184,7 +184,7 @@ static int all_finite(const double *values, int n)
     return finite;
 }
 
-/* Write the surest of the answers; 0 if none is worth telling. */
+/* Write the surest of the answers; 0 if none is good enough. */
 static int tell(const dark_frame *f, int n, const explained_lamps *found, lamps_seen *out)
 {
     int best = 0;

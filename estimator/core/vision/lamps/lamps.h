@@ -1,4 +1,4 @@
-/* A pad's lamps: the bright spots of a dark frame, which of them are which lamps, and the pose that they tell. */
+/* A pad's lamps: the bright spots of a dark frame, which of them are which lamps, and the pose that they give. */
 #ifndef DECKLANDER_LAMPS_H
 #define DECKLANDER_LAMPS_H
 
@@ -63,7 +63,7 @@ typedef struct {
 int64_t bright_room(int64_t width, int64_t height);
 /* What is bright in a part; 0 if it has more pieces than `BRIGHT_RUNS`. */
 int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out);
-/* The spots that the pieces make: those that are cut by the part's edge, too large or too long are none. */
+/* The spots that the pieces make: pieces that are cut by the part's edge, too large or too long are left out. */
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out);
 
 /* A point of the pad's plane in `cam`, m. */
@@ -79,7 +79,7 @@ int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_pri
 enum { LAMP_GUESSES = 6 };
 /* The room that guesses take, numbers of four bytes. */
 int64_t guess_room(void);
-/* Poses that two spots tell, those that explain the most spots first; returns their number. */
+/* Poses that two spots give, those that explain the most spots first; returns their number. */
 int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
                 pad_pose out[LAMP_GUESSES]);
 

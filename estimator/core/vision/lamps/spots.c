@@ -16,7 +16,7 @@ static const double CENTRE_PX = 0.06, OF_RADIUS = 0.015;
 /* Standard deviation that the light of another spot in the same place would leave, px; from this distance on it leaves none. */
 static const double CROWDED_PX = 0.3, CROWDED_WITHIN_PX = 7.0;
 static const double PI = 3.14159265358979323846;
-/* The brightest so many are looked at. */
+/* At most this many of the brightest are examined. */
 enum { COMPARED = 128 };
 
 /* Sums over the pixels of a spot: number, places and their squares; brightness, and places weighted by it. */

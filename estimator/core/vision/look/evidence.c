@@ -1,4 +1,4 @@
-/* What speaks for and against a registration being the pad, and the log-odds that a linear model gives it. */
+/* Evidence for and against a registration being the pad, and the log-odds that a linear model gives it. */
 
 #include <math.h>
 
@@ -7,10 +7,10 @@
 /* Kinds of edges, and channels. */
 enum { DISC = 0, RING = 1, ARROW = 2, H = 3, CHANNELS = 3 };
 
-/* Contrast over its deviation, share of the edges that agree, and cosine to the pad's paints, from which on a kind of edge is seen.
+/* Contrast over its deviation, share of the edges that agree, and cosine to the pad's paints, from which a kind of edge is seen.
  * With the white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
 static const double SNR_SEEN = 5.0, INLIERS_SEEN = 0.5, LIKENESS_SEEN = 0.4;
-/* Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view. */
+/* Factor on the visible fraction: a kind of edge counts as fully in view from a fifth on. */
 static const double TELLING = 5.0;
 /* Gains of the better half of a ring between which it counts as increasingly visible, and what remains of the missing ring if a
  * quarter of it agrees. */
@@ -22,29 +22,29 @@ static const double SNR_GREY_HIDDEN = 10.0, SNR_GREY_SHOWN = 20.0;
 /* Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
  * or four times as much. */
 static const double H_OVER_RING_LOW = 0.6, H_OVER_RING_HIGH = 3.0;
-/* Share of an H that is in view from which on it would show. */
+/* Share of an H that is in view from which it would show. */
 static const double H_IN_VIEW = 0.02;
 /* Share of a nearby ring that is in view, up to which it says nothing about the H. */
 static const double RING_IN_VIEW = 0.02;
-/* Share of a nearby H that is in view, up to which it is only a corner, and from which on it is not. Of 490 right registrations
+/* Share of a nearby H that is in view, up to which it is only a corner, and from which it is not. Of 490 right registrations
  * from 0.2 m on two showed less than 0.28 of an H. */
 static const double CORNER = 0.2, NO_CORNER = 0.3;
-/* Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which on it does not. */
+/* Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which it does not. */
 static const double DISAGREES = 0.45, AGREES = 0.485;
-/* The same where the light hardly follows the drawing. A fit that does not settle leaves half of them. */
+/* Share of agreeing pixels in these two cases, for light that hardly follows the drawing. A fit that does not settle leaves half of them. */
 static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
-/* Share of a distant pad's pixels that agree with the drawing, up to which half of them disagree, and from which on fewer do. */
+/* Share of a distant pad's pixels that agree with the drawing, up to which half of them disagree, and from which fewer do. */
 static const double HALF_AGREES = 0.5, MORE_AGREES = 0.52;
-/* Score of the template up to which the light hardly follows the drawing, and from which on it does. */
+/* Score of the template up to which the light hardly follows the drawing, and from which it does. */
 static const double HARDLY_FOLLOWS = 0.0, FOLLOWS = 1.0;
-/* Contrast of such a disc over its deviation up to which it does not speak against that doubt, and from which on it does. */
+/* Contrast of such a disc over its deviation up to which it does not outweigh that rejection, and from which it does. */
 static const double SNR_DULL = 20.5, SNR_CLEAR = 30.0;
-/* The logarithm of the H's least contrast in any channel, up to which it surely is not brighter than the disc, and from which on it
+/* The logarithm of the H's least contrast in any channel, up to which it surely is not brighter than the disc, and from which it
  * is. In haze the least of right registrations that are sure is -1.9. */
 static const double NOT_BRIGHTER = -2.6, BRIGHTER = -2.1;
-/* Share of an H's edges that agree, where nothing else shows, up to which it surely is another H, and from which on it is not. */
+/* Share of an H's edges that agree, where nothing else shows, up to which it surely is another H, and from which it is not. */
 static const double OTHER_H = 0.8, THIS_H = 0.95;
-/* Unexplained displacement of the edges, rms, px, up to which they are in place, and from which on they are not. */
+/* Unexplained displacement of the edges, rms, px, up to which they are in place, and from which they are not. */
 static const double IN_PLACE_PX = 0.6, ASTRAY_PX = 0.9;
 /* Least contrast that another is compared with. */
 static const double LEAST_CONTRAST = 1e-3, NO_CONTRAST = 1e-6;
@@ -130,7 +130,7 @@ static double not_brighter(const pad_judge *judge, const aligned_pad *aligned)
     return between(NOT_BRIGHTER, BRIGHTER, aligned->features[FEATURE_WHITE]);
 }
 
-/* What tells a pad whose disc is an image of few pixels, where contrasts say more than shapes. */
+/* Evidence for a pad whose disc has few pixels, where contrasts say more than shapes. */
 static void from_afar(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double template_score,
                       double out[EVIDENCE])
 {
@@ -162,7 +162,7 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
     }
 }
 
-/* What tells a pad whose edges are apart. */
+/* Evidence for a pad whose edges are apart. */
 static void from_near(const pad_judge *judge, const registration *found, double disc_shown, double out[EVIDENCE])
 {
     const edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];

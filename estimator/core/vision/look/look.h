@@ -1,4 +1,4 @@
-/* The parts of a look: pixels of a reduced frame, what speaks for the pad, and what is learned of its paints. */
+/* The parts of a look: pixels of a reduced frame, evidence for the pad, and learned colours of its paints. */
 #ifndef DECKLANDER_LOOK_H
 #define DECKLANDER_LOOK_H
 

@@ -24,7 +24,7 @@ static void halve_rows(const uint8_t *upper, const uint8_t *lower, int width, ui
         for (int i = 0; i < values - CHANNELS; i++) {
             means[i] = (uint8_t)((sums[i] + sums[i + CHANNELS] + 2) >> 2);
         }
-        /* Four bytes at once, of which the next pixel takes the last. */
+        /* Four bytes at once; the next pixel overwrites the last. */
         for (int x = 0; x < pixels - 1; x++) {
             memcpy(to + CHANNELS * x, means + 2 * CHANNELS * x, CHANNELS + 1);
         }

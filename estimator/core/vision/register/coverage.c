@@ -14,7 +14,7 @@
 static const float PHI_A = 0.7978845608f, PHI_B = 0.0356774081f;
 /* Standard deviations of the blur beyond which a figure covers nothing. */
 static const float REACH = 5.0f;
-/* Rectangles of a figure from which on those beyond the blur's reach are left out: a fiducial has a hundred, most of them far off. */
+/* Rectangles of a figure from which those beyond the blur's reach are left out: a fiducial has a hundred, most of them far off. */
 enum { MANY = 9 };
 /* Correlation of the blur along both axes up to which two terms of a series hold. */
 static const double SLANT_MOST = 0.5;

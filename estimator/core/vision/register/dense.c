@@ -18,7 +18,7 @@ static const double GLARE_DOUBTED = 5e-4;
 static const float CLIPPED = 0.9f;
 /* Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland, Welsch, 1977. */
 static const double TUKEY = 4.7;
-/* Coverage from which on a pixel shows the pad alone, and the fewest such pixels that tell the noise on it. */
+/* Coverage from which a pixel shows the pad alone, and the fewest such pixels for its noise. */
 static const float ON_PAD = 0.98f;
 enum { ON_PAD_PIXELS = 64 };
 /* The square of a normal number's median, and the least variance of light over light. */

@@ -13,7 +13,7 @@
 /* Coefficients before those of the regions: the surroundings' light and its change across the patch. */
 enum { FIRST_REGION = 3, DENSE_SPARE = 33 };
 
-/* Times the noise expected from the frame that residuals may have more: what is known of it is an estimate. */
+/* Factor by which residuals may exceed the noise expected from the frame: that noise is an estimate. */
 #define NOISE_DOUBT 1.5
 
 /* The rows of a dense fit. */

@@ -295,7 +295,7 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     if (!converge(pad, &cut, o, &priors, &d, &s, &fit, out) || !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
-    /* Surroundings alone are no object on the pad, and a pad that is burnt out is none beside even ones. */
+    /* Surroundings alone are no object on the pad, and an overexposed pad is not one beside even surroundings. */
     out->dense = 1, out->doubted = fmin(fit.noise, fit.noise_on_pad) > NOISE_DOUBTED + NOISE_DOUBT * cut.noise;
     if (out->doubted) {
         add_doubt(&s, pad, out->cov);

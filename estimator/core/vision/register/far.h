@@ -1,4 +1,4 @@
-/* Registration of a distant pad as a whole, and the pointer of the drawing that tells its two headings apart. */
+/* Registration of a distant pad as a whole, and the pointer of the drawing that distinguishes its two headings. */
 #ifndef DECKLANDER_REGISTER_FAR_H
 #define DECKLANDER_REGISTER_FAR_H
 
@@ -10,7 +10,7 @@ typedef struct {
     double here, there, sigma;
 } pointer;
 
-/* Whether an amplitude is so much larger than the one at the opposite place that the heading is certain. */
+/* Whether an amplitude exceeds the one at the opposite place clearly enough for a certain heading. */
 int stands_out(double amplitude, double opposite, double sigma);
 /* The number of kinds of edges that the pad has. */
 int kinds_drawn(const pad_shape *pad);

@@ -157,7 +157,7 @@ static double shared_noise(const profiles *p, const near_rows *d, const near_fit
     return alone > 0.0 ? fmax(1.0, together / alone) : 1.0;
 }
 
-/* Variance of the residuals after the step over what was assumed. */
+/* Ratio of the residuals' variance after the step to the assumed one. */
 static double noise_scale(const profiles *p, const near_rows *d, int groups)
 {
     double sum = 0.0;

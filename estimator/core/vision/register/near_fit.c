@@ -15,11 +15,11 @@ static const double STILL_OFF_PX = 0.1;
 static const double CONTRAST_LEAST = 0.4, CONTRAST_MOST = 2.5;
 /* Coverage varies within a group by more than this, as a variance, where an edge passes through it. */
 static const double SPREAD_LEAST = 0.02;
-/* Squares of residuals beyond so many variances are outliers, for the line over coverage and, in usual variances, for the mean. */
+/* Squares of residuals beyond this many variances are outliers, for the line over coverage and, in usual variances, for the mean. */
 static const double OUTLIER = 16.0, UNUSUAL = 9.0;
 /* The least variance, part of the usual one and in squares of a contrast. */
 static const double VARIANCE_LEAST = 0.05, NOISE_LEAST = 1e-9;
-/* The part of its greatest value below which a determinant is none. */
+/* The fraction of its greatest value below which a determinant counts as zero. */
 static const double DEGENERATE = 1e-4;
 /* The fewest pixels of a kind for its noise, and for its colours. */
 enum { NOISE_PIXELS = 12, COLOUR_PIXELS = 8 };

@@ -14,7 +14,7 @@ static const double IN_FRONT_M = 0.02;
 /* Reach of the smoothing and of a cut's own blur, px of the reduced grid. */
 static const double SMOOTHED_PX = 2.0;
 
-/* Every so many pixels tell the noise, by the light's slope over so many values to either side; the light that a dark sensor's noise
+/* Sampling step of pixels for the noise, by the light's slope over this many values to either side; the light that a dark sensor's noise
  * amounts to. */
 enum { NOISE_EVERY = 4, NOISE_REACH = 8 };
 static const double DARK = 0.01;

@@ -27,7 +27,7 @@ typedef struct {
     fit_state state;
 } patch;
 
-/* What a patch is cut with and what is free afterwards: light of all its pixels, and what they look at. */
+/* Scratch memory of cutting a patch: light of all its pixels, and their rays. */
 typedef struct {
     float *light;
     footprint *f;

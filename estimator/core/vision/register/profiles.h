@@ -20,7 +20,7 @@ typedef struct {
     const int32_t *of;
 } edge_points;
 
-/* The pixels of a group: `begin` to `end`, of which the first `length` are its profiles' and the others weigh nothing. */
+/* The pixels of a group: `begin` to `end`, the first `length` are its profiles' and the others have no weight. */
 typedef struct {
     int begin, end, length, kind;
 } group;

@@ -13,7 +13,7 @@ static const double LEFT_LEAST = 0.3;
 /* The paints: surroundings, then the regions. */
 enum { PAINTS_MAX = 1 + PAD_CONTRASTS };
 /* Smoothings, (1, 2, 1) / 4, that the grain of what is seen has at most before the patch is smoothed; as many by single pixels as make
- * one by pairs. The reach of all of them, px, and the least correlation between channels from which on there is such grain. */
+ * one by pairs. The reach of all of them, px, and the least correlation between channels from which there is such grain. */
 enum { GRAIN_MOST = 8, BY_PAIRS = 4, GRAIN_REACH = 2 * (1 + GRAIN_MOST) };
 static const double GRAIN_LEAST = 0.05;
 
@@ -246,8 +246,8 @@ static int vary_paints(int c, const dense_sums *s, dense_fit *fit)
     return 1;
 }
 
-/* Put back what the fit has taken out of its own residuals. Paints and pose follow what is coarse in the noise, of which smoothing
- * has left more than of what is fine: each takes as much more than a share of the mean as the gradient has more variance than
+/* Put back what the fit has taken out of its own residuals. Paints and pose follow what is coarse in the noise, which smoothing
+ * leaves more of: each takes as much more than a share of the mean as the gradient has more variance than
  * independent pixels would give it. */
 static void restore_spent(const patch *cut, const dense_sums *s, dense_fit *fit)
 {

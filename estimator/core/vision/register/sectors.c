@@ -6,7 +6,7 @@
 
 /* One over the distance from the centre, 1/m, within which a direction outward has no meaning. */
 static const float LEAST_M = 1e-3f;
-/* Information on a sector's place, 1/px^2 over the noise's factor, from which on it counts, and how many sectors' evidence it is worth
+/* Information on a sector's place, 1/px^2 over the noise's factor, from which it counts, and how many sectors' evidence it is worth
  * that drawings are right. */
 static const double KNOWN_LEAST = 1.0, RIGHT_WEIGHT = 2.0;
 

@@ -25,7 +25,7 @@ static inline double block_product(int n, const float *a, const float *b)
     return across(&sum);
 }
 
-/* The same with four rows at once, which share what is read of `a`. */
+/* Add four rows of products at once, which share the values read from `a`. */
 static inline void block_products(int n, const float *a, const float *const b[4], double *out)
 {
     const float *b0 = b[0], *b1 = b[1], *b2 = b[2], *b3 = b[3];

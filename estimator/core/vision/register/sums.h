@@ -10,7 +10,7 @@ enum { COEFFICIENTS_MAX = 3 + PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
 /* out[i][j] += sum_n A[i][n] B[j][n], i < a, j < b; the rows of `out` are `stride` apart. Rows are zero from n to the next multiple
  * of `LANES`. Products of floats are summed over short blocks in single precision, and the blocks in double. */
 void add_products(int n, int a, const float *const A[], int b, const float *const B[], int stride, double *out);
-/* The same for A = B weighted: the upper triangle alone, out[i][j] for i <= j. */
+/* Add weighted products for A = B: the upper triangle alone, out[i][j] for i <= j. */
 void add_squares(int n, int a, const float *const A[], const float *const B[], int stride, double *out);
 /* Copy the upper triangle to the lower one. */
 void mirror(int n, int stride, double *M);

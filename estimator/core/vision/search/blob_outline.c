@@ -12,7 +12,7 @@ enum { TURNS = 4, QUEUED = 64 };
 static const double PER_DEVIATION = 1.4826, STEPS = 2.0;
 /* Noise of the half-size image above which pixels are smoothed twice, values of a pixel. */
 static const double NOISY = 2.5;
-/* Deviations at which a pixel differs from what is around it: of those of a tenth of the pixels in the box, and at least. */
+/* Deviations at which a pixel differs from its surroundings: of those of a tenth of the pixels in the box, and at least. */
 static const double DIFFERS[TRIES] = {0.35, 0.6}, LEAST_DIFFERS = 2.0, UPPER = 0.9;
 /* The outline is where this fraction of the component's mean difference is left. */
 static const double EDGE = 0.5;
@@ -22,7 +22,7 @@ static const double LEAST_FILLED = 0.8;
 /* What a pixel of the window is. */
 enum { NOTHING, DIFFERENT, SEEN, CHOSEN, OUTSIDE };
 
-/* A square about a peak: its pixels less what is around it, their sizes in deviations, and marks. */
+/* A square about a peak: its pixels less their surroundings, their sizes in deviations, and marks. */
 typedef struct {
     int side_x, side_y, left, top, step;
     float px[CHANNELS][AREA_MAX], off[AREA_MAX];
@@ -84,7 +84,7 @@ static double median(const shade_counts *counts, int all)
     return k + (count[k] > 0 ? (0.5 * all - below) / count[k] : 0.0) - 0.5;
 }
 
-/* Take the median of what is around the box off one channel, and add the deviations squared. */
+/* Subtract the median of the box's surroundings from one channel, and add the deviations squared. */
 static void compare(blob_window *o, int channel, float share)
 {
     const int area = o->side_x * o->side_y;

@@ -1,4 +1,4 @@
-/* Find places that differ from what is around them, at several sizes. */
+/* Find places that differ from their surroundings, at several sizes. */
 
 #include <math.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 /* Cells of two by two pixels, and those that the largest surroundings reach beyond the image. */
 enum { CHANNELS = 3, SUMS = CHANNELS + 1, CELL = 2, REACH = 11, ROWS = 6 };
 const int BLOB_HALF[BLOB_SIZES] = {4, 6, 10};
-/* A contrast that tells nothing, values of a pixel, and the least score of a peak. */
+/* A contrast too low to use, values of a pixel, and the least score of a peak. */
 static const float LEAST_CONTRAST = 4.0f, LEAST_SCORE = 1.0f;
 /* A peak is the best place within this many half sides of its box. */
 static const float SAME_PLACE = 0.8f;
@@ -96,7 +96,7 @@ static void integrals(const blob_image *image, const uint8_t *px, uint32_t *scra
     }
 }
 
-/* How many pixels of a box about a place lie within so many cells. */
+/* How many pixels of a box about a place lie within this many cells. */
 static float inside(int at, int half, int count)
 {
     const int low = at - half > 0 ? at - half : 0, high = at + half < count ? at + half : count;
@@ -126,7 +126,7 @@ static void begin_row(int n, const float *restrict in, const float *restrict who
     }
 }
 
-/* Take the mean of what is around off a channel. */
+/* Subtract the mean of the surroundings from a channel. */
 WIDE
 static void add_channel(int n, const float *restrict in, const float *restrict whole, const row_scores *to)
 {

@@ -1,4 +1,4 @@
-/* The parts of a search for blobs that stand out from what is around them. */
+/* The parts of a search for blobs that stand out from their surroundings. */
 #ifndef DECKLANDER_BLOBS_H
 #define DECKLANDER_BLOBS_H
 
@@ -16,7 +16,7 @@ typedef struct {
 enum { BLOB_SIZES = 3 };
 extern const int BLOB_HALF[BLOB_SIZES];
 
-/* A place that differs from what is around it, px of the image at half size. */
+/* A place that differs from its surroundings, px of the image at half size. */
 typedef struct {
     float score;
     int x, y, size;
@@ -31,10 +31,10 @@ typedef struct {
 /* Numbers of the scratch that `blob_peaks` needs. */
 int64_t blob_room(const dl_image *half);
 
-/* Find the places that differ most from what is around them, best first; returns how many, at most `image->most`. */
+/* Find the places that differ most from their surroundings, best first; returns how many, at most `image->most`. */
 int blob_peaks(const blob_image *image, float *scratch, blob_peak *out);
 
-/* Find the outline of the area about a peak that differs from what is around it; returns whether there is one that is closed. */
+/* Find the outline of the area about a peak that differs from its surroundings; returns whether there is one that is closed. */
 int blob_outline(const blob_image *image, const blob_peak *peak, blob_ellipse *out);
 
 #endif

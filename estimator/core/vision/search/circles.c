@@ -7,7 +7,7 @@
 #include "vision/search/search.h"
 #include "vision/search/strokes.h"
 
-/* Peaks that are fitted for each circle that is asked for, at most. */
+/* Peaks that are fitted for each circle that is requested, at most. */
 enum { TRIES = 3 };
 /* Circles nearer to each other than this, in radii, with radii nearer than this factor, are one. */
 static const double SAME_PLACE = 0.25, SAME_RADIUS = 1.15;
@@ -62,7 +62,7 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     return total;
 }
 
-/* Edges of an image of so many pixels, at most: two neighbours are seldom both a ridge of the gradient. */
+/* Edges of an image of this many pixels, at most: two neighbours are seldom both a ridge of the gradient. */
 static int64_t most_edges(int64_t pixels)
 {
     return (int64_t)floor(MOST_EDGES * (double)pixels + 0.5);

@@ -13,14 +13,14 @@ enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = PO
 static const double NEAREST_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
 static const double LEAST_PAINT = 1e-3;
-/* Fraction of the disc in view below which nothing is told, and the factor on a score whose paints are on the wrong sides. */
+/* Fraction of the disc in view below which there is no heading, and the factor on a score whose paints are on the wrong sides. */
 static const double LEAST_IN_VIEW = 0.02, WRONG_SIDE = 0.25;
 
-/* Width of the disc's edge, px: what is nearer to it sees the surroundings, too, which no paint of the drawing explains. From afar
+/* Width of the disc's edge, px: nearer pixels see the surroundings, too, which no paint of the drawing explains. From afar
  * they outweigh the H and the ring. The greatest share of the radius that is left out for it. */
 static const double RIM_PX = 1.2, WIDEST_RIM = 0.5;
-/* Radius of the disc, px, below which a pixel between H and ring has light of both: there the ring is compared with what is outside
- * of it alone. */
+/* Radius of the disc, px, below which a pixel between H and ring has light of both: there the ring is compared with its
+ * outside alone. */
 static const double RESOLVED_PX = 20.0;
 
 /* The weight of each cell, and with it its blue, green and red, 0..1. */
@@ -28,7 +28,7 @@ typedef struct {
     float of[VALUES][CELLS];
 } polar_view;
 
-/* Sums of weight and light of the whole disc, of its ring, and of what is outside of the ring; of the squares of light; and of the
+/* Sums of weight and light of the whole disc, of its ring, and of the outside of the ring; of the squares of light; and of the
  * area in view and of all. */
 typedef struct {
     double whole[VALUES], ring[VALUES], outside[VALUES], squares, in_view, area;
@@ -275,8 +275,8 @@ static void turned_sums(const polar_view *seen, const double *shape, float out[V
 
 /* At each heading the variance between the paints, as a fraction of all; less if a paint lies on the wrong side of another.
  *
- * The ring's red is compared with that of the disc about it, or of the disc outside of it where pixels mix it with the H. A paint of
- * which less than `least` is in view is ignored. */
+ * The ring's red is compared with that of the disc about it, or of the disc outside of it where pixels mix it with the H. A paint
+ * with less than `least` in view is ignored. */
 WIDE
 static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][POLAR_ANGLES], const disc_sums *of, double least,
                  double spread, double polarity, int resolved, double score[POLAR_ANGLES])

@@ -4,7 +4,7 @@
 
 #include "vision/tracker.h"
 
-/* A grey image `step` times smaller than the frame, room for so many edges, the margin around it in which centres may lie, px, and
+/* A grey image `step` times smaller than the frame, room for this many edges, the margin around it in which centres may lie, px, and
  * the plane that the pad is taken to lie in, at unit distance from the lens. */
 typedef struct {
     int64_t width, height, stride, room, margin, step;

@@ -34,7 +34,7 @@ int64_t strokes_size(const strokes_image *image);
 /* The darkest channel of each pixel, (height, width); with dark marks that of the negative. */
 void strokes_darkest(const strokes_image *image, const uint8_t *px, uint8_t *out);
 
-/* One or two shades that separate marks from what is around them. Returns how many. */
+/* One or two shades that separate marks from their surroundings. Returns how many. */
 int strokes_limits(int n, const uint8_t *grey, int limits[2]);
 
 /* The angle in the frame, modulo 90 degrees, that most strong gradients have. Returns whether there are enough. */

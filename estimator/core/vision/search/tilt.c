@@ -9,7 +9,7 @@
 #include "base/symmetric.h"
 
 /* Fewest points of an outline, and the ratios of an ellipse's axes. Below the first it is a circle that faces the camera, within
- * what its edges tell. */
+ * the accuracy of its edges. */
 enum { FEWEST = 12, CONIC = 5 };
 static const double SHORTEST = 1.04, LONGEST = 3.0;
 /* Cosine of 38 degrees between the pad's normal and the camera's axis: 25 degrees of tilt plus an error. */

@@ -8,7 +8,7 @@
 #include "vision/search/strokes.h"
 #include "base/wide.h"
 
-/* Gradients, in fractions of the strongest, squared, that tell a direction, and the fewest of them. */
+/* Gradients, in fractions of the strongest, squared, that give a direction, and the fewest of them. */
 enum { FEW_STRONG = 20, FEW_ABOVE = 50, UPPER_BY = 12, SHADES = 256 };
 static const float STRONG = 0.15f;
 /* Least cosine between a ray and the plane's normal. */

@@ -64,7 +64,7 @@ DEFAULTS: dict[str, float] = {
     "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
     **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
 }  # fmt: skip
-"""ArduCopter's defaults of the parameters that the stand-in reads or that are asked for."""
+"""ArduCopter's defaults of the parameters that the stand-in reads or that are requested."""
 READY_S = 1.0
 """Time after the start for which there is no position; the program needs some 40 s."""
 _STILL_M_S2, _DETECT_S, _LOW_THRUST = 1.0, 1.0, 0.25
@@ -97,7 +97,7 @@ class CopterStandIn(StandIn):
         self._f_filtered, self._w_filtered = LowPass(self._f_slow, step_s), LowPass(np.zeros(3), step_s)
         self._target: tuple[float, F64, F64] | None = None
 
-    # What is asked of it
+    # Commands to it
 
     def why_not_armed(self) -> str | None:
         """Return the refusal before there is a position, and in modes without one."""
@@ -129,8 +129,8 @@ class CopterStandIn(StandIn):
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
-        told = m.frame == 12 and m.position_valid == 1 and m.distance > 0
-        if self.state is None or not self.parameter("PLND_ENABLED") or not told:
+        reported = m.frame == 12 and m.position_valid == 1 and m.distance > 0
+        if self.state is None or not self.parameter("PLND_ENABLED") or not reported:
             return
         seen = self.state.p_ned + self.state.R_ned_body @ np.array([m.x, m.y, m.z])
         if self._target is None or self.now_s - self._target[0] > _SEEN_S:
@@ -218,7 +218,7 @@ class CopterStandIn(StandIn):
         a = np.clip(a_wanted + (jerk / most) * (v_wanted - self._v_shaped), -most, most)
         self._a_shaped = self._a_shaped + np.clip(a - self._a_shaped, -jerk * self.step_s, jerk * self.step_s)
         self._v_shaped = self._v_shaped + self._a_shaped * self.step_s
-        # What is shaped stays near what is flown: on deck, or at a limit, it does not run away.
+        # The shaped target stays near the flown state: on deck, or at a limit, it does not run away.
         self._v_shaped = s.v_ned + np.clip(self._v_shaped - s.v_ned, -1.0, 1.0)
         return self._v_shaped, self._a_shaped
 

@@ -91,7 +91,7 @@ class MiniatureAutopilot:
     intervals: dict[int, float] = field(default_factory=dict)
     setpoints: list[tuple[float, Message]] = field(default_factory=list)
     sync_answers: list[tuple[int, int, int]] = field(default_factory=list)
-    """(remote clock, our request, heard) of TIMESYNC answers to us."""
+    """(remote clock, our request, received) of TIMESYNC answers to us."""
 
     def __post_init__(self) -> None:
         self.links: Links | None = None
@@ -100,7 +100,7 @@ class MiniatureAutopilot:
         self._at = self.now_s
 
     def of(self, kind: str) -> list[Any]:
-        """Messages of one kind that were heard."""
+        """Messages of one kind that were received."""
         return [m for m in self.messages if m.get_type() == kind]
 
     @property
@@ -155,7 +155,7 @@ class MiniatureAutopilot:
             self._tell_parameter(m.param_id)
 
     def _on_param_set(self, m: Message, received: ReceivedMessage) -> None:
-        """Take a parameter's value and tell the one in force, as both programs do; an unknown name is not answered."""
+        """Take a parameter's value and report the one in force, as both programs do; an unknown name is not answered."""
         if m.target_system != self.system or m.param_id not in self.parameters:
             return
         if m.param_id not in self.fixed_parameters:

@@ -45,7 +45,7 @@ class LoopGains:
     angle_p: float
     """1/s: MC_ROLL_P, ATC_ANG_RLL_P."""
     angle_lag_s: float
-    """Lag of the wanted lean before the attitude loop, whose rate is fed forward: ATC_INPUT_TC."""
+    """Lag of the wanted tilt before the attitude loop, whose rate is fed forward: ATC_INPUT_TC."""
     lean_max_rad: float
     rate_i: float
     """Torque that an angle which does not follow winds up, N m per rad and s: MC_ROLLRATE_I, ATC_RAT_RLL_I."""
@@ -53,7 +53,7 @@ class LoopGains:
     """Lift over weight that one m/s^2 of missing vertical acceleration gives, times g: PSC_ACCZ_P over MOT_THST_HOVER. At 1 half
     of a wanted acceleration is flown at once. 0 for a stack that takes thrust for acceleration."""
     lift_i: float = 0.0
-    """1/s: what it winds up of the rest, PSC_ACCZ_I over MOT_THST_HOVER."""
+    """1/s: integral gain, PSC_ACCZ_I over MOT_THST_HOVER."""
 
 
 PX4_GAINS = LoopGains(1.8, 0.4, 4.0, 2.0, 6.5, 0.0, math.radians(45.0), 1.0)
@@ -104,7 +104,7 @@ class Cascade:
         self, s: BodyState, a: F64, yaw_rate_rad_s: float, *, thrust_max: float = 1.0, thrust_min: float = 0.0,
         lean_max_rad: float | None = None,
     ) -> Motors:  # fmt: skip
-        """Return the motors that lean and lift for an acceleration, (3,) m/s^2 ned.
+        """Return the motors that tilt and lift for an acceleration, (3,) m/s^2 ned.
 
         Args:
             thrust_max, thrust_min: limits of the collective thrust, as fractions of the largest.

@@ -11,7 +11,7 @@ from estimator.contracts.geometry import Rotation
 from sitl.camera.gimbal import SimulatedGimbal
 
 _REPORT_S, _STATUS_S = 0.2, 0.2
-"""Interval of reports that nobody has asked for otherwise, and of the manager's status."""
+"""Interval of reports that nobody has requested otherwise, and of the manager's status."""
 _BOOT_MS = 77_000
 """Age of the clock of a gimbal that is a component of its own, at the start."""
 _ACCEPTED, _DENIED, _UNSUPPORTED = (

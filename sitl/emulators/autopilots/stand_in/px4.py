@@ -33,7 +33,7 @@ DEFAULTS: dict[str, float] = {
     "EKF2_HGT_REF": 1, "EKF2_EV_CTRL": 0, "IMU_INTEG_RATE": 250,
     "PLD_HACC_RAD": 0.2, "PLD_BTOUT": 5.0, "LTEST_MODE": 0, "RTL_PLD_MD": 0, "NAV_RCL_ACT": 2, "COM_RC_IN_MODE": 3,
 }  # fmt: skip
-"""PX4's defaults of the parameters that the stand-in reads or that are asked for."""
+"""PX4's defaults of the parameters that the stand-in reads or that are requested."""
 _HORIZONTAL_DRIFT, _VERTICAL_DRIFT, _HORIZONTAL_SPEED = 1 << 5, 1 << 6, 1 << 7
 """Bits of EKF2_GPS_CHECK that compare what GNSS says with a vehicle at rest."""
 _SPEED_S = 10.0
@@ -53,14 +53,14 @@ class Px4StandIn(StandIn):
         super().__init__(Stack.PX4, clock, {**DEFAULTS, **px4.PARAMETERS, **(parameters or {})}, "auto.loiter")
         self._cascade = Cascade(PX4_GAINS, Airframe(), 0.0, px4.STEP_S)
         self._place: F64 | None = None
-        """Where AUTO modes go or stay, (3,) m ned."""
+        """Target of AUTO modes, (3,) m ned."""
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._v_rest = np.zeros(3)
         self._checked_s = self._armed_s = self._climb_s = -math.inf
         self._contact_s = self._still_s = self._landed_s = 0.0
         self._lifted = False
 
-    # What is asked of it
+    # Commands to it
 
     def why_not_armed(self) -> str | None:
         """Return the refusal while there is no position: GNSS is not used before its checks have passed for a while."""
@@ -164,9 +164,9 @@ class Px4StandIn(StandIn):
         return v, np.zeros(3)
 
     def _take_off_ramp(self, v_down: float) -> tuple[float, float | None]:
-        """Return the limits of thrust and lean: after arming the rotors spool up, and after the wish to climb thrust ramps up.
+        """Return the limits of thrust and tilt: after arming the rotors spool up, and after the wish to climb thrust ramps up.
 
-        The horizontal loops act during the ramp already, so a vehicle that holds its place over the ground leans on a deck that
+        The horizontal loops act during the ramp already, so a vehicle that holds its place over the ground tilts on a deck that
         carries it away.
         """
         if self._lifted:

@@ -131,7 +131,7 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
 
 
 def _refused_at_an_edge(b: Belief, event: BodyVelocity, begun: Gathered, innov: Innov, R: F64, o: EkfOptions) -> Outcome | None:
-    """Return the outcome of a sample that contradicts the surface that is believed in and not the other one; None of others."""
+    """Return the outcome of a sample that contradicts the assumed surface and not the other one; None of others."""
     S = begun.spread + R
     nis = nis_of(innov, S)
     if nis is None or nis < _REFUTED:

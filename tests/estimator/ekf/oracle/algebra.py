@@ -62,7 +62,7 @@ class Algebra:
     with Applications to Tracking and Navigation, 2001, eq. 5.2.3-18.
 
     Raises:
-        ValueError: the core has no room for so many states.
+        ValueError: the core has no room for this many states.
     """
 
     def __init__(self, n: int) -> None:

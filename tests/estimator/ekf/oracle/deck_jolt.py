@@ -5,7 +5,7 @@ another ship's wake after a calm, is neither, and until the bank has learned it 
 The innovations say so at once. Along each axis of `ned` the filter keeps by how much the newest squared innovations exceed the
 largest that their claimed variances let expect. If the median is positive, the wave along that axis has received an acceleration
 that the model does not have, and the covariance gains the median (covariance matching: Mehra, Approaches to adaptive filtering,
-IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting that itself tells little of
+IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting with little information on
 an axis neither adds to it nor scales it.
 """
 
@@ -23,7 +23,7 @@ _RATIO_COUNTED = 49.0
 _MEMORY_NS = 350_000_000
 """Sightings older than this, against the newest, are not counted."""
 _NEEDED, _SPAN_NS = 3, 120_000_000
-"""The median is of at least so many sightings that span at least so long."""
+"""The median is of at least this many sightings that span at least so long."""
 _ACTED_S = 0.3
 """Time for which the unknown acceleration is assumed to have acted, s."""
 

@@ -92,7 +92,7 @@ def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
     return Ahead(mean, mean[..., 0] - now, by_rate, var, skill.missed(sea.skill, horizons_s, sea.w_rad_s, changes)[..., 0])
 
 
-@lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
+@lru_cache(maxsize=16)  # guidance requests the same horizons again and again
 def _reach(horizons_s: tuple[float, ...]) -> tuple[F64, F64]:
     """Return displacement and rate of the members at H horizons: (G, H 2, 4) of the transition, (G, H, 2) noise for sigma = 1."""
     steps = [transition(W, ZETA, horizon, AT_REST) for horizon in horizons_s]

@@ -76,7 +76,7 @@ def corrected(b: Belief, dx: F64, P: F64) -> Belief:
     turn = so3.exp(dx[ATT_ERR])
     R = b.R.dot(turn)
     T = np.eye(N)
-    # The corrected place leans with the attitude (Barrau, Bonnabel 2017).
+    # The corrected place tilts with the attitude (Barrau, Bonnabel 2017).
     T[POS_REL, ATT_ERR] = -skew(dx[POS_REL]).dot(b.R)
     # The error is now an error about the new attitude, so its axes turn by half the step (Sola 2017, eq. 287).
     T[ATT_ERR, ATT_ERR] -= 0.5 * skew(dx[ATT_ERR])

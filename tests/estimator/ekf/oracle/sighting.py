@@ -95,7 +95,7 @@ def sighting(
     gives what the camera saw, without that attitude's error.
 
     When the frame is later than its stamp, the deck in it is later too. The state holds the deck that the camera shows: its waves
-    cannot be told from the same waves a little later. So only the body's motion is corrected by the delay; `aligned`
+    cannot be distinguished from the same waves a little later. So only the body's motion is corrected by the delay; `aligned`
     does the rest.
 
     Args:

@@ -39,7 +39,10 @@ _WITHHELD_MOUNT = 0.95
 _WITHHELD_DELAY = 0.85
 """Fraction of the correction of the camera's delay that is withheld on a rough sea."""
 _WITHHELD_DELAY_COV = 0.975
-"""The same for the root of its covariance: on waves the errors of ten sightings in a row are alike, and count as those of few."""
+"""Fraction of the reduction of the covariance's root that is withheld.
+
+On waves the errors of ten sightings in a row are alike.
+"""
 _ROUGH_M_S = 0.1
 """Heave rate of the deck, m/s, separating a rough sea from a calm one: far below it, no part of the correction is withheld."""
 _RATE_KNOWN_VAR = 0.35**2

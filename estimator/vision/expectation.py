@@ -24,8 +24,8 @@ from estimator.vision.tracker_config import TrackerConfig
 _FRESH_S = 1.0
 """Age of the newest fused sighting up to which a belief excludes places."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
-believed position lie within the sum.
+"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of
+the expected position lie within the sum.
 
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.
@@ -33,7 +33,7 @@ search.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BelievedPlace:
+class ExpectedPlace:
     """Expected and excluded places of the pad in the frame, by the filter's estimate."""
 
     state: RelativeState | None
@@ -41,7 +41,7 @@ class BelievedPlace:
     integrity: IntegrityOptions
 
     @staticmethod
-    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, alike_yaw_rad: float | None) -> BelievedPlace:
+    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, alike_yaw_rad: float | None) -> ExpectedPlace:
         """Return what a belief says. That a pad is seen elsewhere makes it no less consistent here.
 
         Args:
@@ -51,8 +51,8 @@ class BelievedPlace:
             consistent = belief.consistent or belief.alerts == (IntegrityAlert.ELSEWHERE,)
             fresh = belief.age_s(frame.stamp.measured_at) <= _FRESH_S
             if consistent and fresh and near_enough(belief, sigma_of(belief), tracker.pad, alike_yaw_rad):
-                return BelievedPlace(belief, tracker.integrity)
-        return BelievedPlace(None, tracker.integrity)
+                return ExpectedPlace(belief, tracker.integrity)
+        return ExpectedPlace(None, tracker.integrity)
 
     def excludes(self, seen: Sighting) -> bool:
         """Return whether a pad in that place is not the tracked one."""

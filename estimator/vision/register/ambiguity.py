@@ -1,8 +1,8 @@
-"""Doubt the registration of a pad whose edges alone do not tell it from others: one of fiducials, or one letter on the bare deck.
+"""Check the registration of a pad whose edges alone are ambiguous: one of fiducials, or one letter on the bare deck.
 
-Edges do not tell a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. Its cells do, as
-far as the frame resolves them. Where it does not, so many more of the edges have to agree. A letter's edges have to be clear, as
-plates and lines have such edges, too.
+Edges alone do not distinguish a fiducial from itself a quarter turn or a cell aside, where most of them lie on edges again. Its
+cells do, as far as the frame resolves them. Where it does not, this many more of the edges have to agree. A letter's edges have
+to be clear, as plates and lines have such edges, too.
 """
 
 import math
@@ -24,21 +24,30 @@ from estimator.vision.register.registration import Registration
 LETTER_MOST = 2.2
 """Most log-odds of a letter alone: another marking may have the same one."""
 _INLIERS = (0.9, 0.7)
-"""Share of the edges that agree from which on they do not count against a pose, and at which they refute it: 0.98 or more at
+"""Share of the edges that agree from which they do not count against a pose, and at which they refute it: 0.98 or more at
 right poses.
 """
 _INLIERS_TRACKED = (0.5, 0.3)
-"""The same where a belief led to the place: the drone's own shadow crosses most edges of a near letter."""
+"""Share of agreeing edges where an estimate led to the place: the drone's own shadow crosses most edges of a near letter."""
 _INLIERS_FAR, _SNR_FAR = (0.95, 0.85), (100.0, 50.0)
-"""The same of the pixels of a distant letter, and of its contrast: 0.97 and 420 or more at right poses from 3 to 14 m in plain
+"""Share of agreeing pixels of a distant letter, and its contrast: 0.97 and 420 or more at right poses from 3 to 14 m in plain
 light. A fit that has taken the bare deck for a letter of another size has fewer that agree, or no contrast (68 and less).
 """
 _OFF_PX = (0.15, 0.3)
-"""The same for the displacement of edges that nothing explains: 0.01 at right poses, 0.27 and more at other markings."""
+"""Unexplained displacement of edges at which they do not count, and at which they refute a pose.
+
+Right poses have 0.01, other markings 0.27 and more.
+"""
 _SNR = (20.0, 8.0)
-"""The same for the contrast over its deviation: 65 or more at right poses in plain light."""
+"""Contrast over its deviation at which it does not count, and at which it refutes a pose.
+
+Right poses in plain light have 65 or more.
+"""
 _VISIBLE = (0.8, 0.7)
-"""The same for the share of the edges in view, where no belief led to the place: an end of a stroke may be of anything."""
+"""Share of the edges in view at which it does not count, and at which it refutes a pose.
+
+It holds where no estimate led to the place: an end of a stroke may be of anything.
+"""
 _REFUTED = -25.0
 """Log-odds of a refuted pose: more than all other evidence together."""
 
@@ -86,13 +95,13 @@ _PIXEL_PX = 0.3
 _LEAST_SPAN = 12.0
 """Least difference of light and dark cells in the frame, 8-bit, that is read."""
 _READ, _MISREAD = 0.65, 0.35
-"""Agreement from which on the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
+"""Agreement from which the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
 of uncovered pads, half of that if half of them is covered, at most 0.4 a quarter turn off, and about 0 at a random place.
 """
 _ENOUGH, _ENOUGH_SHARE = 5.0, 0.25
-"""Number of clear cells, and their share of those in view, from which on they count in full."""
+"""Number of clear cells, and their share of those in view, from which they count in full."""
 _EDGES_AGREE, _EDGES_OFF = 0.8, 0.55
-"""Share of the edges that agree from which on they do not count against a pose whose cells are not resolved, and at which they
+"""Share of the edges that agree from which they do not count against a pose whose cells are not resolved, and at which they
 refute it: 0.89 or more at right poses of whole pads, 0.5 or less at wrong ones.
 """
 
@@ -114,7 +123,7 @@ class ReadCells(NamedTuple):
     """The bits of a pad's fiducials as read in a frame."""
 
     agreement: float
-    """1 if they are as drawn, 0 by chance; 1 if none is read."""
+    """Agreement: 1 if they are as drawn, 0 by chance; 1 if none is read."""
     clear: float
     """Number of resolved features: each counts by the square of its contrast in the blurred drawing."""
     in_view: int

@@ -1,0 +1,142 @@
+"""`decklander train`: train a policy in the simulated worlds, or train one further, and write its file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.base.version import version
+from companion.guidance.policy import Policy, read_policy
+from companion.settings.load import response_model
+from estimator.contracts.errors import BadInput
+from sitl.flight.one_flight import settings_for
+from sitl.gym.imitation import EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
+from sitl.gym.training import TrainingOptions, TrainingWorlds
+from sitl.scenario.scenario import load
+
+_FRESH = 1_000_000
+"""Seeds of the flights that examine a policy begin here; training counts on from its own seed, far below."""
+_EXAMINED = 64
+_WORLDS = 192
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander train` to the parser."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a controller in the simulated sea",
+        description="Train a policy for the controller 'policy': a teacher that knows the truth of the simulated worlds shows "
+        "a small network what to do wherever the network goes. The same command with --rounds makes the same policy again. "
+        "Exit code 1 if it lands fewer than half of its flights on fresh seeds. docs/training.md has more.",
+    )
+    parser.add_argument(
+        "scenario",
+        nargs="*",
+        default=["weather_2", "weather_3", "weather_4"],
+        help="scenarios of one vehicle, each with a vessel on a steady course (default: weather_2 weather_3 weather_4); a policy "
+        "expects the winds that it was trained in",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy file to write (npz)")
+    parser.add_argument("--from", dest="first", type=Path, metavar="FILE", help="policy to train further (default: begin anew)")
+    how_long = parser.add_mutually_exclusive_group()
+    how_long.add_argument("--minutes", type=float, metavar="M", help="train for so long")
+    how_long.add_argument("--rounds", type=int, metavar="N", help="train for so many rounds (default: 60)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the worlds and of the network (default: 1)")
+    parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads that step the worlds (default: 1)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object a round, and the record")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
+    if args.out.suffix != ".npz":
+        raise BadInput(f"--out {args.out}: the name must end in .npz")
+    if args.minutes is not None and not 0.05 <= args.minutes <= 10_000.0:
+        raise BadInput(f"--minutes must lie in 0.05 to 10000, got {args.minutes:g}")
+    if args.rounds is not None and not 1 <= args.rounds <= 100_000:
+        raise BadInput(f"--rounds must lie in 1 to 100000, got {args.rounds}")
+    if not 0 <= args.seed < _FRESH // 2 or not 1 <= args.threads <= 64:
+        raise BadInput(f"--seed must lie in 0 to {_FRESH // 2 - 1} and --threads in 1 to 64")
+    first = None if args.first is None else read_policy(args.first, "--from")
+    scenarios = [load(name) for name in args.scenario]
+    if len({scenario.vehicle.file for scenario in scenarios}) > 1:
+        raise BadInput(f"{' '.join(args.scenario)}: a policy is trained for one vehicle, and these have several")
+    response = response_model(settings_for(scenarios[0], None))
+    options = ImitationOptions()
+    # It begins wider and higher than the environment's own episodes, as a mission hands over the vehicle.
+    wide = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -np.pi), start_high=(2.5, 2.5, 8.0, np.pi))
+    worlds = [TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), wide, args.threads) for scenario in scenarios]
+    try:
+        student = Imitation(worlds, response, args.seed, first, options=options)
+    except ValueError as why:
+        raise BadInput(f"{' '.join(args.scenario)}: {why}") from why
+    curve: list[dict[str, Any]] = []
+    began = time.monotonic()
+
+    def share() -> float:
+        """Return how much of the training is done, 0 to 1."""
+        if args.minutes is not None:
+            return (time.monotonic() - began) / (60.0 * float(args.minutes))
+        return len(curve) / int(args.rounds or options.rounds)
+
+    for progress in student.rounds(args.seed * 1000, share):
+        curve.append(_point(progress))
+        if args.json:
+            sys.stdout.write(json.dumps(curve[-1]) + "\n")
+            sys.stdout.flush()
+        else:
+            sys.stderr.write(_words(progress) + "\n")
+    record: dict[str, Any] = {
+        "scenarios": args.scenario, "vehicle": scenarios[0].vehicle.file, "seed": args.seed, "rounds": len(curve),
+        "worlds": _WORLDS,
+        "response": {"delay_s": response.tilt.delay_s, "frequency_rad_s": response.tilt.frequency_rad_s},
+        "continued": None if first is None else first.record, "versions": {"decklander": version(), "numpy": np.__version__},
+        "curve": curve,
+    }  # fmt: skip
+    policy = student.policy(record)
+    examined = [fly_policy(policy, TrainingWorlds(scenario, _EXAMINED, None, args.threads), _FRESH) for scenario in scenarios]
+    policy.record["examined"] = {
+        name: {"seeds_from": _FRESH, **flown._asdict()} for name, flown in zip(args.scenario, examined, strict=True)
+    }
+    policy.write(args.out)
+    _conclude(args, policy, examined)
+    return 0 if min(flown.landed for flown in examined) >= 0.5 else 1
+
+
+def _point(progress: RoundProgress) -> dict[str, Any]:
+    """Return a round as the curve of the record holds it; without episodes there is no share and no distance."""
+    flown = progress.flown
+    return {
+        "round": progress.round, "examples": progress.examples, "error": round(progress.error, 4), "episodes": flown.episodes,
+        "landed": round(flown.landed, 3) if flown.episodes else None,
+        "distance_m": round(flown.distance_m, 4) if flown.landed > 0.0 else None,
+    }  # fmt: skip
+
+
+def _words(progress: RoundProgress) -> str:
+    flown = progress.flown
+    landed = f"{100.0 * flown.landed:3.0f} % of {flown.episodes} landed" if flown.episodes else "none ended"
+    beside = f", {100.0 * flown.distance_m:.1f} cm median" if flown.landed > 0.0 else ""
+    return (
+        f"round {progress.round}: {progress.examples} examples, error {progress.error:.3f}; episodes of its own: {landed}{beside}"
+    )
+
+
+def _conclude(args: argparse.Namespace, policy: Policy, examined: Sequence[EpisodesFlown]) -> None:
+    if args.json:
+        sys.stdout.write(json.dumps({"record": policy.record, "written": str(args.out)}) + "\n")
+        return
+    for name, flown in zip(args.scenario, examined, strict=True):
+        beside = f" at a median of {100.0 * flown.distance_m:.1f} cm" if flown.landed > 0.0 else ""
+        landed = f"{100.0 * flown.landed:.0f} % of {flown.episodes}"
+        sys.stdout.write(f"{name}, fresh seeds: it lands {landed} training episodes{beside}\n")
+    sys.stdout.write(
+        f"written: {args.out}\nfly it: decklander simulate {args.scenario[0]} --perception model "
+        f"--set guidance.controller=policy --set guidance.policy_file={args.out}\n"
+    )
