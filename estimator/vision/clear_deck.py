@@ -40,9 +40,9 @@ _CELL_PX_LEAST = 1.2
 """Width of a cell in the frame below which it is too far away."""
 _LEAST_CELLS = 10
 """Least number of cells of a paint in view."""
-_PERIOD_S, _AVERAGE_S, LASTS_S = 0.1, 0.7, 10.0
+_PERIOD_S, _AVERAGE_S, LASTS_S = 0.2, 1.0, 10.0
 """Time between two frames that are read, of the average, and for which a cell that has left the view counts, s."""
-_ENOUGH = 4.0
+_ENOUGH = 3.0
 """Frames' weight in the average from which on a cell counts."""
 _BRIGHT = 250
 """Value of a pixel from which on a channel is clipped."""
@@ -53,7 +53,7 @@ _SKY_MOST = 0.3
 """Largest change of blue against red that shade makes, of the paint's light."""
 _LEAST, _SPREADS = 0.17, 6.0
 """Difference of a cell that is none of the paint: of the paint's light, and in spreads of the paint's own cells."""
-_CELLS_LEAST, _SHARP = 14, 0.5
+_CELLS_LEAST, _SHARP = 14, 0.7
 """Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
 glare and puddles end softly."""
 

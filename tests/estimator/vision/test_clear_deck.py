@@ -21,13 +21,13 @@ BRIGHT = Light(drone_shadow=0.0)
 
 def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, memory: DeckMemory | None = None) -> DeckMemory:
     renderer = Renderer(CAMERA, PAD, Surroundings(decals=things), light)
-    first = 0 if memory is None else round((memory.at - 1_000_000_000) * 1e-8) + 1
+    first = 0 if memory is None else round((memory.at - 1_000_000_000) * 5e-9) + 1
     for k in range(first, first + frames):
         R = Rotation.from_rpy(0.02 * math.sin(k), 0.0, 0.4)
         pad = np.array([0.0, 0.0, -0.6])
-        shot = Exposure(0.1 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
+        shot = Exposure(0.2 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
         view = FrameView(Pyramid(renderer.render(shot, np.random.default_rng(k))), CAMERA, PAD)
-        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 100_000_000 * k), 0.7, 0.001)
+        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 200_000_000 * k), 0.7, 0.001)
     assert memory is not None
     return memory
 
@@ -69,6 +69,6 @@ def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> No
     # From 0.3 m the camera sees the middle of the pad alone.
     low = shown(BRIGHT, crate, memory=there, frames=20, height_m=0.3).check
     assert low.thing is not None
-    gone = shown(BRIGHT, memory=there, frames=math.ceil(LASTS_S / 0.1) + 5, height_m=0.3).check
+    gone = shown(BRIGHT, memory=there, frames=math.ceil(LASTS_S / 0.2) + 5, height_m=0.3).check
     assert gone.thing is None
     assert gone.seen < 0.5
