@@ -443,7 +443,7 @@ def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
     if off.side is None:
         return "", 1
     size = math.hypot(off.side[0] - usual.ahead, off.side[1] - usual.aside)
-    # A multirotor is pushed along its vertical axis alone. One that feels nothing across it is not the one that lies.
+    # A multirotor is pushed along its vertical axis alone. An accelerometer without lateral force is not the faulty one.
     lies = size > _ACCEL_SIDE_M_S2 and math.hypot(newest.f[0], newest.f[1]) > 0.6 * size
     return (f"is off by about {size:.1f} m/s^2 across the vertical" if lies else ""), _PERSISTS
 
