@@ -28,6 +28,8 @@ class OperatorOrder(Enum):
     """Give the hand back; the vehicle hovers."""
     RESET = "reset"
     """Leave the emergency state; the motors stay off."""
+    CLEAR = "clear"
+    """Land in this flight whatever is seen on the pad."""
     PATH = "path"
     """Steer by another path of the estimator."""
     RECORD = "record"

@@ -70,6 +70,7 @@ class ReasonCause(Enum):
     ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
+    ON_PAD = "something {measured:.0f} cm wide lies {detail} from the pad's centre"
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
     SPEED_AHEAD = "{measured:.2f} m/s along the deck at the contact to come (limit {limit:g} m/s)"
@@ -101,6 +102,7 @@ CONDITIONS = frozenset(
         ReasonCause.WIND,
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,
+        ReasonCause.ON_PAD,
         ReasonCause.SIGMA,
     }
 )

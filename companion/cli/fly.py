@@ -53,11 +53,12 @@ KEYS: dict[str, OperatorOrder] = {
     "b": OperatorOrder.BEGIN,
     "x": OperatorOrder.ABORT,
     " ": OperatorOrder.HOLD,
+    "c": OperatorOrder.CLEAR,
     "R": OperatorOrder.RESET,
 }
 HELP = (
     "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
-    "t take off   l land   b begin the landing   x abort it   space hold   E E cut the motors   R leave emergency   q quit",
+    "t take off   l land   b begin the landing   x abort it   c pad is clear   space hold   E E cut the motors   R reset   q end",
 )
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _KEY = re.compile(r"\x1b[\[O][0-9;]*([A-Z~])|\x1b|.", re.DOTALL)
@@ -242,6 +243,7 @@ ORDERS = {
         OperatorOrder.ABORT,
         OperatorOrder.EMERGENCY,
         OperatorOrder.RESET,
+        OperatorOrder.CLEAR,
     )
 }
 """The orders of one command line."""

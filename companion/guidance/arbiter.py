@@ -58,6 +58,8 @@ class Guided(Protocol):
 
     def abort(self) -> None: ...
 
+    def overrule(self) -> None: ...
+
 
 class Given(Struct, frozen=True):
     """An order in force: who gave it, and when."""
@@ -315,6 +317,9 @@ class OperatorArbiter:
     def _carry_out(self, order: OperatorOrder, given: Given) -> None:
         control, guided = self._control, self._guided
         if order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+            return
+        if order is OperatorOrder.CLEAR:
+            guided.overrule()
             return
         self._control = control = replace(control, accepted=(order, given))
         match order:

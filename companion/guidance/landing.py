@@ -49,6 +49,7 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
+from estimator.vision.detection import PadCheck
 
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
@@ -216,6 +217,11 @@ class LandingGuidance:
         self._swell = SwellWatch()
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
+        self._on_pad: PadCheck | None = None
+        self._thing: Reason | None = None
+        """What lies on the pad in the newest guidance cycle."""
+        self._overruled = False
+        """The operator says that the pad is clear, in this flight."""
         self._vessel_track = VesselTrack(reports)
         self._vessel: VesselPosition | Reason | None = None
         """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
@@ -234,6 +240,8 @@ class LandingGuidance:
             return self._vessel.text
         if isinstance(self._vessel, VesselPosition) and self.mission.state is State.RENDEZVOUS:
             return Reason(ReasonCause.VESSEL_AWAY, self._vessel.distance_m).text
+        if self.mission.state is State.INTERCEPT and self._thing is not None:
+            return self._thing.text
         if self.mission.state in _PLAIN:
             return "" if (late := self._late_video()) is None or self.mission.state not in FLOWN else late.text
         why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
@@ -318,6 +326,7 @@ class LandingGuidance:
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
+            self._overruled, self._on_pad = False, None
         self._changes += changes
 
     def judge(self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False) -> None:
@@ -398,12 +407,13 @@ class LandingGuidance:
                 self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
             place = rendezvous.position(self._vessel_track, now)
         self._vessel = place
+        self._thing = self._lies_there(now)
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, self._touch, range_m,
+            self._response.late_s, self._touch, range_m, self._thing,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
@@ -438,6 +448,23 @@ class LandingGuidance:
             now = steering.normalized_nis
             mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
         self._quality = InputQuality(mean, stamp.sigma_s, delay_s)
+
+    def on_pad(self, check: PadCheck | None) -> None:
+        """Take what a frame's detection knows of things on the pad."""
+        self._on_pad = check or self._on_pad
+
+    def overrule(self) -> None:
+        """Land in this flight whatever is seen on the pad, by the operator's order."""
+        self._overruled = True
+
+    def _lies_there(self, now: MonoNs) -> Reason | None:
+        """Return what was seen on the pad lately and bars the landing; None if nothing does."""
+        check = self._on_pad
+        if check is None or check.thing is None or self._overruled:
+            return None
+        if seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
+            return None
+        return Reason(ReasonCause.ON_PAD, 100.0 * check.thing.width_m, detail=f"{100.0 * check.thing.from_centre_m:.0f} cm")
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Take the verdict on a frame, whoever gave it."""

@@ -155,6 +155,10 @@ class Pilot:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.landing.order(Event.ABORT)
 
+    def overrule(self) -> None:
+        """Land in this flight whatever is seen on the pad, for the operator."""
+        self.landing.overrule()
+
     def steer_by(self, path: PathName) -> str | None:
         """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
 
@@ -275,6 +279,7 @@ class Pilot:
         Returns:
             The frame's verdict, which is the steering path's, and the fusion results, path by path.
         """
+        self.landing.on_pad(seen.on_pad)
         results = self.estimation.fuse(seen)
         sighting = seen.selected or seen.elsewhere
         if sighting is None:

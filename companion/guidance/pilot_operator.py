@@ -45,6 +45,10 @@ class PilotOperator:
         """Hover and end the landing."""
         return self.order(OperatorOrder.ABORT)
 
+    def clear(self) -> str | None:
+        """Land in this flight whatever is seen on the pad."""
+        return self.order(OperatorOrder.CLEAR)
+
     def steer_by(self, path: PathName) -> str | None:
         """Steer by another path of the estimator."""
         return self._tell(OperatorOrder.PATH, self._pilot.steer_by(path), path)

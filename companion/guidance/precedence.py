@@ -109,6 +109,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),
+        OperatorOrder.CLEAR: _row(_Y, _Y, _O, _Y, _Y, _T, _Y, _Y, _E),
         OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }

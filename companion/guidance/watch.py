@@ -311,7 +311,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 if estimate is None
                 else limits.commit(s.at, estimate, s.knowledge, limits.of_try(o.limits, p.go_arounds), o.cone)
             )
-            return ends or _against(p, s)
+            turns = estimate is not None and estimate.height_m > limits.no_return_m(s.knowledge, o.cone)
+            return ends or (s.thing if turns else None) or _against(p, s)
         case State.DOWN if o.mission == "thesis":
             return _lease(p, s, o)
         case State.PRESS | State.DOWN:
@@ -321,8 +322,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 return p.turned
             if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
-            if p.state in (State.DESCEND, State.GATE) and (windy := _windy(p, s)) is not None:
-                return windy
+            if p.state in (State.DESCEND, State.GATE) and (bars := _windy(p, s) or s.thing) is not None:
+                return bars
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
@@ -413,7 +414,7 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         limit_s, cause = _TIME_OF[p.state](o)
     spent_s = _SPENT[p.state](p.attempt) if p.state in _SPENT else in_state_s
     if spent_s > limit_s:
-        yield Event.TIMEOUT, p.blocked or Reason(cause, spent_s, limit_s)
+        yield Event.TIMEOUT, p.blocked or (s.thing if p.state is State.INTERCEPT else None) or Reason(cause, spent_s, limit_s)
 
 
 _TIME_OF: Mapping[State, Callable[[GuidanceOptions], tuple[float, ReasonCause]]] = {
@@ -452,7 +453,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return
     height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
-    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and _windy(p, s) is None:
+    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_windy(p, s) or s.thing) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):
@@ -465,7 +466,8 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
 
 def _way_points(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
     way = o.thesis
-    if p.state is State.INTERCEPT and near(estimate, way.pad_ahead_m, way.approach_height_m, way.approach_reached_m):
+    over = near(estimate, way.pad_ahead_m, way.approach_height_m, way.approach_reached_m)
+    if p.state is State.INTERCEPT and over and s.thing is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, estimate.lateral_m, way.approach_reached_m)
     if p.state is State.DESCEND and near(estimate, way.pad_ahead_m, way.final_height_m, way.final_reached_m):
         yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, estimate.height_m, way.final_height_m)

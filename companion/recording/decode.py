@@ -31,7 +31,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp, StampSource
-from estimator.vision.detection import Detection
+from estimator.vision.detection import Detection, PadCheck, PadThing
 
 
 def sample(of: rec.SampleRecord) -> Sample:
@@ -91,7 +91,14 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
 
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
-    return Detection(seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"))
+    on_pad = None if of.on_pad is None else _pad_check(of.on_pad)
+    return Detection(seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"), on_pad=on_pad)
+
+
+def _pad_check(of: rec.PadCheckRecord) -> PadCheck:
+    if of.thing is not None and len(of.thing) != 3:
+        raise ValueError(f"a thing on the pad has width and place, got {len(of.thing)} numbers")
+    return PadCheck(MonoNs(of.at_ns), of.seen, None if of.thing is None else PadThing(*of.thing))
 
 
 def held_rotation(of: rec.DetectionRecord) -> Rotation | None:

@@ -27,7 +27,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.detection import Detection
+from estimator.vision.detection import Detection, PadCheck
 
 COMMANDS: dict[type[Command], str] = {
     Velocity: "velocity", Lean: "lean", Hover: "hover", TakeOff: "take_off", Land: "land",
@@ -103,8 +103,14 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         R_body_cam=None if of.camera is None else _flat(of.camera.T_body_cam.R.matrix),
         gain=of.frame.gain,
         coded=of.frame.coded,
+        on_pad=None if processed is None or processed.on_pad is None else _pad_check(processed.on_pad),
         **({} if processed is None else _methods(processed)),
     )
+
+
+def _pad_check(of: PadCheck) -> rec.PadCheckRecord:
+    thing = None if of.thing is None else [of.thing.width_m, of.thing.forward_m, of.thing.right_m]
+    return rec.PadCheckRecord(int(of.at), of.seen, thing)
 
 
 def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:

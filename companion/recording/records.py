@@ -140,6 +140,17 @@ class FrameTimesRecord(Struct, frozen=True):
     filter_s: float
 
 
+class PadCheckRecord(Struct, frozen=True, omit_defaults=True):
+    """What is known of the pad's surface."""
+
+    at_ns: Instant
+    """Exposure of the newest frame that was read."""
+    seen: float
+    """Share of the pad's known surface that was read lately, 0..1."""
+    thing: list[float] | None = None
+    """Width of the largest thing on the pad, m, and its place along the arrow and to starboard of it; left out without one."""
+
+
 class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """One frame: its stamp, the sighting of every method, and the verdict."""
 
@@ -173,6 +184,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """Amplification of a camera whose exposure is driven; left out if unknown."""
     coded: bool = False
     """True if a codec predicted the frame from others before it came; left out if none did."""
+    on_pad: PadCheckRecord | None = None
+    """What was known of things on the pad; left out before its surface was read."""
 
 
 class NamedNumber(Struct, frozen=True):

@@ -121,6 +121,16 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: Annotated[
         float, number('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0, public=True)
     ] = 12.0
+    on_pad_s: Annotated[
+        float,
+        number(
+            "time for which something that was seen on the pad bars the landing after the pad left the view; 0 to land whatever "
+            "lies there",
+            "s",
+            0.0,
+            60.0,
+        ),
+    ] = 10.0
     wind_wait_s: Annotated[
         float,
         number(

@@ -18,10 +18,11 @@ from types import MappingProxyType
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
+from estimator.vision.clear_deck import DeckMemory, checked_deck
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import pose_about
@@ -37,6 +38,7 @@ from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
+from estimator.vision.register.look import Looked
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
@@ -55,6 +57,8 @@ class TrackerMemory:
     """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
     lit: bool = False
     """True if the pad was last seen by its lamps."""
+    deck: DeckMemory | None = None
+    """What was seen to lie on the pad; None before its surface was read."""
 
 
 _CLOSE_PX = 1.0
@@ -74,6 +78,9 @@ _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
+_SHOWS, _PLACE_M = 0.5, 0.08
+"""Share of a near pad's edges that agree with a registration by whose place the pad's surface is read, and the largest standard
+deviation of a predicted place, of the disc's radius, by which it is read where nothing is registered."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
 """Radius of the disc, px, below which a pad that the estimate did not lead to is searched some pixels about its place.
 
@@ -101,6 +108,8 @@ class _Registered:
     opinions: Opinions | None = None
     agreement: float = 1.0
     """Share of a near pad's visible edges that agree with it; 1 of a distant pad, which has no edges of its own."""
+    found: Looked | None = None
+    """The registration itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,24 +154,58 @@ def by_paint(
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
     registered, left = _registered(now, belief, place)
-    if tracker.options.method == "registration":
-        best = registered.settled().tracked
-        found = None if best is None else best.sighting
+    thesis = None
+    if tracker.options.method != "registration":
+        thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
+    best = registered.settled().tracked
+    deck = _deck_of(now, best, belief)
+    found = None if best is None else _outlined(best, deck, tracker.camera)
+    opinions = None if best is None else best.opinions
+    if thesis is None:
         methods: dict[Method, Sighting | None] = {"registration": found}
-        opinions = None if best is None else best.opinions
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
-        thesis = by_thesis(tracker, frame, attitude)
-        thesis, registered = _verify_cues(now, thesis, registered, place)
-        best = registered.settled().tracked
-        opinions = None if best is None else best.opinions
-        seen = together(thesis, None if best is None else best.sighting, opinions, place.excludes)
+        seen = together(thesis, found, opinions, place.excludes)
     elsewhere = registered.settled().elsewhere
     if elsewhere is not None:
         seen = replace(seen, elsewhere=elsewhere.sighting)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad)
+    if deck is not None:
+        seen = replace(seen, on_pad=deck.check)
+    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad, deck=deck)
+
+
+def _outlined(best: _Registered, deck: DeckMemory | None, camera: Camera) -> Sighting:
+    """Return a registration's sighting, with the outline of what lies on the pad among its features."""
+    thing = None if deck is None else deck.check.thing
+    if thing is None or best.found is None:
+        return best.sighting
+    around = thing.width_m / 2.0 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
+    uv_px = camera.project(best.found.pose.points(around + np.array([thing.forward_m, thing.right_m, 0.0])))
+    return replace(best.sighting, features=(*best.sighting.features, Feature("outline", "thing", uv_px)))
+
+
+def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory | None:
+    """Return the memory of what lies on the pad, with what the frame shows of it.
+
+    The pad is where it is registered; where what lies on it hides too much of the drawing, it is where it is believed.
+    """
+    memory, at = now.memory.deck, now.frame.stamp.measured_at
+    if best is not None and best.found is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS:
+        found = best.found.record["found"]
+        blur_px = math.sqrt(max(0.0, 0.5 * float(found["blur_px2"][0] + found["blur_px2"][2])))
+        sigma_m = math.sqrt(max(0.0, float(found["cov"].reshape(6, 6).diagonal()[:2].max())))
+        return checked_deck(memory, now.view, best.found.pose, at, blur_px, sigma_m)
+    if belief is None or now.attitude is None or not belief.consistent:
+        return memory
+    sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
+    if sigma_m > _PLACE_M * now.tracker.pad.disc_radius_m:
+        return memory
+    start = expected(belief, now.attitude, now.tracker.camera, now.memory.alike_yaw_rad)
+    if start is None or start.t_cam_pad[2] < 0.05:
+        return memory
+    return checked_deck(memory, now.view, start, at, 1.0, sigma_m)
 
 
 def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
@@ -305,7 +348,7 @@ def _register_from(
     learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
     found = of.found.record["found"]
     agreement = 1.0 if found["dense"] else float(found["inliers"])
-    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions, agreement)
+    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions, agreement, of.found)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

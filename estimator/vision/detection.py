@@ -22,6 +22,7 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import MonoNs
 
 _AGREE_XYZ = 16.27
 """Chi-square limit, 3 degrees of freedom, 99.9 %."""
@@ -149,6 +150,33 @@ class Opinions(Struct, frozen=True):
     """Confidence of the trained network, 0..1; it can lower the other one."""
 
 
+class PadThing(Struct, frozen=True):
+    """Something that lies on the pad."""
+
+    width_m: float
+    """Its larger extent along one of the pad's axes."""
+    forward_m: float
+    """Place of its middle from the pad's centre, along the arrow."""
+    right_m: float
+    """The same to starboard of the arrow."""
+
+    @property
+    def from_centre_m(self) -> float:
+        """Distance of its middle from the pad's centre, m."""
+        return math.hypot(self.forward_m, self.right_m)
+
+
+class PadCheck(Struct, frozen=True):
+    """What is known of the pad's surface at an instant."""
+
+    at: MonoNs
+    """Exposure of the newest frame that was read."""
+    seen: float
+    """Share, 0..1, of the cells that the drawing knows which were read often enough within the time for which they count."""
+    thing: PadThing | None = None
+    """The largest thing; None if nothing is seen."""
+
+
 class Detection(Struct, frozen=True, eq=False):
     """The detection of the pad in one frame."""
 
@@ -166,3 +194,5 @@ class Detection(Struct, frozen=True, eq=False):
 
     It is another pad, or the tracked one if the estimate is wrong; the guard decides.
     """
+    on_pad: PadCheck | None = None
+    """What is known of things that lie on the pad; None before its surface was read."""

@@ -18,13 +18,13 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.drops import Drops, wet_lens
 from sitl.camera.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
-from sitl.camera.projection import F32, lens_of
+from sitl.camera.projection import F32, SHIFT, fixed_point, lens_of
 from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow, hull_side, on_water
 from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
 from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
 from sitl.camera.render.sea import SeaPainter
 from sitl.camera.surroundings import Surroundings
-from sitl.core.abi import GAIN_ONE
+from sitl.core.abi import GAIN_ONE, PAD_EDGE, PAD_NONE
 
 U8 = NDArray[np.uint8]
 
@@ -212,14 +212,33 @@ class Renderer:
         way = self._pad.travel_px(*ends) if ends else np.zeros(2)
         travel = float(way.max())
         if not travel > 0.3:
-            return self._pad.place([Stroke.still(middle, rows(0.0))])
+            return self._uncovered(self._pad.place([Stroke.still(middle, rows(0.0))]), middle)
         n = 1 if travel < 6.0 else 3 if travel < 20.0 else 5
         if n == 1:
-            return self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))])
+            return self._uncovered(self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))]), middle)
         times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * sensor.exposure_s
         poses = [_pose(shot, self.camera, float(s)) for s in times]
         strokes = [Stroke(poses[2 * i], poses[2 * i + 1], poses[2 * i + 2], rows(float(times[2 * i + 1]))) for i in range(n)]
-        return self._pad.place(strokes)
+        return self._uncovered(self._pad.place(strokes), middle)
+
+    def _uncovered(self, pad: PadInImage | None, pose: Pose) -> PadInImage | None:
+        """Return the pad without the pixels that something on it covers in the middle of the exposure."""
+        things = [points for on, polygons in self._decals if on == "pad" for points, _ in polygons]
+        if pad is None or not things:
+            return pad
+        R, t = pose
+        over = np.zeros(pad.kinds.shape, np.uint8)
+        for points in things:
+            uv = self._lens.outline(np.c_[points, np.zeros(len(points))] @ R.T + t, 6)
+            if len(uv) > 2:
+                cv2.fillPoly(over, [fixed_point(uv)], 1, cv2.LINE_8, SHIFT)
+        kinds, hidden = pad.kinds, over.ravel()[pad.edges] > 0
+        kinds[(over > 0) & (kinds != PAD_EDGE)] = PAD_NONE
+        for shares in (pad.shares, pad.parts):
+            if shares is not None:
+                shares[hidden] = 0.0
+                shares[hidden, PAD_NONE] = 1.0
+        return pad
 
     def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U16, I16, F32 | None]:
         """Return the scene (H, W, 4) of everything except the pad, the factors on its light, and the added light."""
@@ -248,8 +267,9 @@ class Renderer:
                 gain[part] = np.round(gain[part] * ((wet[0] - np.float32(1.0)) * covered + np.float32(1.0)))
                 added = np.zeros((h, w), np.float32)
                 added[part] = wet[1] * covered
+        if normal_distance > 1e-3:
             for on, polygons in self._decals:
-                if on == "deck":
+                if on != "sea" and (deck is not None or on == "pad"):
                     for points, colour in polygons:
                         draw(scene, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, colour)
         if normal_distance > 1e-3 and plane is not None and (deck is not None or self._pad is not None):

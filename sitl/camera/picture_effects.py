@@ -53,6 +53,8 @@ class PictureEffects:
             match fault:
                 case Glint():
                     out = self._glint(out, fault, R, t)
+                case ObjectOnPad() if fault.thing == "wet patch":
+                    out = self._wetted(out, fault, R, t)
                 case LightFalls():
                     out = _darker(out, fault.fraction, rng)
         for fault in faults:
@@ -97,6 +99,17 @@ class PictureEffects:
             noisy = out[rows, cols] + _NOISE * rng.standard_normal((len(rows), 3))
             out[rows, cols] = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 
+    def _wetted(self, px: U8, fault: ObjectOnPad, R: F64, t: F64) -> U8:
+        """Return the frame with a disc of wet paint: darker by a third, and a little of the sky in it."""
+        mask, a = np.zeros(px.shape[:2], np.uint8), np.linspace(0.0, math.tau, 24, endpoint=False)
+        rim = 0.5 * fault.size_m * np.stack([np.cos(a), np.sin(a)], axis=1) + (fault.forward_m, fault.right_m)
+        uv = self._lens.outline(rim @ R[:, :2].T + t, 6)
+        if len(uv) < 3 or R[:, 2] @ t <= 0.01:
+            return px
+        cv2.fillPoly(mask, [fixed_point(uv)], 255, cv2.LINE_AA, BITS)
+        share, light = mask[..., None] / 255.0, linear_from_srgb(px)
+        return np.where(mask[..., None] > 0, _srgb(light * (1.0 - 0.35 * share) + 0.02 * share * self._gains), px)
+
     def _glint(self, px: U8, fault: Glint, R: F64, t: F64) -> U8:
         plane = self._lens.plane_from_ray(np.stack([R[:, 0], R[:, 1], t], axis=1))
         if plane is None or R[:, 2] @ t <= 0.01:
@@ -125,8 +138,12 @@ def pad_polygons(pad: Pad) -> list[tuple[F64, RGB]]:
 
 def _thing(fault: ObjectOnPad) -> list[Polygon]:
     place, turned = (fault.forward_m, fault.right_m), math.radians(fault.turned_deg)
+    if fault.thing == "wet patch":
+        return []
     if fault.thing != "vest":
-        return Decal(fault.thing, place, fault.size_m, turned, "deck").polygons()
+        grey = int(_srgb(np.array(fault.brightness)))
+        colour = (grey, grey, grey) if fault.brightness and fault.thing in ("crate", "rope") else None
+        return Decal(fault.thing, place, fault.size_m, turned, "deck", colour).polygons()
     body = np.array(
         [
             (1, -0.6),

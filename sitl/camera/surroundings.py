@@ -19,7 +19,7 @@ from sitl.vessel.seakeeping import Hull
 U8 = NDArray[np.uint8]
 RGB = tuple[int, int, int]
 
-DecalKind = Literal["raft", "awning", "helipad", "bare_h", "green_disc", "ring", "lifebuoy", "towel"]
+DecalKind = Literal["raft", "awning", "helipad", "bare_h", "green_disc", "ring", "lifebuoy", "towel", "crate", "rope"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +60,14 @@ class Deck:
 
 @dataclass(frozen=True, slots=True)
 class Decal:
-    """A flat object on deck (position in `pad`) or on the water (position in `ned`), `size_m` across."""
+    """A flat object on deck or on the pad (position in `pad`) or on the water (position in `ned`), `size_m` across."""
 
     kind: DecalKind
     centre_m: tuple[float, float]
     size_m: float
     yaw_rad: float = 0.0
-    on: Literal["deck", "sea"] = "sea"
+    on: Literal["deck", "sea", "pad"] = "sea"
+    """What it lies on; the pad's paint covers what lies on the deck, and lies below what lies on the pad."""
     colour: RGB | None = None
     """Colour of its main part; None for the usual colour."""
 
@@ -163,6 +164,14 @@ def _towel(colour: RGB | None) -> list[tuple[F64, RGB]]:
     return [(_box(0, 0, 1.0, 0.5), cloth), (_box(0, 0, 0.25, 0.5), stripe), (_box(0, 0, 0.1, 0.3), label)]
 
 
+def _crate(colour: RGB | None) -> list[tuple[F64, RGB]]:
+    return [(_box(0, 0, 1.0, 1.0), colour or (150, 112, 70))]
+
+
+def _rope(colour: RGB | None) -> list[tuple[F64, RGB]]:
+    return [(_box(0, 0, 1.0, 0.16), colour or (205, 190, 150))]
+
+
 _DRAWINGS = {
     "raft": _raft,
     "awning": _awning,
@@ -172,6 +181,8 @@ _DRAWINGS = {
     "ring": _ring,
     "lifebuoy": _lifebuoy,
     "towel": _towel,
+    "crate": _crate,
+    "rope": _rope,
 }
 
 

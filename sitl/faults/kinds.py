@@ -34,11 +34,17 @@ class PadCovered(PictureFault, frozen=True, tag="pad_covered"):
 class ObjectOnPad(PictureFault, frozen=True, tag="object_on_pad"):
     """Something lies on the pad or beside it."""
 
-    thing: Annotated[Literal["vest", "towel", "lifebuoy"], choice("what lies there")] = "vest"
+    thing: Annotated[
+        Literal["vest", "towel", "lifebuoy", "crate", "rope", "wet patch"],
+        choice("what lies there; a wet patch darkens the paint, and nothing stands on it"),
+    ] = "vest"
     forward_m: Annotated[float, number(_FORWARD, "m", -20.0, 20.0)] = 0.0
     right_m: Annotated[float, number(_RIGHT, "m", -20.0, 20.0)] = 0.0
     size_m: Annotated[float, number("its length", "m", 0.05, 5.0)] = 0.5
     turned_deg: Annotated[float, number("its direction, clockwise from the arrow", "deg", -360.0, 360.0)] = 30.0
+    brightness: Annotated[
+        float, number("luminance of a crate or a rope, which then is grey, white is 1; 0 for the usual colour", "1", 0.0, 1.0)
+    ] = 0.0
 
 
 class OtherPad(PictureFault, frozen=True, tag="other_pad"):

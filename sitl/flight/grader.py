@@ -12,6 +12,7 @@ from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
+from sitl.faults.kinds import ObjectOnPad
 from sitl.faults.timer import FaultTimer
 from sitl.flight.safety import (
     BLIND_DESCENT_MAX_M,
@@ -30,6 +31,9 @@ from sitl.flight.safety import (
 )
 from sitl.scenario.scenario import Scenario
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
+
+_FEET_M = 0.12
+"""Reach of a vehicle's feet from its body's origin, m."""
 
 
 class GradedWorld(Protocol):
@@ -119,6 +123,9 @@ class FlightGrader:
         self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
+        self._on_things: list[str] = []
+        """Contacts with things on the pad."""
+        self._contacts = 0
 
     def step(self) -> None:
         """Note the true state; call it in order of time."""
@@ -126,6 +133,17 @@ class FlightGrader:
         self._watch.step(truth, reached=reached)
         self._unreached.step(truth, reached=reached)
         self._motion.step(truth, self._world.guidance_phase, reached=reached)
+        self._meet(truth)
+
+    def _meet(self, truth: Truth) -> None:
+        """Note the new contacts where something lies."""
+        new, self._contacts = truth.contacts[self._contacts :], len(truth.contacts)
+        for contact in new:
+            x, y, _ = contact.p_body_pad.tolist()
+            for thing, _ in self._world.faults.on(ObjectOnPad):
+                off_m = math.hypot(x - thing.forward_m, y - thing.right_m)
+                if thing.thing != "wet patch" and off_m < 0.5 * thing.size_m + _FEET_M:
+                    self._on_things.append(f"touched a {thing.thing} on the {contact.surface}, {off_m:.2f} m from its middle")
 
     def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
         """Note the service's verdict on a frame."""
@@ -150,6 +168,7 @@ class FlightGrader:
         self._unreached.step(truth, reached=world.reached)
         unreached = self._unreached.at if scenario.unreached_contacts else ()
         unreached_max_m = self._unreached_max_m(self._watch.deck_fell_m_s)
+        self._meet(truth)
         unsafe = dangers(
             self._watch.worst,
             truth.contacts,
@@ -159,6 +178,7 @@ class FlightGrader:
             unreached=unreached,
             motion=self._motion,
         )
+        unsafe = (*unsafe, *self._on_things)
         worth, because = grade(
             outcome,
             on_pad_m(truth.contacts),

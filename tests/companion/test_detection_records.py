@@ -9,6 +9,7 @@ from companion.recording import decode, encode
 from companion.recording.rewriting import _without_methods
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.time import MonoNs
+from estimator.vision.detection import PadCheck, PadThing
 from tests.support.processed_frames import seen
 
 AT = MonoNs(3_000_000_000)
@@ -44,3 +45,13 @@ def test_what_is_seen_elsewhere_reads_back_and_stays_where_a_recording_is_thinne
     none = decode.detection(encode.detection(seen(AT, True)))
     assert none is not None
     assert none.elsewhere is None
+
+
+@pytest.mark.parametrize("thing", [None, PadThing(0.2, 0.05, -0.12)])
+def test_what_lies_on_the_pad_reads_back(thing: PadThing | None) -> None:
+    plain = seen(AT, True)
+    assert plain.detection is not None
+    check = PadCheck(AT, 0.9, thing)
+    back = decode.detection(encode.detection(replace(plain, detection=replace(plain.detection, on_pad=check))))
+    assert back is not None
+    assert back.on_pad == check

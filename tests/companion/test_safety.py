@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.observer import Decision
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
 from companion.guidance.situation import fit_to_steer
 from companion.settings.guidance import GuidanceOptions
@@ -24,7 +25,7 @@ from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
-from estimator.vision.detection import Detection
+from estimator.vision.detection import Detection, PadCheck, PadThing
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
 
@@ -49,6 +50,8 @@ class Loop:
     v: np.ndarray = field(default_factory=lambda: np.zeros(3))
     verdicts: list[Verdict] = field(default_factory=list)
     lowest_m: float = math.inf
+    thing: PadThing | None = None
+    """What vision sees on the pad."""
 
     def __post_init__(self) -> None:
         self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance)
@@ -119,7 +122,8 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}))[0])
+        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing)
+        self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}, on_pad=on_pad))[0])
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
         for _ in range(round(seconds / TICK_S)):
@@ -281,3 +285,35 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
     assert loop.d[2] < height_m + 1.5, "it follows no such deck up"
     monkeypatch.undo()
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
+
+
+CRATE = PadThing(0.2, 0.0, -0.12)
+
+
+@pytest.mark.parametrize("mission", ["thesis", "cone"])
+def test_what_lies_on_the_pad_ends_the_descent_and_is_refused_after_some_tries(mission: str) -> None:
+    tries = TryOptions(leg_s=4.0, go_arounds_max=1)
+    loop = Loop("ekf", GuidanceOptions(mission=mission, controller="pid", tries=tries))
+    loop.until(below(2.2, loop))
+    loop.thing, appeared = CRATE, 0
+    while loop.pilot.phase != "refused":
+        appeared += 1
+        decision = loop.tick()
+        assert appeared < 1500, (loop.pilot.phase, loop.pilot.landing.reason)
+        assert appeared < 20 or loop.pilot.phase not in ("descend", "gate", "commit", "press", "down")
+    assert "something 20 cm wide lies 12 cm from the pad's centre" in decision.reason
+    assert loop.lowest_m > 1.5
+
+
+def test_what_passed_delays_the_landing_and_the_operator_may_overrule_what_stays() -> None:
+    loop = Loop("ekf", GuidanceOptions(mission="thesis", controller="pid"))
+    loop.until(below(2.2, loop))
+    loop.thing = CRATE
+    loop.until(lambda decision: "something" in decision.reason)
+    loop.thing = None
+    loop.until(lambda decision: loop.pilot.phase == "descend")
+    loop.thing = CRATE
+    loop.until(lambda decision: "something" in decision.reason)
+    assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
+    loop.until(lambda decision: isinstance(decision.command, Land))
+    assert loop.d[2] < 0.45

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import after
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 from sitl.flight.flight import Flight
@@ -58,6 +59,8 @@ def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
     [
         (ObjectOnPad(at_s=0.1, right_m=0.78, size_m=0.5), 2.0, 0.0, (0.001, 0.03)),
         (ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
+        (ObjectOnPad(at_s=0.1, thing="crate", brightness=0.9, right_m=0.39, size_m=0.3), 1.0, 0.0, (0.001, 0.03)),
+        (ObjectOnPad(at_s=0.1, thing="wet patch", forward_m=-0.78, size_m=0.4), 0.0, 2.0, (0.001, 0.03)),
         (OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
         (Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
     ],
@@ -146,3 +149,16 @@ def test_a_shipped_fault_of_the_picture_changes_it(name: str) -> None:
         soon = msgspec.structs.replace(fault, **beginnings, at_s=0.1)
         part, _, _ = changed(soon, least=6)  # type: ignore[arg-type]
         assert part > 0.001
+
+
+@pytest.mark.parametrize(("thing", "right_m", "unsafe"), [("crate", 0.2, 1), ("crate", 0.6, 0), ("wet patch", 0.0, 0)])
+def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, right_m: float, unsafe: int) -> None:
+    lies = {"kind": "object_on_pad", "at_s": 0.0, "thing": thing, "size_m": 0.3, "right_m": right_m}
+    scenario = from_mapping({"title": "x", "start": {"height_m": 0.6}, "faults": [lies]}, "mine.toml")
+    flight = Flight(scenario, 1, SIM, perceive("pixels").pilot(SIM))
+    flight.world.land()
+    while flight.world.truth().touchdown is None:
+        flight.world.advance(after(flight.world.now, 0.05))
+    flight._grader.step()
+    met = [line for line in flight.result().unsafe if line.startswith(f"touched a {thing} on the pad")]
+    assert len(met) == unsafe

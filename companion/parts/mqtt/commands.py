@@ -24,6 +24,7 @@ import numpy as np
 
 from companion.parts.mqtt.messages import (
     AbortCommand,
+    ClearCommand,
     Command,
     CommandReply,
     PauseCommand,
@@ -92,6 +93,8 @@ class Operated(Protocol):
     def pause(self) -> str | None: ...
 
     def abort(self) -> str | None: ...
+
+    def clear(self) -> str | None: ...
 
     def steer_by(self, path: PathName) -> str | None: ...
 
@@ -194,6 +197,8 @@ class CommandHandler:
                 return self.operated.pause()
             case AbortCommand():
                 return self.operated.abort()
+            case ClearCommand():
+                return self.operated.clear()
             case SetPathCommand():
                 return self.operated.steer_by(command.path)
             case SetRecordingCommand():

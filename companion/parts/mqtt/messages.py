@@ -228,6 +228,10 @@ class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
     """Hover and end the approach."""
 
 
+class ClearCommand(OperatorCommand, frozen=True, kw_only=True, tag="clear"):
+    """Land in this flight whatever is seen on the pad."""
+
+
 class SetPathCommand(OperatorCommand, frozen=True, kw_only=True, tag="path"):
     """Select the estimator path that steers."""
 
@@ -265,7 +269,7 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             raise ValueError("speed_m_s and course_deg need each other")
 
 
-Command = StartCommand | PauseCommand | AbortCommand | SetPathCommand | SetRecordingCommand
+Command = StartCommand | PauseCommand | AbortCommand | ClearCommand | SetPathCommand | SetRecordingCommand
 
 Refusal = Literal[
     "malformed",
@@ -320,7 +324,7 @@ def decode(leaf: str, payload: bytes) -> Message | None:
 
 def schema() -> str:
     """Return the JSON Schema of every message under `$defs`, with one property per line."""
-    commands = (StartCommand, PauseCommand, AbortCommand, SetPathCommand, SetRecordingCommand)
+    commands = (StartCommand, PauseCommand, AbortCommand, ClearCommand, SetPathCommand, SetRecordingCommand)
     models = (*PUBLISHED.values(), *commands, ShipReport)
     _, definitions = msgspec.json.schema_components(models, ref_template="#/$defs/{name}")
     whole = []

@@ -4,7 +4,7 @@ const KNOB_PX = 62;
 const CONFIRMED = 0.95;
 const NAMES = {
   takeoff: "Take off", begin: "Begin landing", hold: "Hold", land: "Land here", abort: "Abort", emergency: "Emergency",
-  reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
+  clear: "Call the pad clear", reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
 };
 
 export class Orders {

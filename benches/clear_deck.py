@@ -1,0 +1,167 @@
+"""Measure what is seen on the pad in rendered approaches: `python -m benches.clear_deck [--runs N] [--clear N] [--photos]`.
+
+The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis. The tracker has a
+prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
+random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
+`--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame.
+"""
+
+import argparse
+import math
+import sys
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.photographs import FOLDER, read_labels  # noqa: E402
+from benches.tracked import SIGMA_YAW_RAD  # noqa: E402
+from estimator.contracts.estimates import RelativeState  # noqa: E402
+from estimator.contracts.geometry import Rotation  # noqa: E402
+from estimator.contracts.samples import Attitude, Frame  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.clear_deck import DeckMemory, checked_deck  # noqa: E402
+from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
+from estimator.vision.detection import PadCheck  # noqa: E402
+from estimator.vision.options import TrackerOptions  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.register.registration import register  # noqa: E402
+from estimator.vision.srgb import LUMA, linear_light  # noqa: E402
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from sitl.camera.camera import Exposure, Renderer  # noqa: E402
+from sitl.camera.light import Mast, Sensor  # noqa: E402
+from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings  # noqa: E402
+from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
+
+LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast")
+HUES = ("grey", "any hue", "disc's hue")
+HIGH_M, LOW_M, FRAMES, PERIOD_S = 5.0, 0.9, 41, 0.1
+
+
+def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB:
+    """Return a colour whose luminance differs from the disc's by a factor 1 +- contrast or a little more."""
+    base = linear_light(disc)
+    rgb = np.ones(3) if hue == "grey" else base if hue == "disc's hue" else rng.uniform(0.05, 1.0, 3)
+    want = float(base @ LUMA) * (1.0 + contrast * float(rng.choice([-1.0, 1.0])))
+    light = np.clip(rgb * want / float(rgb @ LUMA), 0.0, 1.0)
+    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055) * 255.0
+    r, g, b = np.rint(srgb).astype(int).tolist()
+    return r, g, b
+
+
+def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig) -> tuple[PadCheck | None, float]:
+    """Return the check in the last frame, and the greatest height at which something was seen, 0 if nothing was."""
+    rng = np.random.default_rng([50, seed])
+    lit = random_light(rng, "shadow" if light == "mast" else light)
+    if light == "mast":
+        lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6))
+    around = Surroundings(Deck(8.0, 5.0, (0.0, 0.0), 0.0, paint=DECK_PAINTS[seed % 4], seed=seed % 7), decals=things)
+    sensor = Sensor(float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)))
+    renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
+    memory, check, first_m = TrackerMemory(), None, 0.0
+    yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
+    for k in range(FRAMES):
+        t = k * PERIOD_S
+        height_m = HIGH_M + (LOW_M - HIGH_M) * k / (FRAMES - 1)
+        roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
+        x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])
+        R = Rotation.from_rpy(roll, pitch, yaw)
+        v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
+        p_pad, p_body = np.array([0.0, 0.0, -0.6]), np.array([x, y, -0.6 - height_m])
+        shot = Exposure(t, R, p_body, Rotation.identity(), p_pad, v, rng.normal(0, 0.1, 3))
+        px = renderer.render(shot, rng)
+        stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
+        d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
+        error = rng.normal(0.0, 0.005, 3)
+        belief = RelativeState(
+            stamp.measured_at, "ekf", d_level + error, np.zeros(3), yaw + float(rng.normal(0, 0.005)),
+            np.diag([0.005**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), stamp.measured_at, True,
+        )  # fmt: skip
+        attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
+        seen, memory = track(tracker, memory, Frame(stamp, k, px), attitude, belief if k else None)
+        if seen.on_pad is not None:
+            check = seen.on_pad
+            first_m = first_m or (height_m if check.thing is not None else 0.0)
+    return check, first_m
+
+
+def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
+    """Print the share of things that were seen, by size and hue."""
+    seen: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    heights: list[float] = []
+    for seed in runs:
+        rng = np.random.default_rng([51, seed])
+        size_m, hue = float(rng.uniform(0.1, 0.5)), HUES[seed % 3]
+        light = LIGHTS[int(rng.integers(len(LIGHTS)))]
+        a, r = rng.uniform(0, math.tau), (tracker.pad.disc_radius_m - 0.5 * size_m) * math.sqrt(rng.uniform())
+        colour = paint(rng, hue, contrast, tracker.pad.markings.colours.disc)
+        thing = Decal("crate", (r * math.cos(a), r * math.sin(a)), size_m, float(rng.uniform(0, math.pi)), "pad", colour)
+        check, first_m = approach(seed, light, (thing,), tracker)
+        found = check is not None and check.thing is not None
+        heights += [first_m] if found else []
+        for key in ((hue, "15 cm and more" if size_m >= 0.15 else "less"), ("all", light)):
+            seen[key].append(found)
+        if not found:
+            print(f"  not seen: seed {seed}, {100 * size_m:.0f} cm, {hue}, {light}, {100 * r:.0f} cm off, {check}", flush=True)
+    for key, each in sorted(seen.items()):
+        print(f"{', '.join(key)}: {sum(each)} of {len(each)} seen", flush=True)
+    print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
+
+
+def without(runs: range, tracker: TrackerConfig) -> None:
+    """Print the number of clear approaches in which something is seen at any time."""
+    wrong: dict[str, list[bool]] = defaultdict(list)
+    for seed in runs:
+        light = LIGHTS[seed % len(LIGHTS)]
+        check, first_m = approach(10_000 + seed, light, (), tracker)
+        wrong[light].append(first_m > 0.0)
+        if first_m:
+            print(f"  false: seed {seed}, {light}, from {first_m:.1f} m, {check}", flush=True)
+    for light, each in wrong.items():
+        print(f"clear, {light}: {sum(each)} of {len(each)} with something seen", flush=True)
+
+
+def photographs() -> None:
+    """Print in which photographs of the real pad something is seen, each read as often as a standing camera would read it."""
+    camera, pad, wrong = load_camera("photos"), load_pad("printed"), 0
+    labels = read_labels()
+    for name, of in labels.items():
+        pyramid = Pyramid(np.asarray(cv2.imread(str(FOLDER / "images" / name)), np.uint8))
+        found = register(pyramid[0], camera, pad, PadPose(Rotation.from_rotvec(of.start[3:]), of.start[:3]), pyramid=pyramid)
+        if found is None:
+            print(f"  {name}: not registered")
+            continue
+        memory: DeckMemory | None = None
+        for k in range(8):
+            at = MonoNs(1_000_000_000 + 200_000_000 * k)
+            memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
+        if memory is None or memory.check.thing is not None:
+            wrong += memory is not None
+            print(f"  {name}: {found.pose.range_m:.1f} m, {'not read' if memory is None else memory.check}", flush=True)
+    print(f"photographs: {wrong} of {len(labels)} with something seen", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
+    parser.add_argument("--clear", type=int, default=60, help="approaches without one")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of both")
+    parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
+    parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    if args.photos:
+        photographs()
+        return
+    tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
+    without(range(args.first, args.first + args.clear), tracker)
+    with_things(range(args.first, args.first + args.runs), args.contrast, tracker)
+
+
+if __name__ == "__main__":
+    main()
