@@ -230,9 +230,9 @@ def main() -> None:
                 found[condition, height].append(good)
                 took[height].append(ms)
                 if not good and best is not None:
-                    said = "none" if sure is None else f"{sure[0]:.2f} {'right' if sure[1] else 'wrong'}"
-                    told = "" if scene.R_level_body else "no attitude"
-                    text = f"{condition} {height} {said} vis {scene.visible:.2f} {told}"
+                    output = "none" if sure is None else f"{sure[0]:.2f} {'right' if sure[1] else 'wrong'}"
+                    reported = "" if scene.R_level_body else "no attitude"
+                    text = f"{condition} {height} {output} vis {scene.visible:.2f} {reported}"
                     bad.append(image_of(scene.px, camera, pad, scene.truth, best, text))
                 elif not good:
                     bad.append(image_of(scene.px, camera, pad, scene.truth, None, f"{condition} {height} none"))

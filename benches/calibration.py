@@ -96,9 +96,9 @@ def main() -> None:
         if not rows:
             print(f"{name}: all refused")
             continue
-        said, middle, worst, most = 100.0 * np.abs(np.array(rows)).T
-        within = [100.0 * np.mean(off <= said) for off in (worst, middle, most)]
-        print(f"{name}: right to {np.median(said):.2f} % (median), {said.max():.2f} at most")
+        shown, middle, worst, most = 100.0 * np.abs(np.array(rows)).T
+        within = [100.0 * np.mean(off <= shown) for off in (worst, middle, most)]
+        print(f"{name}: right to {np.median(shown):.2f} % (median), {shown.max():.2f} at most")
         print(
             "  truth within it: {:.0f} % at the place that is said, {:.0f} % in the middle, {:.0f} % at all five".format(*within)
         )

@@ -58,8 +58,12 @@ def cell(rows: list[Row]) -> str:
     refused, unsafe = sum(row["refused"] is not None for row in rows), sum(bool(row["unsafe"]) for row in rows)
     errors_cm = sorted(100.0 * row["standing_m"] for row in landed if row["standing_m"] is not None)
     words = [f"{len(landed)} of {len(rows)}"]
-    words += [f"{statistics.median(errors_cm):.1f} / {errors_cm[-1]:.1f} cm"] * bool(errors_cm)
-    words += [f"{refused} refused"] * bool(refused) + [f"**{unsafe} unsafe**"] * bool(unsafe)
+    if errors_cm:
+        words.append(f"{statistics.median(errors_cm):.1f} / {errors_cm[-1]:.1f} cm")
+    if refused:
+        words.append(f"{refused} refused")
+    if unsafe:
+        words.append(f"**{unsafe} unsafe**")
     return ", ".join(words)
 
 

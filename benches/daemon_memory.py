@@ -55,8 +55,8 @@ def main() -> None:
         with subprocess.Popen(alone, stderr=subprocess.PIPE, text=True) as daemon:
             watch(daemon.pid, args.minutes)
             daemon.terminate()
-            said = daemon.communicate()[1].strip().splitlines()
-        print("the daemon's last word:", said[-1] if said else "none")
+            output = daemon.communicate()[1].strip().splitlines()
+        print("the daemon's last word:", output[-1] if output else "none")
 
 
 def watch(pid: int, minutes: float) -> None:

@@ -56,9 +56,9 @@ def table(flights: list[dict[str, Any]]) -> str:
         unsafe = [flight for flight in its if flight["unsafe"]]
         failed = [flight for flight in its if flight["grade"] == "failed"]
         why = "; ".join(dict.fromkeys(f"seed {flight['seed']}: {flight['because']}" for flight in failed))
-        said = ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common())
+        output = ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common())
         verdict = f"yes, {len(unsafe)} of {len(its)}" if unsafe else "no"
-        lines.append(f"| {name} | {len(its)} | {its[0]['expect']} | {said} | {verdict} | {worst_touch(its)} | {why} |")
+        lines.append(f"| {name} | {len(its)} | {its[0]['expect']} | {output} | {verdict} | {worst_touch(its)} | {why} |")
     every = len(flights)
     bad = sum(bool(flight["unsafe"]) for flight in flights)
     wrong = sum(flight["grade"] == "failed" for flight in flights)

@@ -64,12 +64,12 @@ class Timed(NullObserver):
         self._component.on_decision(decision)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        sent, told = self._bytes_out(), self._clock.now()
+        sent, reported = self._bytes_out(), self._clock.now()
         self._component.on_frame(processed)
         if processed.verdict is Verdict.FUSED and self._bytes_out() > sent:
             done = self._clock.now()
             self.whole_ms.append(1e3 * seconds_between(processed.frame.stamp.received_at, done))
-            self.speech_ms.append(1e3 * seconds_between(told, done))
+            self.speech_ms.append(1e3 * seconds_between(reported, done))
 
 
 async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, int, int], seconds: float) -> None:

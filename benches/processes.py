@@ -115,8 +115,8 @@ class Truth:
             rest, before = "", time.monotonic()
             while True:
                 last = self.ended
-                said = rest + lines.read()
-                *whole, rest = said.split("\n")
+                output = rest + lines.read()
+                *whole, rest = output.split("\n")
                 self.records += [{name: value for name, value in json.loads(line).items() if name in _KEPT} for line in whole]
                 if last:
                     return

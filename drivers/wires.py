@@ -153,7 +153,7 @@ class _Datagrams(_Breakable, asyncio.DatagramProtocol):
         self._listening = listening
         self._transport: Any = None  # the loops' datagram transports share no class that has both methods used here
         self.refused_at: MonoNs | None = None
-        """When the other side refused last; None since it was heard."""
+        """Time when the other side last refused; None since its last message."""
 
     @property
     def local(self) -> Address | None:
@@ -198,7 +198,7 @@ class _Paced(_Breakable, ABC):
         super().__init__(clock, received, counts)
         self._queue = SendQueue(counts)
         self._written: deque[tuple[MonoNs, int]] = deque()
-        """When bytes were given to the kernel, and their number with all those before."""
+        """Time when bytes were given to the kernel, and their number with all those before."""
         self._total = 0
         self._timer: asyncio.TimerHandle | None = None
 

@@ -22,7 +22,8 @@ def main(minutes: float, file: Path) -> bool:
     settings = settings_for(scenario, None)
     tilt = response_model(settings).tilt
     wide = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -3.14), start_high=(2.5, 2.5, 8.0, 3.14))
-    student = Imitation(TrainingWorlds(scenario, 96, wide), response_model(settings), seed=2)
+    worlds = [TrainingWorlds(load(name), 64, wide) for name in ("weather_2", "weather_3", "weather_4")]
+    student = Imitation(worlds, response_model(settings), seed=2)
     began = time.monotonic()
     for progress in student.rounds(2000, lambda: (time.monotonic() - began) / (60.0 * minutes)):
         print(f"round {progress.round}: error {progress.error:.3f}, {progress.flown.episodes} episodes flown by itself")

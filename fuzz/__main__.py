@@ -93,8 +93,8 @@ def run_target(name: str, seconds: float, work: Path, cpu: bool) -> Result:
                 process.kill()
     faults = [path.read_text(encoding="utf-8").partition("\n")[0] for path in _new(crashes, f"{name}-*.txt", began_wall)]
     if process.returncode != 0:
-        said = next((found[1] or found[2] for line in tail if (found := _NATIVE.search(line))), None)
-        faults.append(f"{name}: {said or f'exit code {process.returncode}'}")
+        output = next((found[1] or found[2] for line in tail if (found := _NATIVE.search(line))), None)
+        faults.append(f"{name}: {output or f'exit code {process.returncode}'}")
         crashes.mkdir(parents=True, exist_ok=True)
         (crashes / f"{name}-last-words.log").write_text("\n".join(tail) + "\n")
     return Result(name, executions, edges, features, corpus, time.monotonic() - began, tuple(faults))

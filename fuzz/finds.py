@@ -40,13 +40,13 @@ class Finds:
 
     def note(self, data: bytes, why: BaseException) -> None:
         """Record one input that broke the contract."""
-        said = signature(why, self.root)
-        if len(data) >= self.lengths.get(said, len(data) + 1):
+        output = signature(why, self.root)
+        if len(data) >= self.lengths.get(output, len(data) + 1):
             return
-        self.lengths[said] = len(data)
-        stem = f"{self.target}-{hashlib.sha256(said.encode()).hexdigest()[:8]}"
+        self.lengths[output] = len(data)
+        stem = f"{self.target}-{hashlib.sha256(output.encode()).hexdigest()[:8]}"
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / f"{stem}.bin").write_bytes(data)
         trace = "".join(traceback.format_exception(innermost(why)))
-        text = f"{self.target}: {said}\n\ninput ({len(data)} bytes): {data!r:.{_LONGEST}}\n\n{trace[-_LONGEST:]}"
+        text = f"{self.target}: {output}\n\ninput ({len(data)} bytes): {data!r:.{_LONGEST}}\n\n{trace[-_LONGEST:]}"
         (self.folder / f"{stem}.txt").write_text(text, encoding="utf-8", errors="backslashreplace")

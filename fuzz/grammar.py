@@ -243,13 +243,13 @@ def _check(name: str, one: Grammar, data: bytes, honest: bool) -> None:
         if one.kind is not None and data:
             kind = kind_of(path)
             assert kind in (one.kind, FileKind.OTHER, FileKind.TEXT), f"{name} taken for {kind.value}"
-        told: list[str] = []
+        reports: list[str] = []
         try:
-            figures = one.read(path, told.append)
+            figures = one.read(path, reports.append)
         except (BadInput, ImageRefused) as why:
             refused(why)
             return
-        if honest and not told:
+        if honest and not reports:
             assert figures <= one.true, f"{name}: {figures - one.true} is in none of its records, and nothing is told"
 
 

@@ -109,9 +109,9 @@ class _Socket:
             await asyncio.sleep(0)
 
     async def send_str(self, text: str) -> None:
-        told = json.loads(text)
-        assert told["op"] == "status"
-        assert len(told["message"]) <= 300
+        reported = json.loads(text)
+        assert reported["op"] == "status"
+        assert len(reported["message"]) <= 300
 
     async def send_bytes(self, message: bytes) -> None:
         opcode, number, _ = _MESSAGE.unpack_from(message)

@@ -250,12 +250,12 @@ def _conversation() -> list[Message]:
 
 def autopilot_seeds() -> Iterator[bytes]:
     """Yield a whole conversation for each kind of autopilot, and each of its messages alone with extreme values."""
-    said = _conversation()
+    output = _conversation()
     for kind in range(3):
-        yield bytes([kind]) + b"".join(step(message, how=_ADDRESSED, wait=2) for message in said)
-    for message in said:
+        yield bytes([kind]) + b"".join(step(message, how=_ADDRESSED, wait=2) for message in output)
+    for message in output:
         yield b"\x01" + step(message, 1, _ADDRESSED) + step(message, 2, _ADDRESSED, link=1)
-    yield b"\xff" + bytes([1, _RAW, 0]) + block(b"\xfd\x09\x00\x00" + bytes(12)) + step(said[0])
+    yield b"\xff" + bytes([1, _RAW, 0]) + block(b"\xfd\x09\x00\x00" + bytes(12)) + step(output[0])
 
 
 def run_bridge(data: bytes) -> None:

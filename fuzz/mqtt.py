@@ -157,7 +157,7 @@ def watch_seeds() -> Iterator[bytes]:
         sigma_d_m=(0.1, 0.1, 0.1), sigma_v_m_s=(0.1, 0.1, 0.1), sigma_yaw_rad=3.0, sighted_age_s=0.1, consistent=True,
     )  # fmt: skip
     found = MethodReport(d_body_pad_level_m=(1.0, 2.0, 3.0), yaw_rad=0.1, yaw_ambiguous=False, cov=(0.0,) * 16, confidence=0.9)
-    said = {
+    output = {
         "status": StatusMessage(
             session=SESSION, at_ns=1, online=True, reason="up", version="1", started_unix_s=1.7e9, started_ns=0
         ),
@@ -181,7 +181,7 @@ def watch_seeds() -> Iterator[bytes]:
         ),
         "reply": CommandReply(session=SESSION, at_ns=6, id="1", accepted=False, reason="expired", text="late"),
     }  # fmt: skip
-    rows = [block(f"{ROOT}/drone/{leaf}".encode()) + b"\1" + block(encode(message)) for leaf, message in said.items()]
+    rows = [block(f"{ROOT}/drone/{leaf}".encode()) + b"\1" + block(encode(message)) for leaf, message in output.items()]
     yield b"".join(rows)
     yield from rows
 

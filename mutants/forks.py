@@ -30,7 +30,7 @@ class Forks(ABC):
         self.tally = tally
         self.failed_on_original: list[str] = []
         self.after_tests: Callable[[], object] = lambda: None
-        """What a fork does when no test failed."""
+        """Action of a fork when no test failed."""
         self._ended_by = "no tests"
 
     @pytest.hookimpl(tryfirst=True)

@@ -30,7 +30,7 @@ class _Interpreted(Forks):
         self._plain = ast.unparse(ast.parse(file.read_text()))
         self._lines: set[int] = set()
         self.outside: list[int] = []
-        """Places among the drawn of those that are to be imported anew."""
+        """Indices of the drawn mutants that are to be imported again."""
 
     def on_original(self, k: int) -> Callable[[], None]:
         def trace(frame: FrameType, event: str, argument: object) -> Any:

@@ -174,13 +174,13 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/tilt_model.py": (
         "tests/companion/test_response.py",
         "tests/companion/test_law.py::test_the_discrete_model_is_the_continuous_one",
-        "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
+        "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
     "companion/guidance/response_course.py": ("tests/companion/test_response_course.py",),
     "companion/guidance/response_fit.py": (
         "tests/companion/test_response_fit.py",
-        "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_told_apart",
-        "tests/companion/test_identify.py::test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms",
+        "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_distinguished",
+        "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
     "companion/guidance/response_watch.py": (
         "tests/companion/test_response_watch_bounds.py",

@@ -8,10 +8,12 @@ import sys
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from companion.cli.main import main
 from examples import make_data
+from examples.known_controllers import Lateral, Lqr, Mpc, integrators
 from tests.support.recorded_flight import record_to
 
 ROOT = Path(__file__).parents[1]
@@ -63,6 +65,18 @@ def test_a_controller_of_one_s_own_lands_on_the_pad() -> None:
     done = run("own_controller")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("landed on the pad after ")
+
+
+@pytest.mark.parametrize("lateral", [Lqr(0.02), Mpc()])
+def test_the_known_controllers_settle_over_the_pad_against_a_steady_push_within_their_largest_lean(lateral: Lateral) -> None:
+    A, B = integrators(0.02)
+    x, leans = np.array([[0.0, 0.0], [1.0, -0.5], [0.0, 0.0]]), []
+    for _ in range(1000):
+        leans.append(lateral.lean(x, 2.0))
+        x = A @ x + B @ (leans[-1] + [0.8, 0.0])[None]
+    assert x[1:] == pytest.approx(np.zeros((2, 2)), abs=0.02)
+    assert leans[-1] == pytest.approx([-0.8, 0.0], abs=0.02)
+    assert 1.0 < np.abs(leans).max() <= 2.0
 
 
 def test_a_vehicle_a_camera_a_pad_and_a_message_of_one_s_own_work_together() -> None:

@@ -213,6 +213,37 @@ def public_classes(source: str) -> list[str]:
     return [node.name for node in parsed(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
+NO_OPENING = {
+    "What", "Whether", "Where", "How", "Why", "Who", "Whose", "Which", "That", "Those", "Of", "In", "From", "By", "When", "As",
+    "At", "For", "With", "Without", "Over", "Against", "Through",
+}  # fmt: skip
+"""First words of docstrings that make a reader start again: functions open with a verb, classes and values with a noun."""
+PROSE = re.compile(r"\b(told|heard|of which|of whom|be it|were it|astray|anew|strangers?|The same (of|for|where|in))\b")
+"""Words and constructions for which plain ones exist (CONTRIBUTING.md)."""
+LONGEST_OPENING = 27
+"""Number of words in a docstring's first sentence."""
+
+
+def docstrings(body: Iterable[ast.stmt]) -> Iterator[tuple[int, str]]:
+    """Yield the line and the text of each docstring in the statements of a module, those after assignments too."""
+    for node in body:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, " ".join(node.value.value.split())
+        elif isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from docstrings(node.body)
+
+
+def hard_to_read(source: str, *, words: bool = True) -> list[tuple[int, str]]:
+    """Return lines of docstrings with a hard opening, a long first sentence or, unless in tests, a word of `PROSE`."""
+    found = []
+    for line, text in docstrings(parsed(source).body):
+        prose = text.partition("Args:")[0]
+        first = re.split(r"(?<=[.:;!?])\s", prose)[0]
+        if re.split(r"\W", text)[0] in NO_OPENING or len(first.split()) > LONGEST_OPENING or (words and PROSE.search(prose)):
+            found.append((line, first[:60]))
+    return found
+
+
 def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
     """Return the class names that more than one module defines, with those modules."""
     homes: dict[str, list[str]] = {}
@@ -275,6 +306,25 @@ async def f(given: asyncio.TaskGroup):
 def test_the_rule_for_names_catches_an_offender() -> None:
     assert public_classes("class A: ...\nclass _B: ...\ndef f():\n    class C: ...") == ["A"]
     assert ambiguous([("x", ["A", "B"]), ("y", ["B"])]) == {"B": ["x", "y"]}
+
+
+def test_the_rule_for_docstrings_catches_an_offender() -> None:
+    assert hard_to_read('"""What is there."""\nX = 1\n"""Of the disc."""\ndef f():\n    """Return what is there."""') == [
+        (1, "What is there."),
+        (3, "Of the disc."),
+    ]
+    assert hard_to_read('"""Time that is told, s."""') == [(1, "Time that is told, s.")]
+    assert hard_to_read('"""Time that is told, s."""', words=False) == []
+    assert len(hard_to_read(f'"""Return {"a long " * LONGEST_OPENING}line."""')) == 1
+
+
+def test_docstrings_are_understood_at_one_reading() -> None:
+    found = {
+        str(p.relative_to(ROOT)): wrong
+        for p in files()
+        if p.suffix == ".py" and (wrong := hard_to_read(p.read_text(), words=p.relative_to(ROOT).parts[0] != "tests"))
+    }
+    assert found == {}
 
 
 def test_one_class_name_means_one_thing() -> None:

@@ -84,7 +84,7 @@ class LoopWatch:
         self._flew = False
         self._beat_s = time.monotonic()
         self._where = ""
-        """What held the loop, as the thread saw it; empty while nothing does."""
+        """Cause of the loop's standstill, as the thread saw it; empty while the loop runs."""
         self._told = False
         self._thread_beat_s = self._beat_s
         self._worked_s = 0.0

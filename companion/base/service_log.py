@@ -202,15 +202,15 @@ def logging_to_stderr(level: str) -> Iterator[ServiceLog]:
     service_log = ServiceLog(real, timed="JOURNAL_STREAM" not in os.environ)
     logging.basicConfig(level=level.upper(), handlers=[service_log], force=True)
     logging.captureWarnings(True)
-    heard = _hear() if PROCESS.heeding else None
+    received = _hear() if PROCESS.heeding else None
     said, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(service_log, words)
     try:
         yield service_log
     finally:
         PROCESS.last_words = said
-        if heard is not None:
+        if received is not None:
             sys.stdout.flush()
-            for number, before in enumerate(heard, 1):
+            for number, before in enumerate(received, 1):
                 os.dup2(before, number)
                 os.close(before)
         service_log.close()

@@ -294,15 +294,15 @@ _LACKS = 6
 def block(state: GuideState) -> list[str]:
     """Return the parts of the image that hold a corner (`#`), with what is known and missing beside them."""
     error = "" if state.rms_px is None else f", error {state.rms_px:.2f} px, {state.grade}"
-    told = [
+    reported = [
         f"{state.images} images, {state.views} views{error}" + ("" if state.board_seen else "; the board is not in sight"),
         "nothing is missing" if not state.lacks else "show:",
         *(f"- {lack}" for lack in state.lacks[:_LACKS]),
     ]
-    told += [""] * (2 + _LACKS - len(told))
+    reported += [""] * (2 + _LACKS - len(reported))
     grid = ["".join("#" if count else "." for count in row) for row in state.cells]
-    grid += [" " * len(state.cells[0])] * (len(told) - len(grid))
-    return [f"  {cells}   {line}" for cells, line in zip(grid, told, strict=True)]
+    grid += [" " * len(state.cells[0])] * (len(reported) - len(grid))
+    return [f"  {cells}   {line}" for cells, line in zip(grid, reported, strict=True)]
 
 
 class ProgressBlock:

@@ -149,16 +149,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="add one or two faults to what sensors, frames and commands say, drawn by each seed; every failing flight of the "
         f"first {WORST} becomes a scenario file beside the results, with the fewest and weakest faults that fail",
     )
-    said = parser.add_argument_group("results")
-    said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
-    said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
-    said.add_argument(
+    output = parser.add_argument_group("results")
+    output.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
+    output.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
+    output.add_argument(
         "--map",
         action="store_true",
         help=f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
         f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
     )
-    said.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
+    output.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
     _add_soak_arguments(parser)
 
 
@@ -174,8 +174,8 @@ def run(args: argparse.Namespace) -> int:
     if args.soak:
         return run_soak(args, *_plan(args))
     if args.map:
-        said = {text.partition("=")[0] for text in args.vary}
-        args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in said)]
+        output = {text.partition("=")[0] for text in args.vary}
+        args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
     args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
@@ -369,8 +369,8 @@ def _searched(args: argparse.Namespace, plan: AnyPlan, store: ResultStore, sessi
     more = {"smallest": None if found is None else _smallest(found, plan)}
     code = _conclude(args, plan, store, store.keys(), more)
     if not args.json:
-        said = "nothing in these ranges makes it fail" if found is None else _in_words(found, plan)
-        sys.stdout.write(f"{said}\n")
+        output = "nothing in these ranges makes it fail" if found is None else _in_words(found, plan)
+        sys.stdout.write(f"{output}\n")
     return code
 
 

@@ -222,8 +222,8 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         yield drone
     finally:
         child.stdin.close()
-        said, _ = await child.communicate()
-    drone.ended(said)
+        printed, _ = await child.communicate()
+    drone.ended(printed)
 
 
 def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:

@@ -218,8 +218,8 @@ async def _write(
         identity = autopilot.identity
         if identity is None:
             raise BadInput(f"system {system} is not heard: no parameter was written")
-        heard = AutopilotSnapshot(identity.stack.value, identity.system)
-        if kept is not None and (foreign := kept.foreign_to(heard)) is not None:
+        received = AutopilotSnapshot(identity.stack.value, identity.system)
+        if kept is not None and (foreign := kept.foreign_to(received)) is not None:
             raise BadInput(f"--undo: {foreign}")
         if (why_not := why_not_written(autopilot)) is not None:
             raise BadInput(f"{why_not}: no parameter was written")

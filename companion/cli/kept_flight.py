@@ -159,13 +159,13 @@ def keeping(
     if perception != "pixels":
         args.record_frames = "none"
     log = None if args.report is None else _log(settings, title, started)
-    told: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
+    reported: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
     with recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
-            told.append(recorder)
-        held_back = tuple(HeldBack(observer) for observer in told) if from_truth else ()
-        yield KeptFlight(args, recorder, log, held_back or tuple(told), held_back)
+            reported.append(recorder)
+        held_back = tuple(HeldBack(observer) for observer in reported) if from_truth else ()
+        yield KeptFlight(args, recorder, log, held_back or tuple(reported), held_back)
 
 
 def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:

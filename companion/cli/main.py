@@ -92,10 +92,10 @@ class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        said = _one_line(message)
+        printed = _one_line(message)
         for words, meant in _PLAIN.items():
-            said = re.sub(words, meant, said)
-        self.exit(WRONG, f"{self.prog}: {said} (see {self.prog} --help)\n")
+            printed = re.sub(words, meant, printed)
+        self.exit(WRONG, f"{self.prog}: {printed} (see {self.prog} --help)\n")
 
 
 class _MainParser(Parser):
@@ -252,10 +252,10 @@ def _load_for_good(name: str) -> ModuleType:
 def _refuse(why: DecklanderError) -> int:
     from companion.cli.refusal_place import pointed
 
-    said = _one_line(str(why))
-    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {said}{_cure(why)}\n")
+    printed = _one_line(str(why))
+    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
-        sys.stderr.write(pointed(said))
+        sys.stderr.write(pointed(printed))
     return WRONG if isinstance(why, BadInput) else FAILED
 
 

@@ -84,14 +84,14 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0
-    with logging_to_stderr(settings.service.log_level) as told:
+    with logging_to_stderr(settings.service.log_level) as reported:
         for line in remarks(settings):
             log.warning(line)
         if sys.stdin is not None and sys.stdin.isatty():
             log.warning(FROM_TERMINAL)
         memory.share_one_arena()
         file = find_file(args.config, "", Path(), "settings")
-        daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file, log_counts=told.counts)
+        daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file, log_counts=reported.counts)
         outcome = event_loop.run(live(daemon, pilot, stays=True))
         if outcome is not None:
             log.info("flight ended: %s", outcome.value)

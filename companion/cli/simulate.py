@@ -194,9 +194,9 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
             flight.observers, flight.shadows = (*observers, *kept.observers), kept.shadows
             flight.on_start, flight.on_truth = kept.on_start, kept.on_truth
             end = event_loop.run(flight.fly())
-        said = (folder / "texts.txt").open("w")
-        with said:
-            said.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
+        printed = (folder / "texts.txt").open("w")
+        with printed:
+            printed.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
     if progress is not None:
         progress.close()
     ending = Ending(

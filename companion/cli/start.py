@@ -104,9 +104,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> Answers:
     ask = _Asker(args.yes)
-    heard = [] if args.vehicle or args.link else found_vehicles()
-    vehicle = args.vehicle or ask("vehicle", VEHICLES, heard[0].name if heard else "ardrone2")
-    link = args.link or next((one.link for one in heard if one.name == vehicle), "") or _usual_link(vehicle)
+    received = [] if args.vehicle or args.link else found_vehicles()
+    vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
+    link = args.link or next((one.link for one in received if one.name == vehicle), "") or _usual_link(vehicle)
     flies_itself = vehicle in ("sim", "ardrone1", "ardrone2")
     there = [] if flies_itself else [one for one in cameras() if one.index == 0]
     device = "vehicle" if flies_itself else args.camera or ""
@@ -179,13 +179,13 @@ def _heard_udp(seconds: float) -> Iterator[FoundVehicle]:
                 continue
             selector.register(listener, selectors.EVENT_READ, (port, Codec(255, 190, datagrams=True)))
         end = time.monotonic() + seconds
-        told: set[int] = set()
+        reported: set[int] = set()
         while selector.get_map() and (left := end - time.monotonic()) > 0:
             for key, _ in selector.select(left):
                 port, codec = key.data
                 name = _stack(codec.feed(key.fileobj.recv(2048)))  # type: ignore[union-attr]
-                if name and port not in told:
-                    told.add(port)
+                if name and port not in reported:
+                    reported.add(port)
                     yield FoundVehicle(name, f"udpin://0.0.0.0:{port}")
         for key in list(selector.get_map().values()):
             key.fileobj.close()  # type: ignore[union-attr]

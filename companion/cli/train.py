@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "Exit code 1 if it lands fewer than half of its flights on fresh seeds. docs/training.md has more.",
     )
     parser.add_argument(
-        "scenario", nargs="?", default="weather_4", help="scenario with a vessel on a steady course (default: weather_4)"
+        "scenario",
+        nargs="*",
+        default=["weather_2", "weather_3", "weather_4"],
+        help="scenarios of one vehicle, each with a vessel on a steady course (default: weather_2 weather_3 weather_4); a policy "
+        "expects the winds that it was trained in",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy file to write (npz)")
     parser.add_argument("--from", dest="first", type=Path, metavar="FILE", help="policy to train further (default: begin anew)")
@@ -59,16 +64,18 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.seed < _FRESH // 2 or not 1 <= args.threads <= 64:
         raise BadInput(f"--seed must lie in 0 to {_FRESH // 2 - 1} and --threads in 1 to 64")
     first = None if args.first is None else read_policy(args.first, "--from")
-    scenario = load(args.scenario)
-    response = response_model(settings_for(scenario, None))
+    scenarios = [load(name) for name in args.scenario]
+    if len({scenario.vehicle.file for scenario in scenarios}) > 1:
+        raise BadInput(f"{' '.join(args.scenario)}: a policy is trained for one vehicle, and these have several")
+    response = response_model(settings_for(scenarios[0], None))
     options = ImitationOptions()
     # It begins wider and higher than the environment's own episodes, as a mission hands over the vehicle.
     wide = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -np.pi), start_high=(2.5, 2.5, 8.0, np.pi))
-    worlds = TrainingWorlds(scenario, _WORLDS, wide, args.threads)
+    worlds = [TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), wide, args.threads) for scenario in scenarios]
     try:
         student = Imitation(worlds, response, args.seed, first, options=options)
     except ValueError as why:
-        raise BadInput(f"{args.scenario}: {why}") from why
+        raise BadInput(f"{' '.join(args.scenario)}: {why}") from why
     curve: list[dict[str, Any]] = []
     began = time.monotonic()
 
@@ -86,17 +93,20 @@ def run(args: argparse.Namespace) -> int:
         else:
             sys.stderr.write(_words(progress) + "\n")
     record: dict[str, Any] = {
-        "scenario": args.scenario, "seed": args.seed, "rounds": len(curve), "worlds": _WORLDS, "vehicle": scenario.vehicle.file,
+        "scenarios": args.scenario, "vehicle": scenarios[0].vehicle.file, "seed": args.seed, "rounds": len(curve),
+        "worlds": _WORLDS,
         "response": {"delay_s": response.tilt.delay_s, "frequency_rad_s": response.tilt.frequency_rad_s},
         "continued": None if first is None else first.record, "versions": {"decklander": version(), "numpy": np.__version__},
         "curve": curve,
     }  # fmt: skip
     policy = student.policy(record)
-    flown = fly_policy(policy, TrainingWorlds(scenario, _EXAMINED, None, args.threads), _FRESH)
-    policy.record["examined"] = {"seeds_from": _FRESH, **flown._asdict()}
+    examined = [fly_policy(policy, TrainingWorlds(scenario, _EXAMINED, None, args.threads), _FRESH) for scenario in scenarios]
+    policy.record["examined"] = {
+        name: {"seeds_from": _FRESH, **flown._asdict()} for name, flown in zip(args.scenario, examined, strict=True)
+    }
     policy.write(args.out)
-    _conclude(args, policy, flown)
-    return 0 if flown.landed >= 0.5 else 1
+    _conclude(args, policy, examined)
+    return 0 if min(flown.landed for flown in examined) >= 0.5 else 1
 
 
 def _point(progress: RoundProgress) -> dict[str, Any]:
@@ -118,13 +128,15 @@ def _words(progress: RoundProgress) -> str:
     )
 
 
-def _conclude(args: argparse.Namespace, policy: Policy, flown: EpisodesFlown) -> None:
+def _conclude(args: argparse.Namespace, policy: Policy, examined: Sequence[EpisodesFlown]) -> None:
     if args.json:
         sys.stdout.write(json.dumps({"record": policy.record, "written": str(args.out)}) + "\n")
         return
-    beside = f" at a median of {100.0 * flown.distance_m:.1f} cm" if flown.landed > 0.0 else ""
+    for name, flown in zip(args.scenario, examined, strict=True):
+        beside = f" at a median of {100.0 * flown.distance_m:.1f} cm" if flown.landed > 0.0 else ""
+        landed = f"{100.0 * flown.landed:.0f} % of {flown.episodes}"
+        sys.stdout.write(f"{name}, fresh seeds: it lands {landed} training episodes{beside}\n")
     sys.stdout.write(
-        f"on fresh seeds it lands {100.0 * flown.landed:.0f} % of {flown.episodes} training episodes{beside}\n"
-        f"written: {args.out}\nfly it: decklander simulate {args.scenario} --perception model --set guidance.controller=policy "
-        f"--set guidance.policy_file={args.out}\n"
+        f"written: {args.out}\nfly it: decklander simulate {args.scenario[0]} --perception model "
+        f"--set guidance.controller=policy --set guidance.policy_file={args.out}\n"
     )

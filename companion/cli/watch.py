@@ -112,7 +112,7 @@ class _Watch:
         self._printed_s: dict[str, float] = {}
         """Time at which the last line of each drone was printed, s on the monotonic clock."""
         self._reached = False
-        """Whether the broker ever accepted the connection."""
+        """True if the broker ever accepted the connection."""
 
     async def run(self, seconds: float | None) -> int:
         """Show drones until cancelled, or for this many seconds; return the exit code."""

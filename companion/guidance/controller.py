@@ -81,9 +81,9 @@ class Knowledge(Struct, frozen=True):
     swell_rad_s: float = SWELL_RAD_S
     """Circular frequency of the deck's heave."""
     outrun_m: float = 0.0
-    """How far such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
+    """Height by which such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
     aim_level: tuple[float, float] = (0.0, 0.0)
-    """Where the pad's centre is wanted at the contact, forward and right, m: a vehicle that leans comes to stand to lee of it."""
+    """Wanted place of the pad's centre at the contact, forward and right, m: a tilted vehicle comes to stand to lee of it."""
     at_contact: AtContact | None = None
     """None from a controller that does not look ahead, and far from the deck."""
 

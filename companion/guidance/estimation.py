@@ -207,15 +207,15 @@ class PadSearch:
         """
         from estimator.vision.tracker import TrackerMemory, track
 
-        believed = pipeline.belief(known, frame.stamp.measured_at)
+        estimated = pipeline.belief(known, frame.stamp.measured_at)
         tracker = self._tracker
         if held is not None:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
-        if tracker.camera.readout_s and believed is not None:
+        if tracker.camera.readout_s and estimated is not None:
             from estimator.camera_motion import camera_motion
 
-            motion = camera_motion(known, frame.stamp, tracker.camera, believed, held)
+            motion = camera_motion(known, frame.stamp, tracker.camera, estimated, held)
             tracker = replace(tracker, motion=motion)
-        seen, self._memory = track(tracker, self._memory or TrackerMemory(), frame, attitude, believed)
+        seen, self._memory = track(tracker, self._memory or TrackerMemory(), frame, attitude, estimated)
         return seen

@@ -198,14 +198,14 @@ class LandingGuidance:
         self._attitude: Attitude | None = None
         """The newest attitude."""
         self._heard: MonoNs | None = None
-        """When the newest sample of the vehicle itself was received."""
+        """Time of receipt of the vehicle's own newest sample."""
         self._contact = ContactWatch()
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
-        """When the deck was last believed to move as none does."""
+        """Time when the deck's estimated motion was last impossible."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None

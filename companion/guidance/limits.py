@@ -36,7 +36,7 @@ _COMMIT_SPEED = 1.5
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
 _LATER_TRY, _LATER_MOST = 0.25, 1.5
-"""By how much the limits of place, speed and tilt grow with each go-around, and the most that they grow to."""
+"""Growth of the limits of place, speed and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 ON_PAD = 1.4

@@ -183,8 +183,8 @@ class Pilot:
             return None
         if self.state is State.ANOTHER_PAD:
             believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
-        doubt = self.landing.doubted(now)
-        return believed if doubt is None else _alerted(believed, doubt)
+        objection = self.landing.doubted(now)
+        return believed if objection is None else _alerted(believed, objection)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -301,10 +301,10 @@ class Pilot:
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
         self.landing.judge(now, deck, accelerates_unfelt=self.estimation.memory.guard.inertial.accel_lost)
-        doubt = self.landing.doubted(now)
-        if doubt is not None and relative is not None:
-            relative = _alerted(relative, doubt)
-        if doubt is IntegrityAlert.DECK:
+        objection = self.landing.doubted(now)
+        if objection is not None and relative is not None:
+            relative = _alerted(relative, objection)
+        if objection is IntegrityAlert.DECK:
             deck = None
         return self.landing.knowledge(now, relative, (body, deck), self.forecast)
 

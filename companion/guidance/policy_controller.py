@@ -26,7 +26,7 @@ _OTHER = 0.3
 """A vehicle whose delay or frequency differs by this share from those of the training is another one."""
 _AGE_MAX_S = 5.0
 _VIEW_FROM_M, _LEAN_LEAST_M_S2, _ANGLE_MOST_RAD = 0.6, 0.6, 1.2
-"""As of the law (`keep_in_view` in estimator/core/law/law.c)."""
+"""Limits as in the law (`keep_in_view` in estimator/core/law/law.c)."""
 
 
 class PolicyMemory(Struct, frozen=True, eq=False):

@@ -278,8 +278,8 @@ class _Loop:
         """Return the delay with which the other parameters fit best, whatever the gain: where the correlation is largest."""
         H, _ = self._transfer(np.array([0.0, *x[1:]]), self._s)
         # The difference whitens well enough to find the delay.
-        told = np.where(self._compared[:, None], np.diff(self._reported, axis=0), 0.0)
-        spectrum = np.fft.rfft(told, self._size, axis=0).T * np.conj(H * self._U * (1.0 - np.exp(-self._s * STEP_S)))
+        noted = np.where(self._compared[:, None], np.diff(self._reported, axis=0), 0.0)
+        spectrum = np.fft.rfft(noted, self._size, axis=0).T * np.conj(H * self._U * (1.0 - np.exp(-self._s * STEP_S)))
         lags = np.fft.irfft(spectrum, self._size, axis=-1).sum(axis=0)[: round(_DELAY_MAX_S / STEP_S)]
         return float(STEP_S * np.argmax(lags))
 
@@ -291,9 +291,9 @@ class _Loop:
         H, dH = self._transfer(x, self._s)
         out = self._filtered(np.concatenate([H[None], dH]))
         white = (out[..., 1:] - rho * out[..., :-1])[..., self._compared]
-        told = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
+        noted = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
         base, _ = np.linalg.qr((self._powers[1:] - rho * self._powers[:-1])[self._compared])
-        e, J = told - white[0], white[1:]
+        e, J = noted - white[0], white[1:]
         e, J = e - (e @ base) @ base.T, J - (J @ base) @ base.T
         var = max(1e-12, float((e * e).mean()))
         flat = J.reshape(J.shape[0], -1)

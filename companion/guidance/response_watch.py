@@ -173,8 +173,8 @@ def _explains(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
         return False
     if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:
         return False
-    told = np.asarray((course.reported - fit.fitted.offset)[course.counts])
-    moved = float((told - told.mean(axis=0)).std())
+    noted = np.asarray((course.reported - fit.fitted.offset)[course.counts])
+    moved = float((noted - noted.mean(axis=0)).std())
     return fit.fitted.residual**2 <= (1.0 - _EXPLAINED) * moved**2
 
 

@@ -96,6 +96,10 @@ Aim = Target | Command | None
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
 _HOLD_SPEED_M_S = 0.5
+_FREE_M = 1.0
+"""Height over the held one from which a held vehicle climbs no more with its deck, m."""
+_CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
+"""States that hold a place and may climb from it."""
 _REFUSED = (State.REFUSED, State.GAVE_UP)
 _LOOK_M_S, _LEG_S = 0.4, 20.0
 """Speed upwind and to lee of a search in wind, m/s, and the time of each way, s; the first has half of it."""
@@ -227,11 +231,8 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
-    # A drone that was lifted stays up: without sight nothing commands it down again.
-    least_m = min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS))
-    if p.state in _REFUSED:
-        least_m = o.tries.safe_height_m + s.knowledge.outrun_m
-    wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m, least_m)])
+    # A drone that was lifted stays up: nothing commands it down again, only a deck that rises comes nearer (`_climbing_less`).
+    wanted = np.array([held[0], held[1], max(estimate.height_m, _held_height_m(p, held, s, o))])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     turns = _yaw_rad(s, o, estimate) if p.state is State.HOLD_BLIND and o.tries.heading == "across" else None
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=turns)
@@ -270,7 +271,35 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     if asks_to_descend(p, s, o):
         return command
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)
-    return never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+    command = never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
+    if not fit or s.estimate is None or p.held is None or p.state in _CLIMBS_WHERE_HELD:
+        return command
+    return _climbing_less(command, s.estimate.height_m - _held_height_m(p, p.held, s, o), over_ground=over_ground)
+
+
+def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the least height over the deck at which a held vehicle stays, m."""
+    if p.state in _REFUSED:
+        return max(float(held[2]), o.tries.safe_height_m + s.knowledge.outrun_m)
+    return max(float(held[2]), min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)))
+
+
+def _climbing_less(command: Command, over_m: float, *, over_ground: bool) -> Command:
+    """Return the command with less climb, the higher the vehicle is over the height that it holds.
+
+    A deck that falls is followed less far than one that rises. Without this a held vehicle goes up with each wave, without end.
+
+    Args:
+        over_m: height over the held one, m.
+        over_ground: whether the vehicle's driver adds the deck's velocity to a velocity, which then stays as it is.
+    """
+    if not isinstance(command, Velocity | Lean) or (over_ground and isinstance(command, Velocity)):
+        return command
+    v = np.array(command.v_level)
+    if over_m <= 0.0 or v[2] >= 0.0:
+        return command
+    v[2] *= max(0.0, 1.0 - over_m / _FREE_M)
+    return replace(command, v_level=v)
 
 
 def _agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:

@@ -25,7 +25,7 @@ _SMOOTH_S = 0.3
 """Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _GAP_MAX_S = 0.5
 _DRAGGED_M = 0.06
-"""How far a vehicle is dragged over the deck, by the tangent of its lean, m; by simulated landings (docs/decisions/108)."""
+"""Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
 _FAR_RAD = math.radians(8.0)
 _SPENT = 0.95
 """Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""

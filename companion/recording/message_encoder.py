@@ -63,7 +63,7 @@ class MessageEncoder:
         self._video = FrameEncoder(RECORDED)
         self._drawn: MonoNs | None = None
         self._held = False
-        """Whether a gimbal turns the camera, so that its rotation is no constant."""
+        """True if a gimbal turns the camera, so that its rotation is no constant."""
 
     def preamble(self, at: MonoNs) -> Iterator[Message]:
         """Yield the constant messages, which stand at the head of a file and again in each second of it."""

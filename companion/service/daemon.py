@@ -157,7 +157,7 @@ class Daemon:
         self._wrong_size_logged = False
         self._logged = ("", "")
         self._taken_at = MonoNs(0)
-        """When the samples that wait were last asked for."""
+        """Time when the waiting samples were last taken."""
         self._newest_fused: Stamp | None = None
         """Stamp of the newest frame in the estimate that no command has used."""
         self._extras = dict(extras or {})
@@ -250,10 +250,10 @@ class Daemon:
             self._count(self._pilot.fused())
 
     def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
-        told = self._audience.takes_fusion
+        reported = self._audience.takes_fusion
         for sample, results in fused:
             self.health.fused(sample, results)
-            if told:
+            if reported:
                 for result in results:
                     self._audience.on_fusion(sample.stamp.received_at, result)
 
@@ -279,10 +279,10 @@ class Daemon:
                 self.health.frame_times(processed.times)
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
-            told = self._clock.now()
-            self.health.delay("outputs", seconds_between(processed.done, told))
+            reported = self._clock.now()
+            self.health.delay("outputs", seconds_between(processed.done, reported))
             if processed.verdict is Verdict.FUSED:
-                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, told))
+                self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, reported))
                 self._newest_fused = frame.stamp
             for result in processed.results:
                 self.health.fusion(result)

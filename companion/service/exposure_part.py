@@ -71,12 +71,12 @@ class ExposurePart(NullObserver):
         frame, camera = processed.frame, processed.camera or self._pilot.camera
         if frame.px.shape[:2] != (camera.height, camera.width):
             return
-        believed = self._pilot.believed(frame.stamp.measured_at)
-        if believed is not None and believed.age_s(frame.stamp.measured_at) > _TRACKED_S:
-            believed = None
-        outline = None if believed is None else self._outline(processed, camera, believed)
+        estimate = self._pilot.believed(frame.stamp.measured_at)
+        if estimate is not None and estimate.age_s(frame.stamp.measured_at) > _TRACKED_S:
+            estimate = None
+        outline = None if estimate is None else self._outline(processed, camera, estimate)
         self._metered["search" if outline is None else "pad"] += 1
-        self._governor.on_frame(frame, outline, self._speed_px_s(camera, believed))
+        self._governor.on_frame(frame, outline, self._speed_px_s(camera, estimate))
         self._note(self._governor.short_of_ev, processed.done)
 
     def _outline(self, processed: ProcessedFrame, camera: Camera, believed: RelativeState) -> F64 | None:

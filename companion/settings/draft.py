@@ -206,8 +206,8 @@ def check_draft(text: str, path: Path, before: Mapping[str, Any], in_force: Sett
             faults.append(str(why).removeprefix(f"{path}: "))
     if faults or settings is None:
         return Draft(tuple(_fault(why, text) for why in faults[:_FAULTS]))
-    doubt = contradiction(settings)
-    remarks = (*without_effect(settings), *(() if doubt is None else (f"{doubt.what}: {doubt.fix}",)))
+    alert = contradiction(settings)
+    remarks = (*without_effect(settings), *(() if alert is None else (f"{alert.what}: {alert.fix}",)))
     return Draft((), _changes(in_force, settings), remarks)
 
 
@@ -221,9 +221,9 @@ def _every_fault(data: dict[str, Any], before: Mapping[str, Any]) -> tuple[list[
             settings = from_file(tried, "")
             break
         except BadInput as why:
-            said = str(why).removeprefix(": ")
-        faults.append(said)
-        path = _path_of(said)
+            output = str(why).removeprefix(": ")
+        faults.append(output)
+        path = _path_of(output)
         if not path or path in seen:
             break
         seen.add(path)

@@ -304,9 +304,9 @@ def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False
     try:
         return from_mapping(tables, where, by_autopilot=by_autopilot)
     except BadInput as why:
-        said = str(why).removeprefix(f"{where}: ")
-        key = said.partition(" ")[0].rstrip(":,")
-        raise BadInput(f"{where}: {in_file(key)}{said[len(key) :]}") from why
+        output = str(why).removeprefix(f"{where}: ")
+        key = output.partition(" ")[0].rstrip(":,")
+        raise BadInput(f"{where}: {in_file(key)}{output[len(key) :]}") from why
 
 
 def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:

@@ -30,21 +30,21 @@ def sources(settings: Settings) -> tuple[str, ...]:
 
 def contradiction(settings: Settings) -> Contradiction | None:
     """Return what does not go together about the ship's place, or None."""
-    told, flies_there = sources(settings), settings.guidance.rendezvous.enabled
-    if flies_there and not told:
+    reported, flies_there = sources(settings), settings.guidance.rendezvous.enabled
+    if flies_there and not reported:
         by_link = ", vehicle.vessel_id" if isinstance(settings.vehicle, AutopilotOptions) else ""
         return Contradiction(
             "guidance.rendezvous.enabled is true, but nothing tells where the ship is",
             f"set a source (vessel.nmea, vessel.mqtt{by_link}), or the drone refuses wherever the pad is not in sight",
             refuses=True,
         )
-    if told and not flies_there:
+    if reported and not flies_there:
         return Contradiction(
-            f"{', '.join(told)}: the ship's velocity and heading are used, her place is not",
+            f"{', '.join(reported)}: the ship's velocity and heading are used, her place is not",
             "set guidance.rendezvous.enabled = true to fly to it",
             refuses=False,
         )
-    if told == ("vessel.nmea",) and settings.vessel.mmsi and settings.vessel.age_max_s < _AIS_PERIOD_S:
+    if reported == ("vessel.nmea",) and settings.vessel.mmsi and settings.vessel.age_max_s < _AIS_PERIOD_S:
         return Contradiction(
             f"expert.vessel.age_max_s is {settings.vessel.age_max_s:g} s, but AIS reports of a ship under way come every "
             f"{_AIS_PERIOD_S:g} s",

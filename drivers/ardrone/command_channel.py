@@ -195,16 +195,16 @@ class SenderClient:
 
     def _read(self) -> None:
         try:
-            said = self._socket.recv(LINE_MAX)
+            output = self._socket.recv(LINE_MAX)
         except BlockingIOError:
             return
         except OSError:
-            said = b""
-        if not said:
+            output = b""
+        if not output:
             self._lose("the sender of AT commands is gone")
             return
         self._received_at = self._clock.now()
-        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        *lines, self._buffer = (self._buffer + output).split(b"\n")
         if BUSY in lines:
             self._busy = True
             self._lose("another service, which is alive, flies this drone")

@@ -186,7 +186,7 @@ class CommandStreamer:
         self._emergency_periods = 0
         self._toggled_at: MonoNs | None = None
         self._toggled_to: bool | None = None
-        """Whether the newest toggle asked to cut the motors; None before the first."""
+        """True if the newest toggle was to cut the motors; None before the first."""
         self._state: int | None = None
         self._navdata_at: MonoNs | None = None
         self._control: ControlState | None = None

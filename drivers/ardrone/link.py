@@ -182,18 +182,18 @@ class UvlcChannel:
 
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
             async with open_datagrams(self._o.host, self._o.video_port, self._clock, received) as socket:
-                heard = self._clock.now()
+                found = self._clock.now()
                 socket.send(OPENING)
                 while True:
                     try:
                         async with asyncio.timeout(self._o.video_silence_s / 4):
                             datagram, received_at = await arrived.get()
                     except TimeoutError as why:
-                        if seconds_between(heard, self._clock.now()) >= self._o.video_silence_s:
+                        if seconds_between(found, self._clock.now()) >= self._o.video_silence_s:
                             raise Recoverable(f"no video for {self._o.video_silence_s} s") from why
                         socket.send(OPENING)
                         continue
-                    heard = received_at
+                    found = received_at
                     await self._take(datagram, received_at, pool)
 
     async def _take(self, datagram: bytes, received_at: MonoNs, pool: ThreadPoolExecutor) -> None:

@@ -89,7 +89,7 @@ def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], 
         bodies: the layout of each option by tag, and the place of its body in the datagram.
     """
     places: list[tuple[int, str, int]] = []
-    """Where a field begins, its letters, and where its numbers begin in `NavdataReadings`."""
+    """Offset of a field, its letters, and the place of its numbers in `NavdataReadings`."""
     size = 0
     for cls, names in _READ:
         layout, body = bodies.get(TAG_OF_CLASS[cls], (None, 0))
@@ -101,7 +101,10 @@ def reader(bodies: Mapping[int, tuple[OptionLayout, int]]) -> Callable[[bytes], 
             size += numbers
     places.sort()
     form, end, order = "<", 0, [-1] * size
-    """What is unpacked; and of each number of the result which of the unpacked it is, the last one, None, if it is absent."""
+    """Format to unpack, and for each number of the result its index in the unpacked tuple.
+
+    The last index is None for an absent number.
+    """
     n = 0
     for at, letters, first in places:
         form += f"{at - end}x{letters}"

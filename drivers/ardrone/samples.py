@@ -216,5 +216,7 @@ _REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, NavdataReadings],
     GeoFix: (_fix, _receiver),
     VehicleStatus: (_status, _status_key),
 }
-"""The makers of samples for sensors that are slower than the datagrams, in the order in which they return them, each with what
-changes when the sensor has a new reading; None where the datagram holds no reading of it."""
+"""Makers of samples for sensors that are slower than the datagrams, in the order of their samples.
+
+Each has a key that changes when the sensor has a new reading; None where the datagram holds no reading of it.
+"""

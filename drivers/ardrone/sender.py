@@ -116,17 +116,17 @@ class Sender:
         """Read the service's lines; only its newest command counts, and an expired one is not flown."""
         assert self._service is not None
         try:
-            said = self._service.recv(LINE_MAX)
+            output = self._service.recv(LINE_MAX)
         except OSError:
-            said = b""
-        if not said:
+            output = b""
+        if not output:
             self._service.close()
             self._service = None
             self._buffer = b""
             self._arbiter.lost(MonoNs(time.monotonic_ns()))
             self._due = 0
             return
-        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        *lines, self._buffer = (self._buffer + output).split(b"\n")
         before = self._arbiter.latest
         for line in lines:
             try:

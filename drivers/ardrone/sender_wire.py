@@ -124,13 +124,13 @@ def pack_status(status: SenderStatus) -> bytes:
 
 def order_of(line: bytes) -> SenderOrder:
     """Parse a line of the service."""
-    said = json.loads(line)
-    if isinstance(said, list):
-        return SenderOrder(latest=_timed_command(said))
-    if "send" in said:
-        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in said["send"]), until=MonoNs(said["until"]))
-    if "end" in said:
-        return SenderOrder(end=_timed_command(said["end"]))
+    output = json.loads(line)
+    if isinstance(output, list):
+        return SenderOrder(latest=_timed_command(output))
+    if "send" in output:
+        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in output["send"]), until=MonoNs(output["until"]))
+    if "end" in output:
+        return SenderOrder(end=_timed_command(output["end"]))
     return SenderOrder(reopen=True)
 
 

@@ -150,13 +150,13 @@ class ExposureDrive:
     def __init__(self, settle_frames: int) -> None:
         self._settle = settle_frames
         self.can: ExposureRange | None = None
-        """What the camera can hold; None while it is not open."""
+        """Limits of the camera; None while it is not open."""
         self.held: ExposureSetting | None = None
-        """What it holds; None while it is not open."""
+        """Present setting of the camera; None while it is not open."""
         self.changes = self.refused = 0
         """Numbers of changes, and of settings that the camera refused, since the start."""
         self.why_refused: str | None = None
-        """Why it refused the newest setting; None where it took it."""
+        """Reason for which it refused the newest setting; None if it took it."""
         self._before: ExposureSetting | None = None
         self._wanted: ExposureSetting | None = None
         self._busy = False

@@ -44,7 +44,7 @@ class VideoSource:
         self.down: str | None = "not yet opened"
         """The reason why no frames arrive, None while they do."""
         self.damage: str | None = None
-        """How many frames are damaged, in words, and the cure; None while hardly any are."""
+        """Share of damaged frames, in words, and the cure; None while hardly any are."""
         self._counted_at: tuple[MonoNs, int, int] | None = None
         self._reported_at: MonoNs | None = None
 

@@ -61,11 +61,11 @@ def samples(path: Path, tell: Tell = quiet) -> list[Sample]:
             whole.append(navdata)
         else:
             refused[navdata] += 1
-    said = ", ".join(f"{n} datagrams are refused: {_IN_WORDS.get(why, why.name.lower())}" for why, n in refused.most_common())
+    output = ", ".join(f"{n} datagrams are refused: {_IN_WORDS.get(why, why.name.lower())}" for why, n in refused.most_common())
     if not whole:
-        raise BadInput(f"{path}: no whole navdata datagram in it{f'; {said}' if said else ''}")
+        raise BadInput(f"{path}: no whole navdata datagram in it{f'; {output}' if output else ''}")
     if refused:
-        tell(said)
+        tell(output)
     sampler, out = NavdataSampler(AS_REPORTED), list[Sample]()
     for navdata, at_ns in zip(whole, timeline(_unwrapped(whole), tell), strict=True):
         if at_ns is not None:

@@ -87,13 +87,13 @@ def _is_text(head: bytes) -> bool:
 
 def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     lines = [line.strip() for line in head.splitlines()[:200] if line.strip()]
-    said = [line for line in lines if not line.startswith((b"#", b"//"))]
-    if said and sum(_SENTENCE.fullmatch(line) is not None for line in said) > len(said) // 2:
+    output = [line for line in lines if not line.startswith((b"#", b"//"))]
+    if output and sum(_SENTENCE.fullmatch(line) is not None for line in output) > len(output) // 2:
         return FileKind.SENTENCES
     # By different names: the rows of a log have few.
-    if said and len({found[1] for line in said if (found := _PARAMETER.fullmatch(line))}) > len(said) // 2:
+    if output and len({found[1] for line in output if (found := _PARAMETER.fullmatch(line))}) > len(output) // 2:
         return FileKind.PARAMETERS
-    return FileKind.TABLE if suffix == ".csv" or (said and said[0].startswith(b"time_s,")) else FileKind.TEXT
+    return FileKind.TABLE if suffix == ".csv" or (output and output[0].startswith(b"time_s,")) else FileKind.TEXT
 
 
 def _is_tlog(head: bytes) -> bool:

@@ -182,10 +182,10 @@ def parameters_of(path: Path) -> AutopilotLog:
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
-    said = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
+    output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
     px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)
     ardupilot = sum(_ARDUPILOT_NAMES.match(name) is not None for name in parameters)
-    stack = said[1] if said is not None else "PX4" if px4 > ardupilot else "ArduPilot"
+    stack = output[1] if output is not None else "PX4" if px4 > ardupilot else "ArduPilot"
     version = re.search(r"Version:\s*(\d+)\.(\d+)\.(\d+)", comments)
     firmware = None if version is None else (int(version[1]), int(version[2]), int(version[3]))
     return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0))

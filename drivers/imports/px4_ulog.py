@@ -381,13 +381,13 @@ def _failsafes(log: Any, status: Topic | None, flags: Topic | None, begin_us: in
     out = []
     for i in _rises(status, "failsafe"):
         at_us = int(status["timestamp"][i])
-        said = [
+        printed = [
             str(m.message)
             for m in log.logged_messages
             if abs(int(m.timestamp) - at_us) < 1e6 and "failsafe" in str(m.message).lower()
         ]
         why = _reasons(flags, at_us)
-        what = f"failsafe: {', '.join(why)}" if why else said[0].strip() if said else "failsafe"
+        what = f"failsafe: {', '.join(why)}" if why else printed[0].strip() if printed else "failsafe"
         out.append(LoggedMoment(round((at_us - begin_us) * 1e-6, 2), what))
     return tuple(out)
 

@@ -39,9 +39,9 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, or no autopilot is in it.
     """
-    heard, heartbeat = _of_autopilot(path, tell)
+    received, heartbeat = _of_autopilot(path, tell)
     sampler, out = MavlinkSampler(stack_of(heartbeat), BootClock(TimeSync())), list[Sample]()
-    for one, at_ns in zip(heard, timeline([h.at_us for h in heard], tell), strict=True):
+    for one, at_ns in zip(received, timeline([h.at_us for h in received], tell), strict=True):
         if at_ns is not None:
             out += sampler.samples(one.message, MonoNs(at_ns))
     return sorted(out, key=lambda s: s.stamp.received_at)
@@ -53,11 +53,11 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     Raises:
         BadInput: the file cannot be read, or holds no autopilot or none of its parameters.
     """
-    heard, heartbeat = _of_autopilot(path, tell)
+    received, heartbeat = _of_autopilot(path, tell)
     stack = stack_of(heartbeat)
     parameters: dict[str, float] = {}
     texts: list[str] = []
-    for message in (one.message for one in heard):
+    for message in (one.message for one in received):
         if message.get_type() == "PARAM_VALUE":
             parameters[str(message.param_id)] = parameter_value(stack, message.param_value, int(message.param_type))
         elif message.get_type() == "STATUSTEXT" and len(texts) < _TEXTS_MAX:
@@ -67,7 +67,7 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
             f"{path}: a telemetry log without parameters: load them in the ground station while it logs, or give the autopilot's "
             "own log (.bin or .ulg)"
         )
-    times = [t for t in timeline([one.at_us for one in heard]) if t is not None]
+    times = [t for t in timeline([one.at_us for one in received]) if t is not None]
     history = LogHistory(round(max(times, default=0) * 1e-9, 2))
     return AutopilotLog(stack.value, None, None, dict(sorted(parameters.items())), tuple(texts), (), history)
 
@@ -78,14 +78,14 @@ def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Received], Message]:
         data = path.read_bytes()
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
-    heard = list(_messages(data, tell))
-    beats = [m for m in (h.message for h in heard) if m.get_type() == "HEARTBEAT" and is_autopilot(m, m.get_srcComponent())]
+    received = list(_messages(data, tell))
+    beats = [m for m in (h.message for h in received) if m.get_type() == "HEARTBEAT" and is_autopilot(m, m.get_srcComponent())]
     if not beats:
         raise BadInput(f"{path}: a telemetry log without an autopilot's heartbeat: give the autopilot's own log (.bin or .ulg)")
     first = beats[0].get_srcSystem(), beats[0].get_srcComponent()
     if (count := len({m.get_srcSystem() for m in beats})) > 1:
         tell(f"{count} autopilots are in it, and system {first[0]} alone is read")
-    return [h for h in heard if (h.message.get_srcSystem(), h.message.get_srcComponent()) == first], beats[0]
+    return [h for h in received if (h.message.get_srcSystem(), h.message.get_srcComponent()) == first], beats[0]
 
 
 def _messages(data: bytes, tell: Tell) -> Iterator[_Received]:

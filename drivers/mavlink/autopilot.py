@@ -52,8 +52,10 @@ _AGAIN_S = 5.0
 _REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
 """Requests for streams and parameters a second, and at once."""
 _MOVED_S, _OVERTAKEN_S = 0.1, 0.05
-"""Time for which an autopilot goes on from another port of its host alone until that is where it is, and that by which a message
-of the old port may be late."""
+"""Time for which an autopilot must send from another port of its host alone to count as moved.
+
+The second is the time by which a message of the old port may be late.
+"""
 _BESIDE_S = 5.0
 """Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
 _LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
@@ -97,15 +99,15 @@ class Autopilot:
         self._knocked: MonoNs | None = None
         self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
         self._requested: MonoNs | None = None
-        """When everything was requested last."""
+        """Time when everything was last requested."""
         self._request_due = False
         self._version = VersionRequest()
         self._roster = Roster(options)
         self._reopened = list(links.opened)
         self._beside_at: MonoNs | None = None
-        """When another sender of the autopilot's ids was heard while the autopilot was, too."""
+        """Time of the last message of another sender with the autopilot's ids, while the autopilot sent too."""
         self._moving: tuple[Source, MonoNs] | None = None
-        """Where the autopilot may go on, and since when."""
+        """Address from which the autopilot may continue, and the time since when."""
         self.links = links
         links.follows = self._follows
         self.frames: Latest[Frame] = Latest()

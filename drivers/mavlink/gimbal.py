@@ -283,7 +283,7 @@ class Gimbal:
         self._connects = 0
         self._samples = 0
         self._times: deque[MonoNs] = deque(maxlen=50)
-        """When the newest of them were received."""
+        """Time when the newest of them were received."""
 
     @property
     def device_id(self) -> int:

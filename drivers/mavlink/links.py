@@ -173,7 +173,7 @@ class Link:
         self.endpoint = options.endpoint
         self.counters = LinkCounters()
         self.down: str | None = "not opened yet"
-        """Why it is not open; None while it is."""
+        """Reason why it is not open; None while it is."""
         self._number = number
         self._o = options
         self._links = links
@@ -361,7 +361,7 @@ class Links:
         self.access = Access(access)
         self._clock = clock
         self._sent: dict[tuple[int, int], MonoNs] = {}
-        """When a message of each number and sequence number was sent last."""
+        """Time when a message of each number and sequence number was last sent."""
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None

@@ -101,11 +101,11 @@ class Origins:
         self._main: _Origin | None = None
         self._others: list[_Origin] = []
         self._held: deque[tuple[MonoNs, Message]] = deque()
-        """What waits for the autopilot's next message with a time, to be told whose it is."""
+        """Messages that wait for the autopilot's next message with a time, which identifies their sender."""
         self._beats: tuple[int, int, MonoNs] | None = None
-        """Another's HEARTBEATs, each of which continues the count of the one before: how many, the newest count, and when."""
+        """HEARTBEATs of another autopilot, each with the next count: their number, the newest count, and its time."""
         self._beaten: MonoNs | None = None
-        """When the newest of enough such HEARTBEATs came; a lost message ends a row, and not what it has shown."""
+        """Time of the newest of enough such HEARTBEATs; a lost message ends a row, and not its result."""
         self._seen: set[tuple[str, int, int]] = set()
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0

@@ -93,7 +93,7 @@ class MavlinkSampler:
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.condition = Condition()
         self.taken: str | None = None
-        """Who has taken the vehicle from this program, for the vehicle's status; None while nobody has."""
+        """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
         self.attitude: Attitude | None = None
         """The newest attitude sample."""
         self.positions: deque[LocalPosition] = deque(maxlen=64)

@@ -112,13 +112,13 @@ class SetpointStreamer:
         self._streaming_since: MonoNs | None = None
         self._taking_off: TakingOff | None = None
         self._returns = False
-        """Whether the vehicle is to fly back by its own mode."""
+        """True if the vehicle is to fly back by its own mode."""
         self._rest = RestVelocity()
         self._stop: MotorStop | None = None
         self._felt_at: MonoNs | None = None
-        """When guidance said last that it has felt the deck."""
+        """Time when guidance last reported contact with the deck."""
         self._cut_at: MonoNs | None = None
-        """When a person asked to cut the motors; None while nobody does."""
+        """Time of a person's order to cut the motors; None without one."""
         self._asked: MonoNs | None = None
         self._asks = 0
         self._landed_from = ""
@@ -128,14 +128,14 @@ class SetpointStreamer:
         self._down_m: float | None = None
         self._land_from_m: float | None = None
         self._paused = False
-        """Whether the landing is paused because it is not renewed; it continues when it is renewed."""
+        """True while the landing is paused because it is not renewed; it continues when it is renewed."""
         self._spent = False
-        """Whether the landing under way has used up its time or its height."""
+        """True if the landing under way has used up its time or its height."""
         self._condition = Condition()
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
         self.refused = False
-        """Whether the hand was released because the velocity mode was refused, and not because another was chosen."""
+        """True if the hand was released because the velocity mode was refused, and not because another was chosen."""
         self.blind_periods = 0
         """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0

@@ -65,7 +65,7 @@ class Hover:
     calls_off: bool = False
     """A person's order: it also ends a landing that a person ordered."""
     returns: bool = False
-    """Whether a vehicle that knows the way flies back by itself, by its own rules; one that does not hovers."""
+    """True if a vehicle that knows the way flies back by itself, by its own rules; one that does not hovers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,8 +52,11 @@ class Verdict(Enum):
     REPEATED = "repeated"
     """The frame's pixels equal those of an earlier one: it carries no new information, whatever its stamp says."""
     FROZEN = "frozen"
-    """A reading that has not changed by one bit for longer than its sensor can hold still, or a pad that stands still in the
-    image while the body turns."""
+    """A frozen reading.
+
+    It has not changed by one bit for longer than its sensor can hold still, or the pad stands still in the image while the body
+    turns.
+    """
     IMPOSSIBLE = "impossible"
     """The reading is beyond what the vehicle can do, or a step that it cannot make."""
     ELSEWHERE = "elsewhere"

@@ -9,7 +9,7 @@ from estimator.contracts.geometry import F64, fixed_vector
 from estimator.contracts.samples import Attitude, Imu
 
 _LONGEST = 3.0
-"""A sensor of coarse steps may repeat itself: one that did so in flight has to for this many times as long."""
+"""Factor on the time limit for a sensor of coarse steps that repeated itself in flight."""
 _MOST_S = 1.0
 _TURN_S = 0.02
 """Least time between the two attitudes whose difference is a rate."""

@@ -24,7 +24,7 @@ _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
 _WELL = 20
 _AXIS, _ALL_ALIVE = 2.0, 0b111111
-"""One axis alone repeats itself more often than three: it has this many times as long."""
+"""Factor on the time limit for one axis alone, which repeats itself more often than three."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""

@@ -21,7 +21,6 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.believed import BelievedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
@@ -31,12 +30,13 @@ from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import Detection, Opinions, agree, fuse
+from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.doubts import nearest_of_four
+from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
@@ -75,8 +75,9 @@ _EXPECTED_SIGMAS = 3.0
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
-"""Radius of the disc, px, below which a pad that is not found from the belief is looked for some pixels about it, and the least
-fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
+"""Radius of the disc, px, below which a pad that the estimate did not lead to is searched some pixels about its place.
+
+The least fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more.
 """
 
 
@@ -111,7 +112,7 @@ class _Seen:
     elsewhere: _Registered | None = None
     """The surest one in a place that the belief excludes."""
 
-    def having(self, of: _Registered | None, belief: BelievedPlace) -> _Seen:
+    def having(self, of: _Registered | None, belief: ExpectedPlace) -> _Seen:
         """Return the best with one more registration; of two that are equally sure the first stays."""
         if of is None:
             return self
@@ -140,7 +141,7 @@ def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory."""
-    place = BelievedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
+    place = ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
     registered, left = _registered(now, belief, place)
@@ -189,10 +190,10 @@ def together(
     return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
 
 
-def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -> tuple[_Seen, SearchMemory]:
+def _registered(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> tuple[_Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
     camera, pad, attitude, alike_yaw_rad = now.tracker.camera, now.tracker.pad, now.attitude, now.memory.alike_yaw_rad
-    left, best, doubted = FRESH_SEARCH, _Seen(), False
+    left, best, suspect = FRESH_SEARCH, _Seen(), False
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else sigma_of(belief)
     if belief is not None and attitude is not None and near_enough(belief, sigma_m, pad, alike_yaw_rad):
@@ -201,8 +202,8 @@ def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -
             options = CLOSE if sigma_m * camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             tracked = verification.TRACKED_LOG_ODDS
             best = best.having(_register_from(now, start, options, tracked, searched=False), place)
-            doubted = options is ROUGH and best.tracked is not None and best.tracked.agreement < _WORTH_ANOTHER
-            if doubted:
+            suspect = options is ROUGH and best.tracked is not None and best.tracked.agreement < _WORTH_ANOTHER
+            if suspect:
                 # The whole drawing, blurred, draws from farther away than edges do.
                 aligned = align_at(start, now.orientation.measured, now.view)
                 if aligned is not None and aligned.score >= WORTH_A_TRY:
@@ -212,7 +213,7 @@ def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -
                 about = pose_about(*now.view.as_seen(), plane, start)
                 if about is not None and about[1] >= _LEAST_ABOUT:
                     best = best.having(_register_from(now, about[0], CLOSE, tracked, searched=False), place)
-    if not best.is_sure or (doubted and not best.agrees):
+    if not best.is_sure or (suspect and not best.agrees):
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=now.tracker.search_work)
         left = found.memory
@@ -226,12 +227,12 @@ def _registered(now: _Now, belief: RelativeState | None, place: BelievedPlace) -
                 R_level_cam = now.orientation.R_level_body.matrix @ camera.T_body_cam.R.matrix
                 pose = nearest_of_four(pose, R_level_cam, alike_yaw_rad or 0.0)
             best = best.having(_register_from(now, pose, CLOSE, prior, candidate.cut), place)
-            if best.is_sure and (best.agrees or not doubted):
+            if best.is_sure and (best.agrees or not suspect):
                 break
     return best, left
 
 
-def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: BelievedPlace) -> tuple[Detection, _Seen]:
+def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: ExpectedPlace) -> tuple[Detection, _Seen]:
     """Verify the cues of the thesis' methods, and return them with the best registrations.
 
     A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident

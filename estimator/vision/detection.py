@@ -28,8 +28,9 @@ _AGREE_XYZ = 16.27
 _AGREE_YAW = 10.83
 """Chi-square limit, 1 degree of freedom, 99.9 %."""
 _COARSE = 0.003
-"""One standard deviation, as a fraction of the distance, of the error that worn paint, shade and a tilted deck add to the thesis'
-methods beyond their own covariance. A disagreement of a few of these is no reason to reject a cue.
+"""Error that worn paint, shade and a tilted deck add to the thesis' methods, one standard deviation, in parts of the distance.
+
+Their own covariance does not contain it. A disagreement of a few of these is no reason to reject a cue.
 """
 
 

@@ -16,9 +16,9 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.core.abi import LAMP_PAIRS
 from estimator.core.library import CORE
-from estimator.vision.believed import expected, sigma_of
 from estimator.vision.by_paint import TrackerMemory
 from estimator.vision.camera import Camera
+from estimator.vision.expectation import expected, sigma_of
 from estimator.vision.lamp import Lamp, places_of
 from estimator.vision.native import checked, image_of, native_prior, tracker_of
 from estimator.vision.pad import Pad

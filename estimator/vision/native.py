@@ -261,7 +261,7 @@ _OUTLINE_STEP = 4
 _STROKES_MARGIN_M = 0.035
 """Width of the disc around the H that counts."""
 _LEAST_SPAN = 0.05
-"""Least difference of H and disc in a channel, in linear light, that the ring is placed between."""
+"""Least difference of H and disc in a channel, linear light, for measuring the ring's place between them."""
 _OF_THREAD = threading.local()
 
 

@@ -36,9 +36,7 @@ from estimator.vision.regions import (
 from estimator.vision.srgb import linear_light
 
 RECTANGLES_MOST, CUTS_MOST, SIDES_MOST = FIGURE_RECTANGLES, FIGURE_CUTS, FIGURE_SIDES
-"""The largest numbers of rectangles that lettering of one paint is made of, of their limits along one axis, and of the sides of
-what has slanted ones.
-"""
+"""Limits for lettering of one paint: number of rectangles, of their limits along one axis, and of sides of slanted parts."""
 _LEAST_CONTRAST = 0.03
 """Least distance of two paints in linear light, full scale 1 in each channel: less drowns in a worn deck's own variation."""
 _TOUCH_M = 1e-6

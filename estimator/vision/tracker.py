@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.believed import BelievedPlace, expected, near_enough, sigma_of
 from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis
 from estimator.vision.camera import Camera
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
+from estimator.vision.expectation import ExpectedPlace, expected, near_enough, sigma_of
 from estimator.vision.lamp import places_of
 from estimator.vision.pad import Pad
 from estimator.vision.rolling import at_one_instant
@@ -57,8 +57,8 @@ def _seen_twice(tracker: TrackerConfig, px: NDArray[np.uint8]) -> Detection:
     if seen is None:
         return searched
     still, cov = np.zeros(3), 1e-4 * np.eye(7)
-    believed = RelativeState(_AT.measured_at, "ekf", seen.d_body_pad_level, still, seen.yaw_rad, cov, _AT.measured_at, True)
-    return track(tracker, memory, frame, attitude, believed)[0]
+    estimate = RelativeState(_AT.measured_at, "ekf", seen.d_body_pad_level, still, seen.yaw_rad, cov, _AT.measured_at, True)
+    return track(tracker, memory, frame, attitude, estimate)[0]
 
 
 def drawn(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
@@ -119,7 +119,7 @@ def track(
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
         return seen, dataclasses.replace(left, lit=False)
     methods = MappingProxyType[Method, Sighting | None]({**seen.methods, "lamps": lit})
-    if BelievedPlace.of(belief, frame, tracker, memory.alike_yaw_rad).excludes(lit):
+    if ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad).excludes(lit):
         return replace(seen, methods=methods, elsewhere=lit), dataclasses.replace(left, lit=memory.lit)
     return Detection(lit, "lamps", methods, seen.opinions, seen.elsewhere), dataclasses.replace(left, lit=_is_sure(lit))
 

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from estimator.vision.rolling import CameraMotion
 
 FRAME_WORK = 8.0
-"""Work that a search may do in one frame of a flight, in the time of one BGR to HSV conversion and one inRange of a frame of
-640x360."""
+"""Work that a search may do in one frame of a flight.
+
+The unit is the time of one BGR to HSV conversion and one inRange of a frame of 640x360.
+"""
 IMAGE_WORK = 5.0 * FRAME_WORK
 """Work that a search may do in an image on its own.
 

@@ -25,7 +25,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.doubts import LETTER_MOST, cells_log_odds, letter_log_odds
+from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, letter_log_odds
 from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
@@ -121,9 +121,11 @@ rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, n
 _STEPS = 4
 """Steps of the alignment with what is not covered."""
 _STRAYS, _STRAYS_PX = 0.03, 0.3
-"""Change of the distance from its start, as a fraction and by that of pixels of the radius, and of the place as a fraction of
-the radius, from which a registration has strayed: what covers a part of a disc in its own shade pulls the edges there, and the
-rest of the pad still fits."""
+"""Changes from its start at which a registration has strayed.
+
+They are of the distance, as a fraction and by that of pixels of the radius, and of the place, as a fraction of the radius. A
+cover over a part of a disc in its own shade pulls the edges there, and the rest of the pad still fits.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,8 +179,8 @@ def verified(
         of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
         best = _of_visible(view.as_seen(), turned, orientation, near, prior, of, paint) or best
         z = _heading_z_scores(view, best.found.pose, turns)
-    doubt = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
-    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * doubt)) if doubt else best
+    alert = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
+    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * alert)) if alert else best
 
 
 def _log_odds(of_confidence: float) -> float:

@@ -57,7 +57,7 @@ class Generation:
     frame_rate: str
     """The key that holds the rate of the video's frames, Hz."""
     film_keys: tuple[str, ...]
-    """The keys that say what it films, and how it codes that."""
+    """Keys that choose its camera and its codec."""
     bottom_px: tuple[int, int] | None = None
     """Width and height of its bottom camera; None if it sends frames of any size."""
 

@@ -115,15 +115,15 @@ class Findings:
     @property
     def faults(self) -> list[str]:
         """Return what grew and must not, in words."""
-        said = []
+        output = []
         if self.memory_mib.growth >= GROWTH_MAX:
             first, last = self.memory_mib.first, self.memory_mib.last
-            said.append(f"memory grew by {self.memory_mib.growth:.1%} ({first:.1f} to {last:.1f} MiB)")
+            output.append(f"memory grew by {self.memory_mib.growth:.1%} ({first:.1f} to {last:.1f} MiB)")
         counted = {"descriptors": self.descriptors, "threads": self.threads, "tasks": self.tasks}
         for name, trend in counted.items():
             if trend is not None and trend.last > trend.first:
-                said.append(f"{name} grew from {trend.first:g} to {trend.last:g}")
-        return said
+                output.append(f"{name} grew from {trend.first:g} to {trend.last:g}")
+        return output
 
     def as_json(self) -> dict[str, Any]:
         return {**asdict(self), "memory_growth": self.memory_mib.growth, "faults": self.faults}

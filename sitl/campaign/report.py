@@ -92,10 +92,10 @@ def _head(manifest: Mapping[str, Any], figures: CampaignFigures, wall_s: float) 
 
 def _cards(figures: CampaignFigures) -> str:
     t = figures.tally
-    said = t.summary("", "", 0.0)
+    output = t.summary("", "", 0.0)
     low, high = wilson(t.on_pad, t.runs)
-    median, p95 = said["standing_median_m"], said["standing_p95_m"]
-    touched = said["lateral_median_m"]
+    median, p95 = output["standing_median_m"], output["standing_p95_m"]
+    touched = output["lateral_median_m"]
     cells = [
         (f"on the pad ({100 * low:.1f} to {100 * high:.1f} %)", f"{100 * t.on_pad / t.runs:.1f} %"),
         ("standing error, median", "-" if median is None else f"{100 * median:.1f} cm"),
@@ -231,12 +231,12 @@ def _worst(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
     items = []
     for flight in figures.worst:
         good = flight["grade"] != "failed"
-        said = flight["grade"] if good else cause_of(flight)
+        output = flight["grade"] if good else cause_of(flight)
         touch = flight["touchdown"]
         where = "" if touch is None else f", {100 * error_m(flight):.1f} cm off, {touch['vertical_speed_m_s']:.2f} m/s into it"
         command = escape(fly_again(flight, manifest.get("options", []), manifest.get("places", {})))
         named = escape(name_of(flight))
-        items.append(f'<li>{named}: <b class="{"good" if good else ""}">{escape(said)}</b>{where}<code>{command}</code></li>')
+        items.append(f'<li>{named}: <b class="{"good" if good else ""}">{escape(output)}</b>{where}<code>{command}</code></li>')
     pictures = "Flights by rendered frames have pictures in it."
     if blind := sorted({flight["perception"] for flight in figures.worst} - {"pixels"}):
         pictures += f" Those by {' and '.join(blind)} render none; by pixels the same seed is another flight on the same sea."

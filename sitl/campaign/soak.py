@@ -418,16 +418,16 @@ async def _really(options: SoakOptions, scenario: str, settings: Settings, tally
 async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, health: Health) -> None:
     before: Counter[Verdict] = Counter()
     async for line in lines:
-        said = json.loads(line)
-        if said.get("event") == "flight":
+        printed = json.loads(line)
+        if printed.get("event") == "flight":
             for _ in range(_DECIDED_S * 20):
-                if pilot.outcome is not None or said["ended"] == "time is up":
+                if pilot.outcome is not None or printed["ended"] == "time is up":
                     break
                 await asyncio.sleep(0.05)  # the drone says that it landed before the pilot knows of it
             frames = health.frames - before
             before = Counter(health.frames)
             late_s = late.quantile(0.5) if (late := health.delays.get("guidance_late")) is not None else None
-            tally.flown(said["ended"], real(time.monotonic() - tally.began, said, pilot.outcome, frames, late_s))
+            tally.flown(printed["ended"], real(time.monotonic() - tally.began, printed, pilot.outcome, frames, late_s))
 
 
 async def _read(tally: Tally, quiet: bool) -> None:
@@ -453,9 +453,9 @@ def _opened(path: Path) -> FileIO:
 
 def _say(options: SoakOptions, plan: CampaignPlan, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
     if options.json:
-        said = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
-        said |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(options.failed_max)}
-        sys.stdout.write(json.dumps({**said, "findings": None if found is None else found.as_json(), **extra}) + "\n")
+        printed = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
+        printed |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(options.failed_max)}
+        sys.stdout.write(json.dumps({**printed, "findings": None if found is None else found.as_json(), **extra}) + "\n")
         return
     endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
     lines = [

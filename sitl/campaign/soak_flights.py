@@ -136,13 +136,13 @@ class Outcomes:
 
     def faults(self, failed_max: int) -> list[str]:
         """Return why the flights make the run fail; empty if they do not."""
-        said = []
+        output = []
         failed, starved = self.count(Class.FAILED), self.count(Class.STARVED)
         if failed > failed_max:
-            said.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
+            output.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
         if starved > STARVED_MAX * len(self.flights):
-            said.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
-        return said
+            output.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
+        return output
 
     def as_json(self) -> dict[str, Any]:
         """Return the counts by class, and every flight."""

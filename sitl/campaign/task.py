@@ -68,8 +68,8 @@ def fly_order(order: Order) -> Flight:
         flight = order.flyer(name, scenario, job.seed, settings, perception, model)
     except Exception as why:
         place = traceback.extract_tb(why.__traceback__)[-1]
-        said = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-        flight = failed(name, job, said, _cpu_s() - began_s)
+        output = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+        flight = failed(name, job, output, _cpu_s() - began_s)
     return finished(flight, job, perception)
 
 

@@ -61,8 +61,8 @@ class MapCell:
 
 def _reason(refused: str) -> str:
     """Return why it gave up, without the figures that differ from flight to flight."""
-    said = refused.partition(";")[0]
-    return re.sub(r"\s*\([^)]*\)|\s(by|at|after|for|within) -?\d+(\.\d+)? \S+", "", said)[:60]
+    output = refused.partition(";")[0]
+    return re.sub(r"\s*\([^)]*\)|\s(by|at|after|for|within) -?\d+(\.\d+)? \S+", "", output)[:60]
 
 
 def cells_of(flights: Iterable[Flight]) -> dict[tuple[str, Any, Any], MapCell]:

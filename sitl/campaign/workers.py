@@ -278,8 +278,8 @@ class ClusterWorkers:
         if isinstance(error, BadInput):
             raise OtherCode(f"--scheduler {self._address}: {in_words(error)}") from error
         if isinstance(error, BaseException):
-            said = f"{type(error).__name__}: {in_words(error)}"
-            raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {said}") from error
+            output = f"{type(error).__name__}: {in_words(error)}"
+            raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {output}") from error
         return None
 
     def _fetched(self, future: Any) -> Flight | None:

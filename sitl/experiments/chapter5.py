@@ -223,10 +223,10 @@ def lags(step: ExperimentFlight) -> list[Lag]:
     speed = np.gradient(heights, times)
     out = []
     for path in ("median_mean", "dead_reckoning", "ekf"):
-        told = step.of(path)
-        if not told:
+        reported = step.of(path)
+        if not reported:
             continue
-        t, z = np.array([e.t_s for e in told]), np.array([e.xyz_m[2] for e in told])
+        t, z = np.array([e.t_s for e in reported]), np.array([e.xyz_m[2] for e in reported])
         climbing = np.interp(t, times, speed) > 0.3
         shifts = np.arange(-0.2, 1.0, 0.01)
         misses = [float(np.mean((np.interp(t[climbing] - s, times, heights) - z[climbing]) ** 2)) for s in shifts]

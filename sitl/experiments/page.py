@@ -87,17 +87,17 @@ def _up_and_down(chapter: Chapter5) -> str:
         "| method | heights with an estimate, thesis | here | frames | standard deviation of z, mm |",
         "|---|---|---|---|---|",
     ]
-    told = {"ellipse": "1.0 m and up", "arrow": "0.5 to 1.2 m", "corners": "0.2 to 1.0 m"}
+    by_thesis = {"ellipse": "1.0 m and up", "arrow": "0.5 to 1.2 m", "corners": "0.2 to 1.0 m"}
     for method in METHODS:
         seen = chapter.up_and_down.of(method)
         found = spread(chapter.up_and_down, method, "z")
         if found is None:
-            lines.append(f"| {method} | {told.get(method, '')} | {_NONE} | 0 % | {_NONE} |")
+            lines.append(f"| {method} | {by_thesis.get(method, '')} | {_NONE} | 0 % | {_NONE} |")
             continue
         heights = sorted(float(e.true_xyz_m[2]) for e in seen)
         lines.append(
-            f"| {method} | {told.get(method, '')} | {heights[0]:.1f} to {heights[-1]:.1f} m | {100 * found.available:.0f} % | "
-            f"{found.std:.1f} |"
+            f"| {method} | {by_thesis.get(method, '')} | {heights[0]:.1f} to {heights[-1]:.1f} m "
+            f"| {100 * found.available:.0f} % | {found.std:.1f} |"
         )
     return "\n".join(lines)
 
@@ -278,10 +278,10 @@ def _hover(chapter: Chapter5) -> Figure:
                 x = np.array(heights) * (1.0 + 0.03 * (i - 2))
                 means, stds = [table[h, method].mean for h in heights], [table[h, method].std for h in heights]
                 ax.errorbar(x, means, stds, fmt=MARKERS.get(name, "."), ms=5, color=colour(name), label=f"{method}, here")
-            told = [(h, row) for h in HEIGHTS_M if (row := printed(quantity, h, method)) is not None]
-            if told:
-                x = np.array([h for h, _ in told]) * (1.0 + 0.03 * (i - 2) + 0.1)
-                mean, std = [row.mean or 0.0 for _, row in told], [row.std or 0.0 for _, row in told]
+            reported = [(h, row) for h in HEIGHTS_M if (row := printed(quantity, h, method)) is not None]
+            if reported:
+                x = np.array([h for h, _ in reported]) * (1.0 + 0.03 * (i - 2) + 0.1)
+                mean, std = [row.mean or 0.0 for _, row in reported], [row.std or 0.0 for _, row in reported]
                 ax.errorbar(x, mean, std, fmt=MARKERS.get(name, "."), ms=5, color=colour(name), mfc="none", alpha=0.5)
         ax.set_xscale("log")
         ax.set_xticks(HEIGHTS_M, [f"{h:g}" for h in HEIGHTS_M])
@@ -297,8 +297,8 @@ def _step(flown: ExperimentFlight) -> Figure:
     figure, axes = _figure(1, 1, (9.0, 4.5))
     _true(axes[0], flown, 2)
     for path in _PATHS:
-        told = flown.of(path)
-        axes[0].plot([e.t_s for e in told], [e.xyz_m[2] for e in told], color=colour(path), label=path)
+        reported = flown.of(path)
+        axes[0].plot([e.t_s for e in reported], [e.xyz_m[2] for e in reported], color=colour(path), label=path)
     for method in METHODS[:3]:
         seen = flown.of(method)
         axes[0].plot([e.t_s for e in seen], [e.xyz_m[2] for e in seen], MARKERS[method], ms=3, color=colour(method), label=method)
@@ -312,11 +312,11 @@ def _around(flown: ExperimentFlight) -> Figure:
     true = np.array([xyz for _, xyz, _ in flown.truth])
     axes[0].plot(true[:, 0], true[:, 1], color="black", lw=1.0, label="truth")
     for path in ("dead_reckoning", "ekf"):
-        told = flown.of(path)
-        t = np.array([e.t_s for e in told])
-        xyz = np.array([e.xyz_m for e in told])
+        reported = flown.of(path)
+        t = np.array([e.t_s for e in reported])
+        xyz = np.array([e.xyz_m for e in reported])
         xyz[1:][np.diff(t) > 0.5] = np.nan  # no line over a time without a belief
-        errors = np.hypot(*(xyz - np.array([e.true_xyz_m for e in told])).T[:2])
+        errors = np.hypot(*(xyz - np.array([e.true_xyz_m for e in reported])).T[:2])
         axes[0].plot(xyz[:, 0], xyz[:, 1], color=colour(path), label=path)
         axes[1].plot(t, errors, color=colour(path), label=path)
     seen = flown.of("best")
@@ -350,11 +350,11 @@ def _draw_landings(*landings: tuple[Landed, str]) -> Figure:
     figure, axes = _figure(len(landings), 3, (10.5, 3.6 * len(landings)))
     for row, (landed, title) in enumerate(landings):
         true = np.array([xyz for _, xyz, _ in landed.flown.truth])
-        told = np.array([e.xyz_m for e in landed.flown.of("ekf")])
+        reported = np.array([e.xyz_m for e in landed.flown.of("ekf")])
         for ax, (i, j) in zip(axes[3 * row : 3 * row + 3], ((0, 1), (0, 2), (1, 2)), strict=True):
             ax.plot(true[:, i], true[:, j], color="black", lw=1.0, label="truth")
-            if len(told):
-                ax.plot(told[:, i], told[:, j], color=colour("ekf"), lw=1.0, label="ekf")
+            if len(reported):
+                ax.plot(reported[:, i], reported[:, j], color=colour("ekf"), lw=1.0, label="ekf")
             ax.set(xlabel=f"{'xyz'[i]}, m", ylabel=f"{'xyz'[j]}, m")
         axes[3 * row].set_title(title, fontsize=10)
         axes[3 * row].legend(fontsize=8)

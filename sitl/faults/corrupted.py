@@ -149,7 +149,7 @@ class Corruptions:
         """The signals that are ever corrupted."""
         self._past: dict[Signal, deque[tuple[MonoNs, Values]]] = {f.signal: deque() for f in listed if f.error == "late"}
         self._held: dict[Signal, dict[int, Values]] = {signal: {} for signal in self.signals}
-        """What each frozen fault repeats, and each doubling one repeats next."""
+        """Value that each frozen fault repeats, and each doubling one repeats next."""
 
     def active(self, signal: Signal) -> list[tuple[Corrupted, float]]:
         """Return the faults of a signal that are active now, each with the seconds since it began."""

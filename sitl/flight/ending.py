@@ -37,22 +37,22 @@ class Load:
 
     def starved(self) -> str | None:
         """Return what shows that the machine was too slow, or None if it kept up."""
-        said = []
+        output = []
         if self.stood_still_s > STOOD_STILL_MAX_S:
-            said.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
+            output.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
         filmed = self.frames_sent / max(1.0, _FRAMES_HZ * self.duration_s)
         if filmed < FILMED_MIN:
-            said.append(f"{filmed:.0%} of the frames were rendered in time")
+            output.append(f"{filmed:.0%} of the frames were rendered in time")
         every = max(1, self.frames.total())
         if (share := self.frames[Verdict.REPLACED] / every) > REPLACED_MAX:
-            said.append(f"{share:.0%} of the frames were overtaken by newer ones")
+            output.append(f"{share:.0%} of the frames were overtaken by newer ones")
         if (share := self.frames[Verdict.SKIPPED] / every) > SKIPPED_MAX:
-            said.append(f"{share:.0%} of the frames were skipped")
+            output.append(f"{share:.0%} of the frames were skipped")
         if (share := self.frames[Verdict.NO_ATTITUDE] / every) > NO_ATTITUDE_MAX:
-            said.append(f"{share:.0%} of the frames had no attitude")
+            output.append(f"{share:.0%} of the frames had no attitude")
         if self.guidance_late_s is not None and self.guidance_late_s > GUIDANCE_LATE_MAX_S:
-            said.append(f"half of the guidance cycles came {1e3 * self.guidance_late_s:.0f} ms late or later")
-        return "; ".join(said) or None
+            output.append(f"half of the guidance cycles came {1e3 * self.guidance_late_s:.0f} ms late or later")
+        return "; ".join(output) or None
 
 
 _ZERO = MonoNs(0)

@@ -158,7 +158,7 @@ class Flight:
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
         self.contained = False
-        """Whether a bug of the service ends the flight and is part of the result, instead of being raised."""
+        """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
         self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
         self._person = SimulatedPerson(self.world.faults)
         self._reporter = VesselReporter(self.world)

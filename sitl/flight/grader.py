@@ -109,7 +109,7 @@ class FlightGrader:
 
     def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
         self.died: str | None = None
-        """Why the service died; None if it did not."""
+        """Reason for which the service died; None if it did not."""
         self._world = world
         self._watch = SightWatch(world.now)
         self._unreached = UnreachedContacts()

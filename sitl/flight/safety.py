@@ -357,12 +357,12 @@ def grade(
     if end.put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
         return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
     if outcome in REFUSALS or (outcome is None and (end.left_alone or end.asks)):
-        said = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
+        output = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
         if outcome is not None:
-            said = outcome.value
+            output = outcome.value
         if expect in ("land", "go_around"):
-            return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+            return Grade.FAILED, f"{output}, though nothing was wrong enough for that"
         if outcome in REFUSALS and end.refusal[0].lower() not in end.refusal[1].lower():
-            return Grade.FAILED, f"{said} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
-        return Grade.REFUSED_RIGHTLY, said
+            return Grade.FAILED, f"{output} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
+        return Grade.REFUSED_RIGHTLY, output
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

@@ -9,7 +9,7 @@ ICLR 2015.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,15 +29,15 @@ _FLYING, _LANDED = (ENDS.index(name) for name in ("goes_on", "landed"))
 
 
 class TeacherOptions(Struct, frozen=True, kw_only=True):
-    """What the teacher flies."""
+    """Controller of the teacher."""
 
-    weights: TiltWeights = TiltWeights(p_m=0.008, w_m_s=4.1, u_m_s2=0.3)
-    """Of the regulator: softer than the law's, as an estimate is not the truth."""
+    weights: TiltWeights = TiltWeights(p_m=0.015, w_m_s=4.1, u_m_s2=0.3)
+    """Weights of the regulator: softer than the law's, as an estimate is not the truth."""
     speed_max_m_s: float = 1.5
     rate_m_s: float = 0.4
     """Down against the deck, over the pad."""
     cone_m: float = 0.12
-    """How far beside the pad it still goes down near the deck, and how much farther with each metre of height."""
+    """Distance beside the pad at which it still goes down near the deck, and the increase with each metre of height."""
     cone_slope: float = 0.2
     yaw_gain_1_s: float = 0.8
     push_time_s: float = 0.1
@@ -158,6 +158,8 @@ class ImitationOptions(Struct, frozen=True, kw_only=True):
     """Standard deviation of what is added to the actions, in half of the worlds."""
     kept_most: int = 1_500_000
     """Examples that are kept; the oldest are forgotten."""
+    settle_steps: int = 100
+    """The first steps of an episode teach nothing: its trim begins at zero, and a mission's has long settled."""
     near_m: float = 0.4
     """Examples weigh 1 at the deck, and half at this height."""
 
@@ -175,7 +177,7 @@ class Imitation:
     """A student in training.
 
     Args:
-        worlds: where it flies.
+        worlds: where it flies, of one vehicle. It learns to expect their winds, so that several are better than one.
         response: how the vehicle answers, for the teacher.
         seed: of weights and exploration.
         first: the policy that training goes on from; None begins anew.
@@ -183,7 +185,7 @@ class Imitation:
 
     def __init__(
         self,
-        worlds: TrainingWorlds,
+        worlds: Sequence[TrainingWorlds],
         response: Response,
         seed: int,
         first: Policy | None = None,
@@ -192,7 +194,7 @@ class Imitation:
         teacher: TeacherOptions | None = None,
     ) -> None:
         self._worlds, self._o = worlds, options or ImitationOptions()
-        self._teacher = Teacher(worlds, response, teacher)
+        self._teachers = [Teacher(one, response, teacher) for one in worlds]
         self._rng = rng = np.random.default_rng([seed, 0x1A17])
         self._first = first is not None
         self.weights: Weights = _network(rng, self._o.width) if first is None else {k: first.weights[k].copy() for k in ARRAYS}
@@ -210,10 +212,19 @@ class Imitation:
             seed: of the first world; the others count on from it.
             done: returns how much of the training is done; it ends at 1.
         """
-        w, o, number = self._worlds, self._o, 0
-        w.begin(range(seed, seed + w.count))
+        o, number = self._o, 0
+        for w in self._worlds:
+            w.begin(range(seed, seed + w.count))
+            seed += w.count
         while (share := done()) < 1.0:
-            flown = self._gather(0.0 if self._first else max(0.0, 1.0 - number / o.teacher_rounds))
+            by_teacher = 0.0 if self._first else max(0.0, 1.0 - number / o.teacher_rounds)
+            ends: list[NDArray[np.int8]] = []
+            touchdowns: list[F32] = []
+            for w, teacher in zip(self._worlds, self._teachers, strict=True):
+                self._gather(w, teacher, by_teacher, ends, touchdowns)
+            flown = tally(ends, touchdowns)
+            while sum(map(len, self._seen)) > o.kept_most:
+                del self._seen[: o.steps], self._wanted[: o.steps]
             if number == 0 and not self._first:
                 self._begin()
             number += 1
@@ -221,34 +232,38 @@ class Imitation:
 
     def policy(self, record: dict[str, Any]) -> Policy:
         """Return the policy as it is now, with its record."""
-        starts = np.abs([*self._worlds.options.start_low[:2], *self._worlds.options.start_high[:2]])
-        full = {"acceleration_m_s2": self._worlds.acceleration_m_s2, "place_m": float(starts.max())}
+        first = self._worlds[0]
+        starts = np.abs([*first.options.start_low[:2], *first.options.start_high[:2]])
+        full = {"acceleration_m_s2": first.acceleration_m_s2, "place_m": float(starts.max())}
         return Policy({name: self.weights[name].copy() for name in ARRAYS}, {**record, **full})
 
-    def _gather(self, share: float) -> EpisodesFlown:
-        """Fly a round and keep what was seen and what the teacher would have done."""
-        w, o, rng = self._worlds, self._o, self._rng
-        ends, touchdowns = [], []
+    def _gather(
+        self, w: TrainingWorlds, teacher: Teacher, share: float, ends: list[NDArray[np.int8]], touchdowns: list[F32]
+    ) -> None:
+        """Fly a round in some worlds and keep what was seen, what the teacher would have done, and what came of it.
+
+        Args:
+            share: of the worlds, that the teacher flies itself.
+        """
+        o, rng = self._o, self._rng
         by_teacher = rng.uniform(size=(w.count, 1)) < share
         loud = (np.arange(w.count) % 2 == 0)[:, None]
         wander = np.zeros((w.count, ACTIONS), np.float32)
         for _ in range(o.steps):
-            seen, taught = w.views.copy(), self._teacher.actions()
-            self._seen.append(seen)
-            self._wanted.append(taught)
+            seen, taught = w.views.copy(), teacher.actions()
+            settled = w.truth["steps"] >= o.settle_steps
+            self._seen.append(seen[settled])
+            self._wanted.append(taught[settled])
             own = forward(self.weights, normal(self.weights, seen))[-1]
             wander = 0.9 * wander + 0.436 * rng.standard_normal(wander.shape, np.float32)
             action = np.clip(np.where(by_teacher, taught, own) + o.explore * wander * loud, -1.0, 1.0)
             trim = w.truth["trim"].copy()
             w.step(action)
-            self._teacher.flown(action, trim)
+            teacher.flown(action, trim)
             quiet = ~loud[:, 0] & ~by_teacher[:, 0]
             ends.append(np.where(quiet, w.ends, 0).astype(np.int8))
             touchdowns.append(w.touchdowns.copy())
         self._gathered += o.steps * w.count
-        keep = max(1, o.kept_most // w.count)
-        self._seen, self._wanted = self._seen[-keep:], self._wanted[-keep:]
-        return tally(ends, touchdowns)
 
     def _begin(self) -> None:
         """Take mean and scale of the observations, and the linear part by least squares."""

@@ -106,8 +106,8 @@ class Scenes:
     def corrupted(self, t_cam_pad: F64, at: MonoNs) -> F64:
         """Return the pad's place in the camera's axes, (3,) m, as a corrupted detector gives it."""
         place: tuple[float, ...] = tuple(t_cam_pad.tolist())
-        said = self._world.corruptions.of("sighting", place, at)
-        return t_cam_pad if said is place else np.array(said)
+        output = self._world.corruptions.of("sighting", place, at)
+        return t_cam_pad if output is place else np.array(output)
 
     def of(self, frame: Frame) -> Scene:
         """Return the scene of a frame."""

@@ -268,11 +268,11 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
             found = _find(named, folder, path.parent, f"{path}: {table}.file")
             whole[table] = {**whole.get(table, {}), "file": str(found)}
     for table, folder in (("vessel", "vessels"), ("vehicle", "vehicles")):
-        said: Any = data.get(table, {})
-        if "file" in said:
-            whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
-        if said.get("motion"):
-            whole[table]["motion"] = str(path.parent / said["motion"])
+        output: Any = data.get(table, {})
+        if "file" in output:
+            whole[table]["file"] = str(_find(output["file"], folder, path.parent, f"{path}: {table}.file"))
+        if output.get("motion"):
+            whole[table]["motion"] = str(path.parent / output["motion"])
     return whole
 
 

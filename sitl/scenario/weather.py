@@ -147,8 +147,8 @@ def contradicted(data: Mapping[str, Any]) -> str:
     if not _says(data.get("weather")):
         return ""
     for table, kept in _KEPT.items():
-        said = data.get(table)
-        if isinstance(said, dict) and (more := sorted(said.keys() - set(kept))):
+        output = data.get(table)
+        if isinstance(output, dict) and (more := sorted(output.keys() - set(kept))):
             return f"{table}.{more[0]} follows from the weather; beside it {table} may say {', '.join(kept)} alone"
     return ""
 

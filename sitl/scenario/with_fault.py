@@ -114,10 +114,10 @@ def as_toml(name: str, faulty_one: Scenario, faults: Sequence[Corrupted], head: 
     own = {"title": faulty_one.title, "base": base, "expect": faulty_one.expect, "because": faulty_one.because}
     lines = [f"# {line}" for line in head] + [f"{key} = {_toml(value)}" for key, value in own.items()]
     for fault in faults:
-        said = {key: value for key, value in msgspec.structs.asdict(fault).items() if value is not None}
+        output = {key: value for key, value in msgspec.structs.asdict(fault).items() if value is not None}
         if fault.size == 0.0:
-            del said["size"]
-        lines += ["", "[[faults]]", *(f"{key} = {_toml(value)}" for key, value in {"kind": fault.kind, **said}.items())]
+            del output["size"]
+        lines += ["", "[[faults]]", *(f"{key} = {_toml(value)}" for key, value in {"kind": fault.kind, **output}.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -395,14 +395,14 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
         if self.swell is None and self.wind_sea is None:
             swell, wind = SeaState.swell_and_wind_sea(height)
             return (System(swell, towards, 75.0 if self.spreading is None else wide), System(wind, towards, wide))
-        said = ((self.swell, 75.0), (self.wind_sea, 10.0))
+        output = ((self.swell, 75.0), (self.wind_sea, 10.0))
         return tuple(
             System(
                 SeaState(part.height_m, part.period_s, 1.0, part.shape),
                 towards if part.runs_to_deg is None else math.radians(part.runs_to_deg),
                 part.spreading or self.spreading or usual,
             )
-            for part, usual in said
+            for part, usual in output
             if part is not None
         )
 

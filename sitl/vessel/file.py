@@ -32,7 +32,7 @@ COLUMNS = ("time_s", "surge_m", "sway_m", "heave_down_m", "roll_deg", "pitch_deg
 """The header; `heave_up_m` may stand in place of `heave_down_m`."""
 ROWS_MAX = 500_000
 GAP_MAX_S = 2.0
-"""A longer gap holds motion that nobody recorded."""
+"""Largest gap between two rows; a longer one hides motion."""
 _FARTHEST = (1e4, 1e4, 50.0, 80.0, 80.0, 1e5)
 """m and degrees: beyond these a column holds something else."""
 
@@ -330,9 +330,9 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
     recording: MotionFile | None = None
 
     def __post_init__(self) -> None:
-        said = [name for name in ("closed_form", "table", "recording") if getattr(self, name) is not None]
-        if len(said) != 1:
-            raise ValueError(f"exactly one of closed_form, table and recording must say how it moves, found {len(said)}")
+        output = [name for name in ("closed_form", "table", "recording") if getattr(self, name) is not None]
+        if len(output) != 1:
+            raise ValueError(f"exactly one of closed_form, table and recording must say how it moves, found {len(output)}")
         width = self.beam_m if self.deck_beam_m is None else self.deck_beam_m
         if abs(self.pad_forward_m) > 0.5 * self.length_m or abs(self.pad_starboard_m) > 0.5 * width:
             raise ValueError("the pad's centre must lie on the deck: pad_forward_m or pad_starboard_m is beyond its edge")

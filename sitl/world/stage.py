@@ -48,11 +48,11 @@ def flight_seeds(seed: int) -> Seeds:
 
 def airframe(scenario: Scenario) -> Airframe:
     """Return the vehicle that a scenario requests, as far as it differs from its model; the inertia is scaled with the mass."""
-    s, wrong, believed = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
-    loops, (x, y, z) = believed.loops, believed.drag_per_s
+    s, wrong, estimate = scenario.sensors, scenario.wrong_model, scenario.vehicle.airframe(vehicle_model(scenario))
+    loops, (x, y, z) = estimate.loops, estimate.drag_per_s
     return replace(
-        believed,
-        mass_kg=believed.mass_kg + scenario.effects.unknown_mass_kg,
+        estimate,
+        mass_kg=estimate.mass_kg + scenario.effects.unknown_mass_kg,
         loops=replace(
             loops,
             tilt_p=loops.tilt_p * wrong.tilt_frequency**2,
@@ -60,7 +60,7 @@ def airframe(scenario: Scenario) -> Airframe:
             tilt_gain=wrong.tilt_gain,
         ),
         drag_per_s=(x * wrong.drag, y * wrong.drag, z * wrong.drag),
-        command_delay_s=max(0.0, believed.command_delay_s + wrong.command_delay_s),
+        command_delay_s=max(0.0, estimate.command_delay_s + wrong.command_delay_s),
         effects=msgspec.structs.replace(scenario.effects, drag_per_m=scenario.effects.drag_per_m * wrong.drag),
         lift_share=wrong.thrust,
         downwash_share=wrong.downwash,

@@ -186,16 +186,16 @@ class World:
         self.guidance_phase: str | None = None
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
         self.streams = VehicleStreams(self.faults, seed)
-        """What becomes of samples, frames and commands, for the code that carries them."""
+        """Fate of samples, frames and commands, for the code that carries them."""
         self._has_faults = bool(self.faults)
         self.corruptions = Corruptions(self.faults, seed)
-        """What signals say instead of what was measured."""
+        """Corrupted values of signals."""
         self._faulty = FaultySensors(self.faults, seed, self.corruptions)
         self._stick = Stick()
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._touched_s = math.nan
-        """When the newest of them began, by the vehicle's own clock."""
+        """Time when the newest of them began, by the vehicle's own clock."""
         self._truth: tuple[tuple[int, float, int], Truth] | None = None
         """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None

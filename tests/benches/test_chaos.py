@@ -37,7 +37,7 @@ def test_a_gap_counts_unless_it_is_the_links_own(kind: str, good: bool) -> None:
     assert (row.beats_missed > 0) == (not good)
 
 
-def test_an_event_without_a_word_in_time_is_told() -> None:
+def test_an_event_without_a_word_in_time_is_reported() -> None:
     chaos = Chaos(1, "mavlink", (Event("disk_full", 2.0, 1.0),))
     assert judged(chaos, seen(((104.0, "recorder: No space left on device"),))).good
     late = judged(chaos, seen(((114.0, "recorder: No space left on device"),)))
@@ -45,7 +45,7 @@ def test_an_event_without_a_word_in_time_is_told() -> None:
     assert not late.good
 
 
-def test_messages_are_told_apart_in_a_datagram() -> None:
+def test_messages_are_distinguished_in_a_datagram() -> None:
     packer = mav.MAVLink(None, 1, 191)
     data = b"".join(
         m.pack(packer) for m in (mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), mav.MAVLink_system_time_message(1, 2))

@@ -56,15 +56,15 @@ def test_the_worst_touch_is_on_the_worst_surface_and_the_hardest_may_be_another(
 
 def test_the_table_has_a_row_for_each_fault_with_what_was_unsafe() -> None:
     water = flight("a", 1, [contact("water", 3.0)], ["in water"])
-    said = dangers.table([flight("b", 1, [contact("pad", 0.1)]), water, flight("b", 2, [])])
-    a, b = said.splitlines()[2:4]
+    output = dangers.table([flight("b", 1, [contact("pad", 0.1)]), water, flight("b", 2, [])])
+    a, b = output.splitlines()[2:4]
     assert (
         a == "| a | 1 | pad | 1 failed (landed) | yes, 1 of 1 | water, 300 cm off (seed 1); hardest 0.40 m/s | seed 1: in water |"
     )
     assert b == "| b | 2 | pad | 2 on pad (landed) | no | pad, 10 cm off (seed 1); hardest 0.40 m/s |  |"
 
 
-def test_it_flies_the_asked_seeds_of_the_asked_faults(
+def test_it_flies_the_requested_seeds_of_the_requested_faults(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flights = Flights()
@@ -74,14 +74,14 @@ def test_it_flies_the_asked_seeds_of_the_asked_faults(
     assert "vision: registration; settings: sim; seeds: 211 to 212\n" in capsys.readouterr().out
 
 
-def test_a_run_that_is_told_to_end_says_so_and_the_next_one_goes_on_with_it(
+def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     words = ("--only", "imu_spike", "battery_low", "--out", str(tmp_path / "flights.jsonl"))
     assert run(monkeypatch, Flights(ended_after=1), *words) == 128 + signal.SIGTERM
-    said = capsys.readouterr().out
-    assert "INTERRUPTED by SIGTERM: 1 of 2 flights were not flown" in said
-    assert "| imu_spike | 1 |" in said
+    output = capsys.readouterr().out
+    assert "INTERRUPTED by SIGTERM: 1 of 2 flights were not flown" in output
+    assert "| imu_spike | 1 |" in output
     flights = Flights()
     assert run(monkeypatch, flights, *words) == 0
     assert flights.flown == [("battery_low", 1)]

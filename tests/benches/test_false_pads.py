@@ -8,6 +8,7 @@ from tests.support.hard_light import HARD
 from tests.support.pad_scenes import DATA, load_camera
 
 
+@pytest.mark.hazard("H2")
 @pytest.mark.parametrize("chunk", [*range(41000, 41010)])
 def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
     """Chunk 41004 has a green disc with the pad's ring, and glare where the H would be."""
@@ -48,6 +49,7 @@ def test_half_of_a_raft_in_glare_is_no_pad() -> None:
     assert sure_of(scene.px, load_camera("sim"), HARD["plain"].pad, scene.R_level_body) < 0.5
 
 
+@pytest.mark.hazard("H2")
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here")
 def test_no_photograph_without_a_pad_shows_one() -> None:
     seen = photographs(HARD["plain"])

@@ -36,7 +36,7 @@ def test_an_interval_widens_with_the_noise_of_the_pieces() -> None:
     assert widths[0] < 0.2 * widths[1]
 
 
-def test_loops_behind_a_motor_lag_have_the_poles_asked_for() -> None:
+def test_loops_behind_a_motor_lag_have_the_poles_requested() -> None:
     p, d = loops_behind_lag(11.5, 0.65, 0.03)
     roots = np.roots([0.03, 1.0, d, p])
     slow = roots[np.argsort(np.abs(roots))[:2]]

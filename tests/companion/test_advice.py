@@ -24,9 +24,9 @@ BY_DETAIL = {ReasonCause.ALERT, ReasonCause.FRAMES}
 
 @pytest.mark.parametrize("cause", [cause for cause in ReasonCause if cause not in BY_DETAIL])
 def test_a_cause_has_an_advice_unless_it_is_no_fault(cause: ReasonCause) -> None:
-    said = advice(State.GO_AROUND, Reason(cause))
-    assert (said == "") == (cause in NO_FAULT)
-    assert said == "" or said.endswith((".", "?"))
+    output = advice(State.GO_AROUND, Reason(cause))
+    assert (output == "") == (cause in NO_FAULT)
+    assert output == "" or output.endswith((".", "?"))
 
 
 def test_details_have_an_advice_of_their_own() -> None:
@@ -38,7 +38,7 @@ def test_details_have_an_advice_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("state", [State.REFUSED, State.GAVE_UP, State.ABORTED])
-def test_where_the_drone_waits_for_a_person_that_is_said(state: State) -> None:
+def test_a_wait_for_a_person_is_reported(state: State) -> None:
     assert advice(state, Reason(ReasonCause.WIND)).endswith("It hovers until you begin again or land it.")
     assert "hovers" not in advice(State.GO_AROUND, Reason(ReasonCause.WIND))
 

@@ -30,7 +30,7 @@ def test_unbroken_sight_gives_the_patience_back_and_nothing_less_does() -> None:
     assert one.unseen(0.25).with_sight_s == 0.0
 
 
-def test_a_try_begins_with_its_first_sight_and_the_next_one_inherits_the_time_without() -> None:
+def test_an_attempt_begins_with_its_first_sight_and_the_next_one_inherits_the_time_without() -> None:
     one = Attempt().seen(ns(3), 0.1).seen(ns(4), 0.1)
     assert one.began == ns(3)
     one = one.unseen(0.5).lost().descended(0.3).at_gate(1.0).over_pad(1.0).in_descent(1.0)

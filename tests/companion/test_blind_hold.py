@@ -23,6 +23,7 @@ def falling(down_m_s: float | None, sigma_m_s: float = 0.0) -> Knowledge:
     return Knowledge(ns(NOW), None, deck=deck)
 
 
+@pytest.mark.hazard("H1")
 @pytest.mark.parametrize(
     ("deck_m_s", "fit", "over_ground", "velocity_m_s", "lean_m_s"),
     [

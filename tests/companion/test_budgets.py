@@ -1,7 +1,8 @@
-"""A landing ends by itself: whatever is seen, felt and believed, within the time that docs/limits.md states."""
+"""A landing ends by itself: whatever the sensors and estimates are, within the time that docs/limits.md states."""
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
@@ -34,6 +35,7 @@ def test_the_stated_budget_is_that_of_the_defaults() -> None:
         assert f"{stated_s:.0f} s" in text
 
 
+@pytest.mark.hazard("H10")
 @settings(max_examples=60)
 @given(
     spells=st.lists(
@@ -73,6 +75,7 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
                 assert not isinstance(aim, Land) or p.state in (State.PRESS, State.DOWN)
 
 
+@pytest.mark.hazard("H10")
 def test_flips_between_states_restart_no_budget() -> None:
     """Sight that comes and goes each second: descend, hold blind, descend; the attempt's and the landing's times go on."""
     o = guided(tries={"landing_s": 20.0, "losses_max": 1000, "blind_descent_max_m": 10.0, "climb_after_s": 15.0})

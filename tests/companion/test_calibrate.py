@@ -69,34 +69,34 @@ def test_a_known_camera_is_recovered(
         ["calibrate", "camera", str(folders[kind]), "--out", str(out), "--figures", str(figures), "--json",
          "--position-m", "0.1,0,0.02", *more]
     )  # fmt: skip
-    said = json.loads(capsys.readouterr().out)
-    assert said["missing"] == []
-    assert (code, said["good"], said["views"]) == (0, True, 15)
+    output = json.loads(capsys.readouterr().out)
+    assert output["missing"] == []
+    assert (code, output["good"], output["views"]) == (0, True, 15)
     found = Camera.from_mapping(tomllib.loads(out.read_text()))
     assert (found.width, found.height) == (true.width, true.height)
     assert found.fx == pytest.approx(true.fx, rel=3e-3)
     assert found.fy == pytest.approx(true.fy, rel=3e-3)
     assert abs(found.cx - true.cx) < 1.5
     assert abs(found.cy - true.cy) < 1.5
-    for value, truth, sigma in zip((found.fx, found.fy), (true.fx, true.fy), said["sigma_fx_fy_cx_cy"][:2], strict=True):
+    for value, truth, sigma in zip((found.fx, found.fy), (true.fx, true.fy), output["sigma_fx_fy_cx_cy"][:2], strict=True):
         assert abs(value - truth) < 6 * sigma
     assert worst_px(found, true) < 1.0
-    assert said["rms_px"] < 0.15
+    assert output["rms_px"] < 0.15
     assert np.allclose(found.T_body_cam.t, (0.1, 0.0, 0.02))
     for name in ("coverage.png", "residuals.png"):
         assert cv2.imread(str(figures / name)) is not None
 
 
-def test_a_poor_set_is_refused_and_told_what_it_lacks(
+def test_a_poor_set_is_refused_and_its_lacks_are_reported(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "camera.toml"
     few = [str(folders["charuco"] / f"{i:02d}.png") for i in (0, 1, 2, 3, 4, 5)]
     assert main(["calibrate", "camera", *few, "--out", str(out)]) == 1
-    said = capsys.readouterr().out
-    assert "4 more views (6 of 10)" in said
-    assert "the board closer into the bottom right corner" in said
-    assert "the board closer into the top left corner" not in said
+    output = capsys.readouterr().out
+    assert "4 more views (6 of 10)" in output
+    assert "the board closer into the bottom right corner" in output
+    assert "the board closer into the top left corner" not in output
     assert not out.exists()
 
 
@@ -124,6 +124,7 @@ def held(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float 
     return out
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("tilt_deg", [0.6, 30.0])
 def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt_deg: float) -> None:
     views = held(BENT, CHARUCO, tilt_deg, 5)
@@ -135,6 +136,7 @@ def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt
     assert (assess.assess(one, (480, 320)).grade == "poor") == (tilt_deg < 1.0)
 
 
+@pytest.mark.hazard("H12")
 def test_a_flat_set_is_written_by_force_alone_and_its_cost_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     studio, out = Studio(STRAIGHT, CHESSBOARD), tmp_path / "camera.toml"
     for i in range(4):
@@ -145,8 +147,8 @@ def test_a_flat_set_is_written_by_force_alone_and_its_cost_is_printed(tmp_path: 
     assert "(--force writes it all the same)" in capsys.readouterr().out
     assert not out.exists()
     assert main([*words, "--force"]) == 0
-    said = capsys.readouterr().out
-    assert "at touchdown" in said or "Distances are not known" in said
+    output = capsys.readouterr().out
+    assert "at touchdown" in output or "Distances are not known" in output
     assert Camera.from_mapping(tomllib.loads(out.read_text())).focal_sigma > 0.02
 
 
@@ -275,16 +277,16 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
             for _ in range(20):
                 out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
         out.mux(stream.encode(None))
-    guide, told = Guide(CHARUCO), list[GuideState]()
+    guide, reported = Guide(CHARUCO), list[GuideState]()
     live = CameraOptions(source="stream", device=str(path), repeat=True)
-    await watch(live, None, guide, told.append, timeout_s=3.5)
-    assert len(guide.collection.views) == told[-1].views == 3
+    await watch(live, None, guide, reported.append, timeout_s=3.5)
+    assert len(guide.collection.views) == reported[-1].views == 3
     assert guide.collection.image_count >= 6
-    assert told[0].rms_px is None
-    assert "7 more views (3 of 10)" in told[-1].lacks
+    assert reported[0].rms_px is None
+    assert "7 more views (3 of 10)" in reported[-1].lacks
     absent = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera")
     with pytest.raises(Recoverable, match="no such camera"):
-        await watch(absent, (480, 320), guide, told.append, timeout_s=1.0, first_s=0.2)
+        await watch(absent, (480, 320), guide, reported.append, timeout_s=1.0, first_s=0.2)
 
 
 @pytest.mark.parametrize(
@@ -301,9 +303,9 @@ def test_wrong_use_is_one_line(
     folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
     assert main(["calibrate", "camera", str(folders["charuco"]), "--out", str(tmp_path / "c.toml"), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert words in output
+    assert output.count("\n") == 1
 
 
 def test_images_of_two_sizes_and_images_that_are_none_are_named(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_a_wrong_mount_and_delay_are_found_within_their_sigmas(seed: int, later_
     assert found.sigma[DELAY] < 0.0015
 
 
-def test_a_hover_without_leans_and_turns_is_refused_with_what_it_lacks() -> None:
+def test_a_hover_without_tilts_and_turns_is_refused_with_what_it_lacks() -> None:
     result = flight_result(flights.flight(3, TURNED, 0.02, lean_deg=0.2, turn_deg=0.0, seconds=30.0))
     assert "degrees only" in (result.mount_refusal() or "")
     assert "ms only" in (result.delay_refusal() or "")
@@ -45,7 +45,7 @@ def test_a_hover_without_leans_and_turns_is_refused_with_what_it_lacks() -> None
         assert lack in lacks
 
 
-def test_a_deck_that_rolls_is_said_and_widens_the_sigmas() -> None:
+def test_a_deck_that_rolls_is_reported_and_widens_the_sigmas() -> None:
     ashore = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0))
     on_deck = flight_result(flights.flight(4, TURNED, 0.02, seconds=30.0, deck_deg=2.0))
     assert np.all(on_deck.mount_sigma_deg > 1.5 * ashore.mount_sigma_deg)
@@ -72,9 +72,9 @@ def test_the_mount_is_written_into_a_copy_of_the_camera_file(
     folder, _, settings = flown
     out = tmp_path / "new.toml"
     assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "cm at touchdown" in said
-    assert "was [0.00, 0.00, 90.00]" in said
+    output = capsys.readouterr().out
+    assert "cm at touchdown" in output
+    assert "was [0.00, 0.00, 90.00]" in output
     text = out.read_text(encoding="utf-8")
     assert "# by eye" in text
     assert "# The bottom camera of the thesis' simulator" in text
@@ -96,12 +96,12 @@ def test_the_delay_is_written_into_a_copy_of_the_settings(
     out = tmp_path / "rig.toml"
     words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]
     assert main(words) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     was = settings.vehicle.video_delay_s  # type: ignore[union-attr]
-    assert told["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
-    assert told["sigma_s"] < 0.002
+    assert reported["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
+    assert reported["sigma_s"] < 0.002
     new = load(str(out))
-    assert new.vehicle.video_delay_s == pytest.approx(told["delay_s"], abs=1e-4)  # type: ignore[union-attr]
+    assert new.vehicle.video_delay_s == pytest.approx(reported["delay_s"], abs=1e-4)  # type: ignore[union-attr]
     assert new.estimator.ekf.sigma_delay_s < 0.005
     assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
 
@@ -150,8 +150,8 @@ def test_values_change_in_place_and_comments_stay() -> None:
     assert tomllib.loads(with_values(text, "estimator.ekf", {"s": 1.0}, "t"))["estimator"] == {"ekf": {"s": 1.0}}
     assert with_values('camera = {file = "x"}  # mine\n', "camera", {"file": "z"}, "t") == 'camera = {file = "z"}  # mine\n'
     assert with_values('camera.file = "x"\n', "camera", {"file": "z"}, "t") == 'camera.file = "z"\n'
-    for bad, said in (("camera = 3\n", "camera is not a table"), ("camera", "t: .* line 1")):
-        with pytest.raises(BadInput, match=said):
+    for bad, output in (("camera = 3\n", "camera is not a table"), ("camera", "t: .* line 1")):
+        with pytest.raises(BadInput, match=output):
             with_values(bad, "camera", {"file": "z"}, "t")
 
 

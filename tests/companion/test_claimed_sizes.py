@@ -29,7 +29,7 @@ def test_detect_and_calibrate_name_the_image_and_its_claim(
     path = tmp_path / f"bomb{suffix}"
     path.write_bytes(claiming(suffix, side, side))
     assert path.stat().st_size < 1000
-    for words, said in (
+    for words, output in (
         (["detect", str(path), "--camera", "sim"], f"{side}x{side} px, but"),
         (
             ["calibrate", "camera", str(path), "--out", str(tmp_path / "camera.toml")],
@@ -39,7 +39,7 @@ def test_detect_and_calibrate_name_the_image_and_its_claim(
         assert main(words) == 2
         err = capsys.readouterr().err.strip().splitlines()
         assert len([line for line in err if "bomb" in line]) == 1
-        assert said in "".join(err)
+        assert output in "".join(err)
         assert "Traceback" not in "".join(err)
 
 

@@ -54,7 +54,7 @@ def gained_m(largest_m_s: float) -> float:
     return 2.0 * (largest_m_s * math.sin(a) - CLIMB_M_S * a) / OMEGA
 
 
-def test_a_deck_that_the_drone_can_follow_asks_for_nothing() -> None:
+def test_a_deck_that_the_drone_can_follow_needs_no_further_height() -> None:
     assert rise_beyond_climb_m(knowledge(forecast(swell(0.95)))) == 0.0
     assert rise_beyond_climb_m(knowledge(None)) == 0.0
     assert rise_beyond_climb_m(knowledge(forecast(swell(1.6)), climb_m_s=None)) == 0.0, "somebody else limits the climb"
@@ -83,7 +83,7 @@ def test_it_is_the_largest_sum_over_any_part_of_the_forecast_and_of_the_swell_th
     assert found == pytest.approx((total - np.minimum.accumulate(total)).max(), abs=3e-3)
 
 
-def test_what_of_a_forecast_is_over_does_not_count_and_an_old_one_says_nothing() -> None:
+def test_what_of_a_forecast_is_over_does_not_count_and_an_old_one_reports_nothing() -> None:
     steady = forecast(np.full(len(HORIZONS_S), 1.6))
     whole = rise_beyond_climb_m(knowledge(steady))
     for age_s in (0.1, 0.3, 0.5):

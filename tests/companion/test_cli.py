@@ -237,9 +237,9 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_flight(
     what = {"demo": [], "simulate": ["calm"], "replay": [str(ROOT / "tests/golden/approach.mcap")]}[command]
     began_s = time.process_time()
     assert cli.main([command, *what, "--report", str(tmp_path / "file/report")]) == 2
-    said = capsys.readouterr()
-    assert said.err == f"decklander: --report {tmp_path / 'file/report'}: Not a directory\n"
-    assert said.out == ""
+    printed = capsys.readouterr()
+    assert printed.err == f"decklander: --report {tmp_path / 'file/report'}: Not a directory\n"
+    assert printed.out == ""
     assert time.process_time() - began_s < 10.0, "less than a flight"
 
 

@@ -21,7 +21,7 @@ def test_every_kind_of_command_is_recorded_whole(command: Command | None) -> Non
         assert read.trim_level.tolist() == command.trim_level.tolist()
 
 
-def test_a_recorded_lean_that_lacks_a_part_is_refused() -> None:
+def test_a_recorded_tilt_that_lacks_a_part_is_refused() -> None:
     record = encode.decision(Decision(MonoNs(7), "descend", LEAN, None))
     record = type(record)(record.at_ns, record.phase, command=record.command, v_level=record.v_level)
     with pytest.raises(ValueError, match="lean"):

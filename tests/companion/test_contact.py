@@ -40,6 +40,7 @@ def flight(seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[type-ar
     return np.asarray(9.81 + 0.3 * np.sin(1.3 * t) + lagging + 0.25 * rng.standard_normal(t.size))
 
 
+@pytest.mark.hazard("H4")
 @pytest.mark.parametrize("seed", range(3))
 def test_no_flight_is_a_contact(seed: int) -> None:
     assert heard(flight(60.0, seed)) == []
@@ -169,6 +170,7 @@ def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
 FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerometer", 300.0, doubtful=True)
 
 
+@pytest.mark.hazard("H4")
 @pytest.mark.parametrize(
     ("feet_m", "down_m_s", "felt_by", "more", "contact"),
     [

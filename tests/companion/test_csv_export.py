@@ -28,11 +28,11 @@ def table(path: Path) -> list[dict[str, str]]:
 def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "tables"
     assert cli.main(["record", "export", str(flown), "--output", str(folder)]) == 0
-    told = dict(line.rsplit(": ", 1) for line in capsys.readouterr().out.splitlines())
+    reported = dict(line.rsplit(": ", 1) for line in capsys.readouterr().out.splitlines())
     beliefs = [e.belief for e in open_recording([flown]).events() if isinstance(e, Decision) and e.belief is not None]
     rows = table(folder / "belief_dead_reckoning.csv")
     assert len(rows) == len(beliefs) > 20
-    assert told[str(folder / "belief_dead_reckoning.csv")] == f"{len(rows)} rows"
+    assert reported[str(folder / "belief_dead_reckoning.csv")] == f"{len(rows)} rows"
     for row, belief in zip(rows, beliefs, strict=True):
         assert int(row["timestamp"]) == belief.at // 1000
         assert [float(row[f"d_body_pad_level[{k}]"]) for k in range(3)] == belief.d_body_pad_level.tolist()
@@ -45,7 +45,7 @@ def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, c
     assert not any(name.startswith(("camera", "scene", "tf", "pose")) for name in names), "drawings for viewers are left out"
 
 
-def test_what_cannot_be_written_or_is_damaged_is_said(
+def test_what_cannot_be_written_or_is_damaged_is_reported(
     flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")

@@ -222,9 +222,9 @@ async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: Fus
             await until(lambda counted=counted: daemon.health.flows["Decision"].count >= counted + 2)
             if diary is not None:
                 assert len(diary.received_at) == n
-            said = daemon.health.snapshot()
-            assert sum(said.inputs["Attitude"].values()) == n
-            assert [sum(one.verdicts.values()) for one in said.fusion] == [n]
+            output = daemon.health.snapshot()
+            assert sum(output.inputs["Attitude"].values()) == n
+            assert [sum(one.verdicts.values()) for one in output.fusion] == [n]
         daemon.stop()
     assert diary is None or diary.received_at == sorted(diary.received_at)
 
@@ -319,7 +319,7 @@ async def test_a_bug_of_ours_is_loud_and_leaves_the_vehicle_in_its_hover(monkeyp
     assert vehicle.left_hovering == 1
 
 
-async def test_it_ends_with_the_flight_when_told_so() -> None:
+async def test_it_ends_with_the_flight_when_ordered() -> None:
     vehicle = FakeVehicle()
     daemon = daemon_of(vehicle.open, once=True)
 

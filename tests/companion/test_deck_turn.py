@@ -50,7 +50,7 @@ def test_coming_round_to_the_arrow_hardly_overshoots() -> None:
     assert abs(course[-1]) < 0.3
 
 
-def test_a_heading_that_is_not_known_asks_for_no_turn() -> None:
+def test_a_heading_that_is_not_known_requests_no_turn() -> None:
     law, now = FollowDeck(shipped_response("ardrone2"), T), MonoNs(0)
     body = BodyMotion(now, 0.0, np.zeros(3), 1e-4 * np.eye(3), np.zeros(3), Rotation.identity(), 1e-4 * np.eye(3))
     known = RelativeState(now, "ekf", ALONG.d_body_pad_level, np.zeros(3), 0.5, 1e-4 * np.eye(7), now, True)

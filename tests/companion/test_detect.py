@@ -109,9 +109,9 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
     common = (album / "a.png", "--camera", "sim", "--json")
     assert detect(*common, "--attitude", table, "--attitude-sigma-deg", "0.1") == 0
     assert detect(*common) == 0
-    told, assumed = records(capsys)
+    reported, assumed = records(capsys)
     true = np.array(SCENE.d_body_pad_level)
-    d_told, d_assumed = np.array(told["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
+    d_told, d_assumed = np.array(reported["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
     assert np.linalg.norm(d_told - true) < 0.006
     assert np.linalg.norm(d_told - true) < np.linalg.norm(d_assumed - true) < 0.09
     cov = np.reshape(assumed["cov"], (4, 4))[:3, :3]  # type: ignore[call-overload]
@@ -236,7 +236,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
     assert named in err
 
 
-def test_both_opinions_are_printed_where_a_second_one_is_asked(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0
     alone, both = records(capsys)

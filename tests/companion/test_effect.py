@@ -56,7 +56,7 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
         ),
     ],
 )
-def test_a_key_without_effect_is_told_with_the_cause(data: dict[str, Any], said: tuple[str, ...]) -> None:
+def test_a_key_without_effect_is_reported_with_the_cause(data: dict[str, Any], said: tuple[str, ...]) -> None:
     assert without_effect(from_mapping(data, "x")) == said
 
 
@@ -65,7 +65,7 @@ def test_no_shipped_profile_sets_a_key_without_effect(name: str) -> None:
     assert without_effect(load(name)) == ()
 
 
-def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "own.toml"
     file.write_text('vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\nmqtt.host = "broker"\n')
     assert main(["config", "check", str(file)]) == 0
@@ -86,19 +86,19 @@ def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         ('vessel.nmea = "127.0.0.1:10110"\nguidance.rendezvous.enabled = true', None),
     ],
 )
-def test_what_does_not_go_together_about_the_ship_s_place_is_told(
+def test_what_does_not_go_together_about_the_ship_s_place_is_reported(
     lines: str, said: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "own.toml"
     file.write_text(f'vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\n{lines}\n')
     assert main(["config", "check", str(file)]) == 0
-    told = capsys.readouterr().out.splitlines()[1:]
-    assert [line for line in told if said is not None and said in line] == told
-    assert len(told) == (0 if said is None else 1)
+    reported = capsys.readouterr().out.splitlines()[1:]
+    assert [line for line in reported if said is not None and said in line] == reported
+    assert len(reported) == (0 if said is None else 1)
 
 
 @pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])
-def test_a_retired_key_is_read_and_told_only_where_it_meant_something(
+def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(
     kd: float, told: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     data = ARDRONE | {"guidance": {"pid": {"heading": {"kp": 0.5, "kd": kd}}}}

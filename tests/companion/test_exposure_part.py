@@ -114,7 +114,7 @@ def test_a_vehicle_that_turns_gets_short_exposures_and_gain_in_their_place() -> 
     assert scene.run(200).exposure_s > 1.8 * turning.exposure_s
 
 
-def test_a_pad_too_dark_for_the_camera_is_counted_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pad_too_dark_for_the_camera_is_counted_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     scene = Scene(1e-4)
     scene.run(300)

@@ -181,6 +181,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1)
 
 
+@pytest.mark.hazard("H11")
 @settings(max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     role=st.sampled_from(ROLES),
@@ -206,7 +207,7 @@ def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tupl
     assert raised or role in ("ending", "counters")
 
 
-def test_what_fails_again_and_again_is_set_aside_and_said_so() -> None:
+def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:
     _, health, raised = event_loop.run(flown("on_sample", "value", seconds=SHORT_S))
     assert raised == 20
     assert not health.parts["failing.on_sample"].up

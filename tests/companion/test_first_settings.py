@@ -74,11 +74,11 @@ def test_the_code_in_the_terminal_is_read_by_a_phone() -> None:
 def test_commands_are_shown_by_what_a_person_wants(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main([])
-    said = capsys.readouterr().err
-    places = [said.index(f"\n{title}\n") for title in ("see it", "fly", "set up", "study", "maintain", "examples")]
+    output = capsys.readouterr().err
+    places = [output.index(f"\n{title}\n") for title in ("see it", "fly", "set up", "study", "maintain", "examples")]
     assert places == sorted(places)
-    assert all(f"\n  {name} " in said for name in COMMANDS)
-    assert "\x1b" not in said
+    assert all(f"\n  {name} " in output for name in COMMANDS)
+    assert "\x1b" not in output
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def swaying(seed: int, heading: float, *, swapped: bool = False) -> list[Lean]:
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 1000), st.floats(-math.pi, math.pi))
-def test_what_it_asks_for_in_level_does_not_depend_on_where_the_nose_points(seed: int, heading: float) -> None:
+def test_what_it_requests_in_level_does_not_depend_on_where_the_nose_points(seed: int, heading: float) -> None:
     for one, other in zip(swaying(seed, heading), swaying(seed, 0.0), strict=True):
         np.testing.assert_allclose(one.a_level, other.a_level, atol=1e-9)
         np.testing.assert_allclose(one.trim_level, other.trim_level, atol=1e-9)
@@ -179,7 +179,7 @@ def test_other_gains_take_a_second_and_wait_for_those_before_them() -> None:
 
 
 @pytest.mark.parametrize("v_deck", [None, (0.4, -0.3, 0.0)])
-def test_its_velocity_is_the_decks_and_the_drones_with_what_the_lean_will_give(v_deck: tuple[float, float, float] | None) -> None:
+def test_its_velocity_is_the_decks_and_the_drones_with_what_the_tilt_will_give(v_deck: tuple[float, float, float] | None) -> None:
     now = known(0.0, (0.5, -0.4, 1.0), (-0.2, 0.1, 0.0), v_deck=v_deck)
     _, command = stepped(LAW.start(), now)
     soon = RESPONSE.tilt.slowness_s
@@ -190,7 +190,7 @@ def test_its_velocity_is_the_decks_and_the_drones_with_what_the_lean_will_give(v
 
 
 @pytest.mark.parametrize("most_rad", [None, 0.05, 1.0])
-def test_a_lean_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None) -> None:
+def test_a_tilt_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None) -> None:
     most = min(RESPONSE.tilt.max_m_s2, math.inf if most_rad is None else G_M_S2 * math.tan(most_rad))
     _, command = stepped(LAW.start(), known(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), Target(OVER, lean_max_rad=most_rad))
     assert asked(command) == pytest.approx([0.6 * most, -0.8 * most])
@@ -198,7 +198,7 @@ def test_a_lean_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: 
     assert 0.0 < np.hypot(*asked(little)) < 0.5 * G_M_S2 * math.tan(0.05)
 
 
-def test_a_place_further_off_asks_for_no_more_than_the_speed_that_is_allowed() -> None:
+def test_a_place_further_off_requests_no_more_than_the_speed_that_is_allowed() -> None:
     def lean(far: float, speed: float) -> F64:
         return asked(stepped(LAW.start(), known(0.0, (0.6 * far, 0.8 * far, 1.0)), Target(OVER, speed_max_m_s=speed))[1])
 
@@ -267,7 +267,7 @@ def test_the_decks_acceleration_counts_now_and_when_the_command_has_taken_effect
     assert lean(turning(0.0, 0.2, 0.2), blind).tolist() == plain.tolist(), "a law without forecast follows from behind"
 
 
-def test_a_lean_is_cut_so_that_the_camera_keeps_the_pad() -> None:
+def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
     field = FieldOfView(0.01, 0.0, 0.07, 0.06)
     now = known(0.0, (0.06, -0.04, 1.5), heading=0.7)
     _, free = stepped(LAW.start(), now)
@@ -305,7 +305,7 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
             assert after.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
 
 
-def test_while_gains_change_what_has_arrived_and_what_is_asked_lie_between_those_of_either() -> None:
+def test_while_gains_change_the_arrived_and_the_commanded_tilt_lie_between_those_of_either() -> None:
     now, later, share = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15), 0.25
     memory = seen(stepped(LAW.start(), known(0.48, (0.1, 0.0, 1.0)))[0])
     n = round(RESPONSE.climb.delay_s / T)
@@ -365,7 +365,7 @@ def test_no_gains_of_the_file_are_solved_in_flight(state: ResponseState, monkeyp
         stepped(law.start(), known(0.0, var=(sigma**2, 0.0), response=ResponseInUse(state, 0.05, None)), law=law)
 
 
-def test_a_velocity_loops_own_lean_is_followed_axis_by_axis_and_told_as_trim() -> None:
+def test_a_velocity_loops_own_tilt_is_followed_axis_by_axis_and_reported_as_trim() -> None:
     law, c, s = FollowDeck(RESPONSE, T, over_ground=True), math.cos(1.0), math.sin(1.0)
     memory, at = law.start(), 0.0
     for dt, target in ((0.0, HOLD), (T, None), (T, HOLD), (0.5, HOLD), (0.03, None), (0.6, HOLD), (T, HOLD)):
@@ -447,7 +447,7 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
     x, memory = np.zeros(len(model.A)), LAW.start()
     x[0] = off_m
     place: list[float] = []
-    said: tuple[float, float] | None = None
+    output: tuple[float, float] | None = None
     after, asked_at = round(seconds / T), 60
     assert LAW.ahead(memory, known(0.0), seconds) is None, "nothing is under way before the first cycle"
     for n in range(asked_at + after):
@@ -457,9 +457,9 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
         )  # fmt: skip
         memory, command = stepped(memory, k)
         if n == asked_at:
-            said = LAW.ahead(memory, k, seconds)
+            output = LAW.ahead(memory, k, seconds)
         x = model.A @ x + model.B * float(command.a_level[0] + command.trim_level[0])
         x[:2] -= push_m_s2 * np.array([0.5 * T * T, T])
         place.append(abs(float(x[0])))
-    assert said is not None
-    assert said[0] == pytest.approx(place[-1], abs=0.004)
+    assert output is not None
+    assert output[0] == pytest.approx(place[-1], abs=0.004)

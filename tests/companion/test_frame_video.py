@@ -27,7 +27,7 @@ def moving(n: int) -> list[np.ndarray]:
     return out
 
 
-def test_any_frame_can_be_asked_for_and_looks_as_it_was() -> None:
+def test_any_frame_can_be_requested_and_looks_as_it_was() -> None:
     images = moving(40)
     encoder, sequence = FrameEncoder(RECORDED), FrameSequence()
     units = [encoder.encoded(image) for image in images]
@@ -56,7 +56,7 @@ def test_what_is_missing_or_damaged_gives_no_frame_until_the_next_key_frame() ->
     assert frames[4].px() is not None
 
 
-def test_an_odd_size_is_refused_and_a_changed_size_begins_anew() -> None:
+def test_an_odd_size_is_refused_and_a_changed_size_begins_again() -> None:
     encoder = FrameEncoder(RECORDED)
     with pytest.raises(ValueError, match="even width and height, got 127x96 px"):
         encoder.encoded(np.zeros((96, 127, 3), np.uint8))

@@ -200,10 +200,10 @@ def test_metrics_show_counts_by_verdict_the_last_test_ratio_and_the_mean_of_nis(
 
 def test_the_message_over_mqtt_reads_back() -> None:
     health = health_with(result(), result("imu", nis=math.nan))
-    said = mqtt_encode.fusion("0123456789ab", MonoNs(T), health.fusion_states())
-    wire = messages.encode(said)
-    assert messages.decode("fusion", wire) == said
-    sighting, imu = (said.paths["ekf"][source] for source in ("sighting", "imu"))
+    output = mqtt_encode.fusion("0123456789ab", MonoNs(T), health.fusion_states())
+    wire = messages.encode(output)
+    assert messages.decode("fusion", wire) == output
+    sighting, imu = (output.paths["ekf"][source] for source in ("sighting", "imu"))
     assert sighting.components == COMPONENTS["sighting"]
     assert sighting.innovation == pytest.approx((0.1, 0.2, 0.3, 0.4))
     assert sighting.innovation_var == pytest.approx((0.011, 0.021, 0.031, 0.041))

@@ -80,7 +80,7 @@ def fitted(course: FlightCourse) -> TiltFit:
     return fit
 
 
-def test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms() -> None:
+def test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms() -> None:
     # Why: softer gains end where the delay is said to be known, so what is said has to be true.
     errors, sigmas = [], []
     for seed in range(60):
@@ -106,7 +106,7 @@ def test_little_motion_is_never_a_wrong_delay_that_is_sure(seed: int, gusts_m_s2
         assert found.delay_sigma_s > 0.06
 
 
-def test_lag_and_delay_of_the_climb_are_told_apart() -> None:
+def test_lag_and_delay_of_the_climb_are_distinguished() -> None:
     n, delay, lag = 600, 9, 0.5
     u = np.repeat([0.0, 0.5, 0.9, 0.2, -0.4, 0.5], 100)
     v, rng = np.zeros(n), np.random.default_rng(4)
@@ -136,8 +136,8 @@ def test_a_command_between_two_steps_keeps_its_instant(seed: int, shift: float) 
 def test_nothing_is_compared_while_nobody_asks_or_nothing_is_reported() -> None:
     t = 0.02 * np.arange(500)
     u = np.where((t > 2.0) & (t < 8.0), 0.5, np.nan)
-    heard = t[(t < 5.0) | (t > 5.6)]
-    course = course_of(Track(t, u[:, None]), Track(heard, np.zeros((heard.size, 1))))
+    received = t[(t < 5.0) | (t > 5.6)]
+    course = course_of(Track(t, u[:, None]), Track(received, np.zeros((received.size, 1))))
     assert course is not None
     at = t[: course.counts.size]
     assert not course.counts[(at < 3.1) | (at > 8.0) | ((at > 5.05) & (at < 5.55))].any()
@@ -176,13 +176,13 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
 ) -> None:
     out, plot = tmp_path / "mine.toml", tmp_path / "mine.png"
     assert main(["calibrate", "vehicle", str(recordings["rough"]), "--out", str(out), "--plot", str(plot)]) == 0
-    said = capsys.readouterr().out
-    assert "tilt   delay" in said
-    assert "climb  delay" in said
-    assert "does not contradict the given tilt" in said
-    assert re.search(r"climb: 0\.0\d m/s at the contact .*, 0\.\d cm of drift .*, by the given one", said)
-    assert "begins with softer gains, until the delay is known to 40 ms" in said
-    assert str(out) in said
+    output = capsys.readouterr().out
+    assert "tilt   delay" in output
+    assert "climb  delay" in output
+    assert "does not contradict the given tilt" in output
+    assert re.search(r"climb: 0\.0\d m/s at the contact .*, 0\.\d cm of drift .*, by the given one", output)
+    assert "begins with softer gains, until the delay is known to 40 ms" in output
+    assert str(out) in output
     found = response_from_mapping(tomllib.loads(out.read_text()), str(out))
     delay_s, frequency_rad_s, damping = truth()
     t = found.tilt
@@ -205,38 +205,38 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
 
 def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "vehicle", str(recordings["late"]), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    tilt, loop = told["tilt"], told["loop"]
+    noted = json.loads(capsys.readouterr().out)
+    tilt, loop = noted["tilt"], noted["loop"]
     assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
     assert loop["by_the_identified"]["delay_s"] >= 0.06, "the law by what was found stands what it should"
     assert loop["by_the_given"]["delay_s"] < 0.06, "and by the file's 50 ms it does not"
-    assert told["chi2_of_given"] > 7.81
+    assert noted["chi2_of_given"] > 7.81
     assert np.linalg.eigvalsh(np.array(tilt["cov_delay_frequency_damping"])).min() > 0.0
-    assert 0.0 <= told["cost_was_cm"] < 2.0, "stiffer gains than are due cost margin, and few centimetres"
-    assert 0.1 < told["cost_sigma_cm"] < 2.0
-    assert told["climb"]["delay_s"] == pytest.approx(GIVEN.climb.delay_s + 0.1, abs=0.05), "the climb is 100 ms later as well"
-    assert 0.0 <= told["climb_cost_was_m_s"] < 0.05
-    assert 0.0 <= told["climb_cost_was_cm"] < 2.0
-    assert 0.0 <= told["climb_cost_sigma_m_s"] < 0.05
-    assert 0.0 < told["climb_cost_sigma_cm"] < 1.0
+    assert 0.0 <= noted["cost_was_cm"] < 2.0, "stiffer gains than are due cost margin, and few centimetres"
+    assert 0.1 < noted["cost_sigma_cm"] < 2.0
+    assert noted["climb"]["delay_s"] == pytest.approx(GIVEN.climb.delay_s + 0.1, abs=0.05), "the climb is 100 ms later as well"
+    assert 0.0 <= noted["climb_cost_was_m_s"] < 0.05
+    assert 0.0 <= noted["climb_cost_was_cm"] < 2.0
+    assert 0.0 <= noted["climb_cost_sigma_m_s"] < 0.05
+    assert 0.0 < noted["climb_cost_sigma_cm"] < 1.0
     assert main(["calibrate", "vehicle", str(recordings["late"])]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert "ms of further delay, less than 60;" in next(line for line in said if "by the given response" in line)
+    output = capsys.readouterr().out.splitlines()
+    assert "ms of further delay, less than 60;" in next(line for line in output if "by the given response" in line)
 
 
 def test_the_flight_itself_found_the_longer_delay_and_flew_by_it(recordings: dict[str, Path]) -> None:
-    told = [e.response for e in open_recording([recordings["late"]]).events() if isinstance(e, Decision) and e.response]
-    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
-    assert told[-1].delay_s == pytest.approx(truth()[0] + 0.1, abs=0.04)
-    told = [e.response for e in open_recording([recordings["longer"]]).events() if isinstance(e, Decision) and e.response]
-    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.KNOWN]
+    noted = [e.response for e in open_recording([recordings["late"]]).events() if isinstance(e, Decision) and e.response]
+    assert [one.state for one in noted] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
+    assert noted[-1].delay_s == pytest.approx(truth()[0] + 0.1, abs=0.04)
+    noted = [e.response for e in open_recording([recordings["longer"]]).events() if isinstance(e, Decision) and e.response]
+    assert [one.state for one in noted] == [ResponseState.ASSUMED, ResponseState.KNOWN]
 
 
-def test_what_cannot_be_identified_is_said_in_one_line(
+def test_what_cannot_be_identified_is_reported_in_one_line(
     recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rough, pid = str(recordings["rough"]), str(recordings["pid"])
-    for args, code, said in (
+    for args, code, output in (
         (
             [pid],
             2,
@@ -252,10 +252,10 @@ def test_what_cannot_be_identified_is_said_in_one_line(
         ([rough, "--out", f"{rough}/mine.toml"], 2, "--out"),
     ):
         assert main(["calibrate", "vehicle", *args]) == code
-        heard = capsys.readouterr()
-        assert said in heard.err
-        assert heard.err.count("\n") == 1
-        assert heard.out == ""
+        received = capsys.readouterr()
+        assert output in received.err
+        assert received.err.count("\n") == 1
+        assert received.out == ""
 
 
 def test_a_recording_that_is_cut_is_identified_from_what_there_is(
@@ -264,9 +264,9 @@ def test_a_recording_that_is_cut_is_identified_from_what_there_is(
     torn, whole = tmp_path / "torn.mcap", recordings["rough"].read_bytes()
     torn.write_bytes(whole[: len(whole) * 8 // 10])
     assert main(["calibrate", "vehicle", str(torn), "--json"]) == 0
-    heard = capsys.readouterr()
-    assert f"{torn} is cut short" in heard.err
-    assert json.loads(heard.out)["cut"] == {str(torn): "EndOfFile"}
+    received = capsys.readouterr()
+    assert f"{torn} is cut short" in received.err
+    assert json.loads(received.out)["cut"] == {str(torn): "EndOfFile"}
 
 
 def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
@@ -280,11 +280,11 @@ def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
         path = tmp_path / f"{name}.mcap"
         still_flight(path, 12.0, kept)
         assert main(["calibrate", "vehicle", str(path)]) == 2
-        said = capsys.readouterr().err
-        assert f"{name}.mcap: {why}" in said
-        assert "name the response that it flew by with --response, a file or a shipped one (ardrone2, " in said
-        assert "--config" not in said, "identify has no such option"
-        assert said.count("\n") == 1
+        output = capsys.readouterr().err
+        assert f"{name}.mcap: {why}" in output
+        assert "name the response that it flew by with --response, a file or a shipped one (ardrone2, " in output
+        assert "--config" not in output, "identify has no such option"
+        assert output.count("\n") == 1
         assert main(["calibrate", "vehicle", str(path), "--response", "ardrone2"]) == 1
         assert "too little motion" in capsys.readouterr().err, "the cure leads on to the flight"
 
@@ -340,15 +340,15 @@ def test_the_climb_of_a_landing_is_found_after_a_flight_by_hand(by_hand_s: float
 
 
 @pytest.mark.parametrize(("seconds", "code", "said"), [(20.0, 1, "too little motion"), (4.0, 2, "overlap by less than 4 s")])
-def test_a_flight_that_tells_nothing_writes_no_file(
+def test_a_flight_without_information_writes_no_file(
     seconds: float, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     still, out = tmp_path / "still.mcap", tmp_path / "mine.toml"
     still_flight(still, seconds)
     assert main(["calibrate", "vehicle", str(still), "--out", str(out)]) == code
-    heard = capsys.readouterr()
-    assert said in heard.err
-    assert heard.err.count("\n") == 1
+    received = capsys.readouterr()
+    assert said in received.err
+    assert received.err.count("\n") == 1
     assert not out.exists()
 
 

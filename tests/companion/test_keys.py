@@ -90,18 +90,18 @@ def test_a_key_is_made_for_its_owner_alone_and_never_over_a_file(tmp_path: Path,
     assert main(["keys", "make", str(path)]) == 2
     assert path.read_bytes() == secret
     assert main(["keys", "make", str(tmp_path / "none/key")]) == 2
-    said = capsys.readouterr()
-    assert "there is a file already" in said.err
-    assert load_key(str(path)).fingerprint in said.out
+    output = capsys.readouterr()
+    assert "there is a file already" in output.err
+    assert load_key(str(path)).fingerprint in output.out
 
 
 def test_a_key_is_shown_by_its_fingerprint_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = made(tmp_path)
     capsys.readouterr()
     assert main(["keys", "show", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert load_key(str(path)).fingerprint in said
-    assert path.read_bytes().hex()[:8] not in said.replace(":", "")
+    output = capsys.readouterr().out
+    assert load_key(str(path)).fingerprint in output
+    assert path.read_bytes().hex()[:8] not in output.replace(":", "")
     assert main(["keys", "show", str(tmp_path / "none")]) == 2
 
 
@@ -110,11 +110,11 @@ async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path
     async with lockable() as (autopilot, url):
         assert await keys("install", "--link", url, "--yes", str(path)) == 0
         assert autopilot.measured_at[-1] == path.read_bytes()
-        said = capsys.readouterr().out
-        assert "ArduPilot, system 1" in said
-        assert load_key(str(path)).fingerprint in said
-        assert "the autopilot signs with this key now" in said
-        assert "IN CLEAR" not in said, "loopback"
+        output = capsys.readouterr().out
+        assert "ArduPilot, system 1" in output
+        assert load_key(str(path)).fingerprint in output
+        assert "the autopilot signs with this key now" in output
+        assert "IN CLEAR" not in output, "loopback"
         assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(second)) == 1
         assert "--current" in capsys.readouterr().out
         assert await keys("install", "--link", url, "--current", str(path), "--yes", str(second)) == 0
@@ -144,7 +144,7 @@ async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys
     assert "no autopilot is heard" in capsys.readouterr().err
 
 
-async def test_a_link_of_mavlink_1_gets_no_key_and_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+async def test_a_link_of_mavlink_1_gets_no_key_and_gives_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = made(tmp_path)
     async with lockable(old_version=True) as (autopilot, url):
         assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(path)) == 2

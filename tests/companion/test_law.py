@@ -141,7 +141,7 @@ def test_a_wind_that_was_learned_in_hover_is_leant_against_from_the_first_step(y
     assert command.trim_level == pytest.approx([0.9, -0.4], abs=0.05)
 
 
-def test_the_lean_never_exceeds_the_limit_of_vehicle_and_target() -> None:
+def test_the_tilt_never_exceeds_the_limit_of_vehicle_and_target() -> None:
     rng = np.random.default_rng(1)
     law = FollowDeck(RESPONSE, T)
     memory = law.start()
@@ -156,7 +156,7 @@ def test_the_lean_never_exceeds_the_limit_of_vehicle_and_target() -> None:
         assert abs(command.v_level[2]) <= RESPONSE.climb.max_m_s
 
 
-def test_far_from_the_pad_it_flies_no_faster_than_it_is_told() -> None:
+def test_far_from_the_pad_it_flies_no_faster_than_it_is_reported() -> None:
     """A body that answers its tilt at once, from six metres away."""
     law, p, v = FollowDeck(RESPONSE, T), 6.0, 0.0
     memory, lean, fastest = law.start(), 0.0, 0.0
@@ -218,7 +218,7 @@ def test_a_wanted_height_is_flown_to_no_faster_than_allowed_and_held() -> None:
     assert course[-1] == pytest.approx((1.0, 0.0), abs=0.02)
 
 
-def test_the_velocity_of_a_lean_is_the_one_that_the_body_will_have() -> None:
+def test_the_velocity_of_a_tilt_is_the_one_that_the_body_will_have() -> None:
     """An autopilot that ignores the acceleration still flies towards the pad."""
     law = FollowDeck(RESPONSE, T)
     known = _known(0, np.array([1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.0]))
@@ -228,7 +228,7 @@ def test_the_velocity_of_a_lean_is_the_one_that_the_body_will_have() -> None:
     assert command.v_level[0] == pytest.approx(0.2 + RESPONSE.tilt.slowness_s * command.a_level[0])
 
 
-def test_a_vehicle_with_a_velocity_loop_gets_its_own_velocity_and_the_lean_less_its_own_part() -> None:
+def test_a_vehicle_with_a_velocity_loop_gets_its_own_velocity_and_the_tilt_less_its_own_part() -> None:
     """Otherwise its loop would add a gain of its own to every acceleration, and its integral would count twice."""
     law = FollowDeck(RESPONSE, T, over_ground=True)
     known = _known(0, np.array([1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.0]))

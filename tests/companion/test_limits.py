@@ -55,6 +55,7 @@ def shut(
     return gate(ns(NOW), one, knowledge, quality or InputQuality(), LIMITS, CONE, aligned=aligned)
 
 
+@pytest.mark.hazard("H3")
 @pytest.mark.parametrize(
     ("within", "beyond", "cause", "limit"),
     [
@@ -148,6 +149,7 @@ def test_the_commit_has_limits_of_its_own() -> None:
     assert in_commit({"d": (0.0, 0.0, 1.0)}) is None
 
 
+@pytest.mark.hazard("H3")
 def test_a_commit_ends_on_the_error_to_come_while_a_climb_comes_before_the_contact() -> None:
     for height_m, ends in ((0.3, True), (CONE.feet_below_m + 0.1, False)):
         one = estimate(NOW, (0.0, 0.0, height_m))
@@ -191,6 +193,7 @@ def test_feet_that_slide_come_to_stand_farther_on() -> None:
     assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))
 
 
+@pytest.mark.hazard("H3")
 @pytest.mark.parametrize(("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.1, 0.9, False)])
 def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))

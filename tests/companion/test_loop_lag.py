@@ -50,9 +50,9 @@ async def test_a_long_hold_is_named_and_counted(caplog: pytest.LogCaptureFixture
     grinds_the_loop()
     await asyncio.sleep(0.1)
     task.cancel()
-    told = [r.getMessage() for r in caplog.records if "was held for" in r.getMessage()]
-    assert len(told) >= 1
-    assert any("grinds_the_loop (test_loop_lag.py:" in text for text in told)
+    reported = [r.getMessage() for r in caplog.records if "was held for" in r.getMessage()]
+    assert len(reported) >= 1
+    assert any("grinds_the_loop (test_loop_lag.py:" in text for text in reported)
     counts = health.snapshot().counters["loop"]
     assert counts["held"] >= 1
     assert counts["lag_worst_s"] >= 2 * HELD_S
@@ -106,7 +106,9 @@ def test_a_recorded_flight_says_in_its_report_how_late_the_loop_was(tmp_path: Pa
     assert facts["event loop"] == "late by at most 300 ms, 99.9 % within 2.1 ms, held longer than 0.2 s 1 times"
 
 
-async def test_a_wall_clock_that_is_set_is_told_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_wall_clock_that_is_set_is_reported_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ahead, real = [0.0], time.time
     monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
     watching, *_ = watch()
@@ -115,5 +117,5 @@ async def test_a_wall_clock_that_is_set_is_told_once(caplog: pytest.LogCaptureFi
     ahead[0] = 200 * 86400.0
     await asyncio.sleep(0.1)
     task.cancel()
-    told = [m for m in caplog.messages if "wall clock" in m]
-    assert told == ["the wall clock was set by +17280000.0 s: the flight does not go by it"]
+    reported = [m for m in caplog.messages if "wall clock" in m]
+    assert reported == ["the wall clock was set by +17280000.0 s: the flight does not go by it"]

@@ -150,7 +150,7 @@ def wandering(name: str, of: GaussMarkov, cycles: int) -> list[Pushed]:
 
 @pytest.mark.parametrize("tilt", [SHIPPED, AGILE])
 @pytest.mark.parametrize("name", Pushed._fields)
-def test_each_disturbance_moves_the_body_as_much_as_it_is_said_to(name: str, tilt: TiltResponse) -> None:
+def test_each_disturbance_moves_the_body_as_much_as_it_should(name: str, tilt: TiltResponse) -> None:
     fields = {"gust": "gust_m_s2", "tilt": "tilt_m_s2", "place": "place_m", "speed": "speed_m_s", "accel": "accel_m_s2",
               "deck": "deck_m_s2"}  # fmt: skip
     silent = AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.0)

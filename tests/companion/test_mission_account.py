@@ -184,7 +184,7 @@ def test_what_keeps_the_gate_shut_is_noted_and_since_when_nothing_does() -> None
 
 
 @pytest.mark.parametrize(("stood_s", "stands"), [(1.999, True), (2.0, False)])
-def test_the_operator_is_told_one_cause_for_two_seconds(stood_s: float, stands: bool) -> None:
+def test_the_operator_sees_one_cause_for_two_seconds(stood_s: float, stands: bool) -> None:
     old = Reason(ReasonCause.SIGMA, 0.2, 0.15)
     p = after(memory(State.GATE, waits_for=old, waits_since=ns(NOW - stood_s)), seen(0.3, aside_m=0.09))
     assert (p.waits_for == old) is stands

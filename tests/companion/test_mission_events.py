@@ -221,12 +221,12 @@ def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
     assert of(Event.HOPELESS, memory(State.HOLD_BLIND, fault=WHY, go_arounds=9), cycle(seen())) is None
 
 
-def test_what_the_frames_show_is_told_where_nothing_else_is_seen() -> None:
+def test_what_the_frames_show_is_reported_where_nothing_else_is_seen() -> None:
     p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=4)
     assert of(Event.HOPELESS, p, cycle()) == WHY
-    told = of(Event.HOPELESS, p, cycle(frames=BLIND))
-    assert told is not None
-    assert told.cause is ReasonCause.FRAMES
+    reported = of(Event.HOPELESS, p, cycle(frames=BLIND))
+    assert reported is not None
+    assert reported.cause is ReasonCause.FRAMES
     assert of(Event.HOPELESS, replace(p, in_sight=True, seen_height_m=2.0), cycle(seen(), frames=BLIND)) == WHY
 
 
@@ -242,7 +242,7 @@ def test_a_limit_ends_the_commit_but_not_without_an_estimate() -> None:
 
 
 @pytest.mark.parametrize("state", sorted(FLOWN - {State.ANOTHER_PAD}, key=str))
-def test_a_try_s_budget_and_a_turned_arrow_end_the_way_down_alone(state: State) -> None:
+def test_an_attempt_s_budget_and_a_turned_arrow_end_the_way_down_alone(state: State) -> None:
     sight = cycle(seen((0.0, 0.0, 0.3)))
     turned = Reason(ReasonCause.HEADING_TURNED, 170.0, 90.0)
     spent = memory(state, attempt=Attempt(losses=9))
@@ -321,7 +321,7 @@ def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(
 
 
 @pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
-def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_deck_again(state: State) -> None:
+def test_a_fresh_sight_from_above_the_gate_s_height_reports_that_it_has_left_the_deck_again(state: State) -> None:
     """0.1 m over the gate's 0.295 m by two standard deviations, from a sighting of at most 0.2 s."""
     p = memory(state, seen_height_m=0.1, entered_height_m=0.1)
 
@@ -344,8 +344,8 @@ def test_a_fresh_sight_from_above_the_gate_s_height_tells_that_it_has_left_the_d
 @pytest.mark.parametrize(("alert", "at_once"), [("UNFELT", True), ("ATTITUDE", True), ("CAMERA_FROZEN", False)])
 def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str, at_once: bool) -> None:
     p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.4, in_sight=False)
-    doubted = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
-    found = of(Event.LIMIT, p, cycle(doubted), OPTIONS)
+    suspect = replace(seen((0.0, 0.0, 0.4), consistent=False), alerts=(IntegrityAlert[alert],))
+    found = of(Event.LIMIT, p, cycle(suspect), OPTIONS)
     assert (found is not None and found.cause is ReasonCause.LOST_LOW) is at_once
 
 
@@ -413,7 +413,7 @@ def test_after_the_second_bounce_it_stays_down() -> None:
 # Against the orders
 
 
-def test_two_seconds_against_the_order_end_a_try() -> None:
+def test_two_seconds_against_the_order_end_an_attempt() -> None:
     down = HeldCourse(1, 1.0, ns(NOW - 2.0))
     for height_m, course, ends in ((1.3, down, True), (1.29, down, False), (1.3, replace(down, at=ns(NOW - 1.9)), False)):
         found = figures(of(Event.LIMIT, memory(State.DESCEND, course=course), cycle(seen((0.0, 0.0, height_m)))))

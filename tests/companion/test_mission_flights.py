@@ -182,20 +182,20 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
     assert "m/s against the deck (limit 0.0375 m/s)" in flight.progress.fault.text
 
 
-def test_what_a_shut_gate_waits_for_is_said_and_stands_long_enough_to_be_read() -> None:
+def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_read() -> None:
     options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 0}, cone={"gate_s": 7.0})
     flight = PointFlight([0.0, 0.0, 1.2], options)
-    said: list[tuple[float, Reason]] = []
+    output: list[tuple[float, Reason]] = []
     while flight.progress.state is not State.REFUSED and flight.t < 40.0:
         flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
         flight.cycle()
         waits_for = flight.progress.waits_for
         assert flight.progress.state is State.GATE or waits_for is None
-        if waits_for is not None and (not said or said[-1][1] is not waits_for):
-            said.append((flight.t, waits_for))
-    assert {reason.cause for _, reason in said} == {ReasonCause.RELATIVE_SPEED}
-    assert len(said) >= 3
-    assert all(later - at >= 2.0 - 1e-6 for (at, _), (later, _) in pairwise(said))
+        if waits_for is not None and (not output or output[-1][1] is not waits_for):
+            output.append((flight.t, waits_for))
+    assert {reason.cause for _, reason in output} == {ReasonCause.RELATIVE_SPEED}
+    assert len(output) >= 3
+    assert all(later - at >= 2.0 - 1e-6 for (at, _), (later, _) in pairwise(output))
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def bumpy(options: GuidanceOptions) -> PointFlight:
     return flight
 
 
-def test_the_time_of_a_leg_does_not_begin_anew_with_every_loss_of_sight() -> None:
+def test_the_time_of_a_leg_does_not_begin_again_with_every_loss_of_sight() -> None:
     """WHY: with a shaken accelerometer the estimate failed and recovered for as long as the scenario lasted."""
     flight = bumpy(guided(tries={"try_s": 3600.0, "landing_s": 3600.0, "leg_s": 10.0}))
     assert flight.states.count(State.HOLD_BLIND) > 4
@@ -295,7 +295,7 @@ def test_the_whole_landing_ends_in_its_time_up_over_the_deck() -> None:
     assert min(d[2] for _, d, *_ in flight.rows[over:]) >= flight.rows[over][1][2] - 0.2, "never lower because of it"
 
 
-def test_a_climb_that_nobody_confirms_is_not_believed() -> None:
+def test_a_climb_that_nobody_confirms_is_not_accepted() -> None:
     """WHY: after a lost link guidance took itself to be two metres up by the clock, while the drone hovered at 0.2 m."""
     flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: not 2.5 < t < 14.0)
     while flight.t < 2.5 or flight.progress.state not in (State.GO_AROUND, State.GAVE_UP):
@@ -315,7 +315,7 @@ def test_a_climb_that_nobody_confirms_is_not_believed() -> None:
 
 
 @pytest.mark.parametrize(("blind", "cause"), [("contradicts", ReasonCause.INCONSISTENT), ("dark", ReasonCause.NOT_FOUND_AGAIN)])
-def test_giving_up_says_why_the_hold_began_and_not_what_ended_an_earlier_try(blind: str, cause: ReasonCause) -> None:
+def test_giving_up_gives_the_reason_the_hold_began_and_not_what_ended_an_earlier_try(blind: str, cause: ReasonCause) -> None:
     o = GuidanceOptions()
     earlier = Reason(ReasonCause.DECK_TILT, 3.0, 2.5)
     progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
@@ -331,7 +331,7 @@ def test_giving_up_says_why_the_hold_began_and_not_what_ended_an_earlier_try(bli
     assert progress.fault.cause is cause
 
 
-def test_height_lost_without_sight_ends_the_try() -> None:
+def test_height_lost_without_sight_ends_the_attempt() -> None:
     o, t, height = GuidanceOptions(), 0.0, 1.7
     progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
     while t < 20 and progress.state is not State.GO_AROUND:
@@ -344,7 +344,7 @@ def test_height_lost_without_sight_ends_the_try() -> None:
     assert progress.fault.cause is ReasonCause.BLIND_DESCENT
 
 
-def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up() -> None:
+def test_another_pad_is_not_flown_to_but_confirmed_from_higher_up() -> None:
     flight = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(120)
     asked = [(t, d, aim) for t, d, aim, state in flight.rows if state is State.ANOTHER_PAD]
     assert asked[0][0] == pytest.approx(3, abs=2 * DT)
@@ -414,7 +414,7 @@ def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() ->
 
 @pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
 @pytest.mark.parametrize("over_ground", [False, True])
-def test_until_a_landing_is_asked_for_nothing_but_the_vehicles_own_hover_is_asked_of_it(
+def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(
     order: Event | None, over_ground: bool
 ) -> None:
     """A velocity would take an autopilot from whoever flies it, even one that holds still."""

@@ -93,6 +93,7 @@ def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytes
     assert p.state is State.DESCEND
 
 
+@pytest.mark.hazard("H9")
 def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> None:
     """A failsafe ended a landing while the report said that the pad was not found."""
     words = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"

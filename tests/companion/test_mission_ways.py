@@ -49,7 +49,7 @@ def test_all_visits_to_a_leg_share_its_time(state: State, name: str) -> None:
         assert found == ((ReasonCause.STATE_TIME, spent_s, 45.0) if over else None)
 
 
-def test_all_visits_to_the_gate_share_one_wait_and_what_kept_it_shut_is_told() -> None:
+def test_all_visits_to_the_gate_share_one_wait_and_what_kept_it_shut_is_reported() -> None:
     for waited_s, over in ((20.0, False), (20.001, True)):
         p = memory(State.GATE, 1.0, attempt=Attempt(at_gate_s=waited_s))
         found = figures(of(Event.TIMEOUT, p, cycle(seen())))
@@ -64,13 +64,13 @@ def test_the_patience_without_sight_is_that_of_all_holds_together_and_says_what_
         assert found == ((ReasonCause.NOT_FOUND_AGAIN, spent_s, 20.0) if over else None)
     alert = Reason(ReasonCause.ALERT, detail=IntegrityAlert.CAMERA_FROZEN)
     stale = Reason(ReasonCause.STALE, 0.6, 0.5)
-    for reason, told in ((alert, alert), (Reason(ReasonCause.INCONSISTENT), Reason(ReasonCause.INCONSISTENT)), (stale, None)):
-        assert of(Event.TIMEOUT, replace(p, reason=reason), cycle()) == (told or of(Event.TIMEOUT, p, cycle()))
+    for reason, reported in ((alert, alert), (Reason(ReasonCause.INCONSISTENT), Reason(ReasonCause.INCONSISTENT)), (stale, None)):
+        assert of(Event.TIMEOUT, replace(p, reason=reason), cycle()) == (reported or of(Event.TIMEOUT, p, cycle()))
     searched = memory(State.SEARCH, 300.1, reason=alert)
     assert figures(of(Event.TIMEOUT, searched, cycle())) == (ReasonCause.NOT_FOUND, pytest.approx(300.1), 300.0)
-    told = of(Event.TIMEOUT, searched, cycle(frames=BLIND))
-    assert told is not None
-    assert told.cause is ReasonCause.FRAMES
+    reported = of(Event.TIMEOUT, searched, cycle(frames=BLIND))
+    assert reported is not None
+    assert reported.cause is ReasonCause.FRAMES
 
 
 # The ship
@@ -224,7 +224,9 @@ def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_s
 @pytest.mark.parametrize(
     ("since_s", "unheard_s", "climbs"), [(1.99, 0.0, True), (2.01, 0.0, False), (3.0, 1.01, True), (None, 0.0, True)]
 )
-def test_while_it_is_asked_it_climbs_to_the_safe_height_first(since_s: float | None, unheard_s: float, climbs: bool) -> None:
+def test_while_the_operator_decides_it_climbs_to_the_safe_height_first(
+    since_s: float | None, unheard_s: float, climbs: bool
+) -> None:
     since = None if since_s is None else ns(NOW - since_s)
     p = memory(State.ANOTHER_PAD, since=since, unheard_s=unheard_s)
     assert climbs_from_question(p, ns(NOW), OPTIONS) is climbs

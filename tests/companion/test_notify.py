@@ -81,11 +81,11 @@ async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
         group.create_task(daemon.run())
         await until(lambda: systemd.pings() >= 4)
         daemon.stop()
-    said = systemd.read()
-    assert said[0]["READY"] == "1"
-    assert sum("READY" in one for one in said) == 1
-    assert said[0]["STATUS"].startswith("waiting for the vehicle: no status from the vehicle yet, no attitude")
-    assert said[-1]["STOPPING"] == "1"
+    output = systemd.read()
+    assert output[0]["READY"] == "1"
+    assert sum("READY" in one for one in output) == 1
+    assert output[0]["STATUS"].startswith("waiting for the vehicle: no status from the vehicle yet, no attitude")
+    assert output[-1]["STOPPING"] == "1"
 
 
 async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: Systemd) -> None:
@@ -98,7 +98,7 @@ async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: S
     assert systemd.pings() == 0
 
 
-async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("companion.base.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
@@ -184,8 +184,8 @@ def test_what_counts_as_stuck(ages: dict[str, float], frames_done: int, flying: 
     for _ in range(frames_done):
         health.frame(Verdict.NO_PAD)
     health.frame(Verdict.REPLACED)
-    said = stuck(health.snapshot(), flying)
-    assert said is None if why is None else said is not None and said.startswith(why)
+    output = stuck(health.snapshot(), flying)
+    assert output is None if why is None else output is not None and output.startswith(why)
 
 
 def test_an_abstract_address_and_a_manager_that_is_gone(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
 
 
-def test_pads_of_users_can_be_said_and_are_not_seen_in_clutter() -> None:
+def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:
     assert len(USERS) == 20
     assert len({kind_of(k) for k in range(VIEWS)}) == 7
     views = [view(k) for k in (1, 5, 6)]

@@ -160,9 +160,9 @@ def test_wrong_use_is_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["pad", "print", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert words in output
+    assert output.count("\n") == 1
 
 
 def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str]) -> None:
@@ -177,9 +177,9 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     ranges = [bound["range_m"] for bound in found["bounds"]]
     assert ranges[2:] == sorted(ranges[2:]), "less is known from farther away"
     assert main(["pad", "check", "thesis"]) == 0
-    said = capsys.readouterr().out
-    assert "0.78 m across, 4 regions" in said
-    assert "deck green" in said.splitlines()[-1]
+    output = capsys.readouterr().out
+    assert "0.78 m across, 4 regions" in output
+    assert "deck green" in output.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
@@ -222,15 +222,15 @@ def test_a_pad_that_clutter_is_taken_for_is_not_detected(
         file.write(f'[calibration]\nleast_support = 5.0\nchance = 0.03\ndrawing = "{drawing}"\n')
     cv2.imwrite("frame.png", np.zeros((36, 64, 3), np.uint8))
     assert main(command.split()) == 2
-    said = capsys.readouterr().err
-    assert "clutter is taken for this pad in 30 of 1,000 frames" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "clutter is taken for this pad in 30 of 1,000 frames" in output
+    assert output.count("\n") == 1
 
 
 def test_a_pad_in_millimetres_is_refused_with_its_cure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "mm.toml"
     file.write_text('name = "mm"\n[paints]\nred = [200, 0, 0]\n[[regions]]\nshape = "disc"\npaint = "red"\nradius_m = 390\n')
     assert main(["pad", "check", str(file)]) == 2
-    said = capsys.readouterr().err
-    assert "regions[0].radius_m" in said
-    assert "Write metres, 0.39 for 390" in said
+    output = capsys.readouterr().err
+    assert "regions[0].radius_m" in output
+    assert "Write metres, 0.39 for 390" in output

@@ -122,7 +122,7 @@ def test_what_is_not_fit_to_steer_by_means_hover_with_frozen_integrals(seen):
     assert after is state
 
 
-def test_after_long_silence_the_integrals_start_anew():
+def test_after_long_silence_the_integrals_start_again():
     state = Pid(integral=np.ones(4), last=ns(0))
     after, _ = pid_step(state, PidOptions(), ns(3), None, above(2.0), STALE_S)
     np.testing.assert_array_equal(after.integral, 0.0)

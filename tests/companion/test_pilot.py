@@ -80,6 +80,7 @@ def sinks(command: Command | None) -> bool:
     return isinstance(command, Velocity) and command.v_level[2] > 1e-9
 
 
+@pytest.mark.hazard("H1")
 @settings(max_examples=12)
 @given(
     spells=st.lists(
@@ -110,13 +111,14 @@ def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -
     assert cockpit.tick(sighted=False) == Hover()
 
 
-def test_it_waits_for_the_start_when_told_to() -> None:
+def test_it_waits_for_the_start_when_ordered() -> None:
     cockpit = Cockpit(automatic=False)
     assert not any(sinks(cockpit.tick(sighted=True)) for _ in range(50))
     cockpit.pilot.begin()
     assert any(isinstance(cockpit.tick(sighted=True), Velocity) for _ in range(50))
 
 
+@pytest.mark.hazard("H6")
 @pytest.mark.parametrize("word", ["pause", "abort"])
 def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
     cockpit = Cockpit()
@@ -197,6 +199,7 @@ def fly_until(cockpit: Cockpit, done: Callable[[], bool], seconds: float = 30.0)
     raise AssertionError(f"not within {seconds} s; phase {cockpit.pilot.phase}")
 
 
+@pytest.mark.hazard("H2")
 def test_a_pad_elsewhere_is_for_the_guard_to_judge_with_the_tracked_one_and_without() -> None:
     cockpit = Cockpit()
     for _ in range(60):
@@ -258,8 +261,8 @@ def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from:
         now = after(some[-1].stamp.received_at, 0.001)
         decisions = [pilot.decide(now) for pilot in pilots]
         assert repr(decisions[0]) == repr(decisions[1]) == repr(decisions[2])
-        told = {id(sample): [r.verdict for r in results] for sample, results in pilots[2].fused()}
-        assert [told.get(id(sample), []) for sample in some] == [[r.verdict for r in of_one] for of_one in together]
+        reported = {id(sample): [r.verdict for r in results] for sample, results in pilots[2].fused()}
+        assert [reported.get(id(sample), []) for sample in some] == [[r.verdict for r in of_one] for of_one in together]
         known = [pilot._knowledge(now, pilot.believed(now)) for pilot in pilots]
         assert repr(known[0]) == repr(known[1]) == repr(known[2])
         assert pilots[0].landing.vessel_counts() == pilots[1].landing.vessel_counts()

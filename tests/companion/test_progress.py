@@ -50,7 +50,7 @@ def test_a_state_begins_with_nothing_of_the_state_before() -> None:
     assert (p.go_arounds, p.questions, p.attempt.losses, p.track, p.ordered, p.search_leg) == (2, 1, 2, 4, True, 3)
 
 
-def test_a_take_off_begins_a_flight_in_which_nothing_was_asked_for_yet() -> None:
+def test_a_take_off_begins_a_flight_in_which_nothing_was_requested_yet() -> None:
     p = after(well_on(State.LANDED, stood=True, refusing=True), Event.TAKEN_OFF, State.READY)
     assert (p.begun, p.stood, p.ordered, p.go_arounds, p.questions, p.landing_began) == (False, False, False, 0, 0, None)
     forgotten = (p.fault, p.refusing, p.attempt, p.seen, p.seen_height_m, p.in_sight, p.track, p.heading)
@@ -84,7 +84,7 @@ def test_a_climb_is_as_high_as_what_was_seen_or_flown(climbed_m: float | None, h
     assert (p.seen_height_m, p.was_silent, p.attempt) == (height_m, False, Attempt(without_sight_s=3.0))
 
 
-def test_what_goes_for_the_deck_is_our_order_and_what_gives_up_says_why() -> None:
+def test_what_goes_for_the_deck_is_our_order_and_what_gives_up_gives_the_reason() -> None:
     for state in (State.COMMIT, State.DOWN):
         assert after(well_on(State.GATE, ordered=False), Event.GATE_OPEN, state).ordered
     assert not after(well_on(State.DESCEND, ordered=False), Event.AT_GATE, State.GATE).ordered

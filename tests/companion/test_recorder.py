@@ -38,18 +38,18 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls
     return path, record_to(path, seconds=1.2, frames="png")
 
 
-def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
-    path, told = flown
+def test_everything_reported_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
+    path, reported = flown
     recording = open_recording([path])
     events = list(recording.events())
     assert recording.cut == {}
     assert recording.skipped == {}
     samples = [e for e in events if not isinstance(e, RecordedFrame | Decision) and hasattr(e, "stamp")]
-    assert len(samples) == len(told.samples) > 300
-    assert all(same(a, b) for a, b in zip(samples, told.samples, strict=True))
+    assert len(samples) == len(reported.samples) > 300
+    assert all(same(a, b) for a, b in zip(samples, reported.samples, strict=True))
     frames = [e for e in events if isinstance(e, RecordedFrame)]
-    assert len(frames) == len(told.frames) > 20
-    for read, seen in zip(frames, told.frames, strict=True):
+    assert len(frames) == len(reported.frames) > 20
+    for read, seen in zip(frames, reported.frames, strict=True):
         assert read.record.verdict == seen.verdict.value
         assert same(read.attitude, seen.attitude)
         back = read.frame((640, 360))
@@ -64,8 +64,8 @@ def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Obser
                 assert same(detection.methods[method], sighting)
             assert same(detection.selected, seen.detection.selected)
     decisions = [e for e in events if isinstance(e, Decision)]
-    assert len(decisions) == len(told.decisions) > 50
-    assert all(same(a, b) for a, b in zip(decisions, told.decisions, strict=True))
+    assert len(decisions) == len(reported.decisions) > 50
+    assert all(same(a, b) for a, b in zip(decisions, reported.decisions, strict=True))
     assert sum(isinstance(e, TruthRecord) for e in events) == 60
 
 

@@ -47,7 +47,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     disk.moving.set()
 
 
-def test_a_full_disk_is_said_once_flown_through_and_left_behind(
+def test_a_full_disk_is_reported_once_flown_through_and_left_behind(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -65,8 +65,8 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
         for i in range(600, 900):
             recorder.on_sample(imu(0.01 * i))
         wait_for(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
-    said = [r for r in caplog.records if r.levelname == "ERROR"]
-    assert [r.getMessage() for r in said] == [
+    output = [r for r in caplog.records if r.levelname == "ERROR"]
+    assert [r.getMessage() for r in output] == [
         "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
     ]
     assert any("recording again, into" in r.getMessage() for r in caplog.records)
@@ -77,6 +77,7 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
 
 
+@pytest.mark.hazard("H11")
 def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -217,7 +218,7 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
     assert len(samples_of(file)) >= 100
 
 
-def test_a_folder_that_is_taken_away_in_flight_is_begun_anew(tmp_path: Path) -> None:
+def test_a_folder_that_is_taken_away_in_flight_is_begun_again(tmp_path: Path) -> None:
     path = tmp_path / "recordings"
     with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5, retry_s=1.0)) as recorder:
         at_s = told(recorder, 0.0, 2.0)

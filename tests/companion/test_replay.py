@@ -46,10 +46,10 @@ def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dic
 def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
     recording = open_recording([flown[0]])
     settings = sim_settings()
-    told = ObservedCalls()
+    reported = ObservedCalls()
     pilot = pilot_of(recording, settings, None, own_camera=True)
     log_observer = BeliefLogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
-    replay = Replay(recording, pilot, sightings=True, observers=[log_observer, told])
+    replay = Replay(recording, pilot, sightings=True, observers=[log_observer, reported])
     replay.run()
     assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
     found = {d.path: d for d in differences(log_observer.beliefs, recorded_beliefs(recording))}
@@ -57,8 +57,8 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
     for difference in found.values():
         assert difference.both == difference.identical > 40
         assert difference.only_one == 0
-    assert [d.phase for d in told.decisions] == [d.phase for d in flown[1].decisions]
-    for ours, theirs in zip(told.decisions, flown[1].decisions, strict=True):
+    assert [d.phase for d in reported.decisions] == [d.phase for d in flown[1].decisions]
+    for ours, theirs in zip(reported.decisions, flown[1].decisions, strict=True):
         assert type(ours.command) is type(theirs.command)
         if hasattr(ours.command, "v_level"):
             assert np.array_equal(ours.command.v_level, theirs.command.v_level)  # type: ignore[union-attr]
@@ -87,7 +87,7 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(
 def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(
     flown: tuple[Path, ObservedCalls], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for text, said in (
+    for text, output in (
         ("guidance.rate=40", "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?"),
         ("guidance.rate_hz=fast", "guidance.rate_hz needs a number, found 'fast'"),
         ("guidance.rate_hz=4000", "guidance.rate_hz must be"),
@@ -95,7 +95,7 @@ def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(
     ):
         assert cli.main(["replay", str(flown[0]), "--set", text]) == 2
         error = capsys.readouterr().err
-        assert said in error
+        assert output in error
         assert "--set" in error
 
 
@@ -131,10 +131,10 @@ def test_a_replay_can_be_recorded_and_compared_with(
 def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
-    pilot, told, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
+    pilot, reported, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
     options = RecorderOptions(frames="none")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
-        flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[told, recorder])
+        flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[reported, recorder])
         for step in range(240):
             if step == 100:
                 pilot.begin()
@@ -146,36 +146,36 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     again = ObservedCalls()
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=True), observers=[again]).run()
-    assert [d.phase for d in again.decisions] == [d.phase for d in told.decisions]
-    assert {"waiting for the start", "paused", "aborted"} < {d.phase for d in told.decisions}
-    assert [type(d.command) for d in again.decisions] == [type(d.command) for d in told.decisions]
+    assert [d.phase for d in again.decisions] == [d.phase for d in reported.decisions]
+    assert {"waiting for the start", "paused", "aborted"} < {d.phase for d in reported.decisions}
+    assert [type(d.command) for d in again.decisions] == [type(d.command) for d in reported.decisions]
     assert not isinstance(again.decisions[-1].command, Land)
 
 
 def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
-    settings, path, told = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
+    settings, path, reported = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
     options = RecorderOptions(frames="none")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as out:
         for sample in flown[1].samples:
             out.on_sample(sample)
     recording = open_recording([path])
-    Replay(recording, pilot_of(recording, settings, None, own_camera=True), rate_hz=40.0, observers=[told]).run()
-    instants = [d.at for d in told.decisions]
+    Replay(recording, pilot_of(recording, settings, None, own_camera=True), rate_hz=40.0, observers=[reported]).run()
+    instants = [d.at for d in reported.decisions]
     assert np.all(np.diff(instants) == 25_000_000)
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
+def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(
     flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     part = tmp_path / "cut.mcap"
     data = flown[0].read_bytes()
     part.write_bytes(data[: len(data) * 19 // 20])
     assert cli.main(["replay", str(part), "--sightings"]) == 0
-    said = capsys.readouterr().out
-    assert f"{part} is cut short" in said
-    assert re.search(r"outputs: sha256 [0-9a-f]{64}\n", said)
-    assert "states identical to the bit" in said
+    output = capsys.readouterr().out
+    assert f"{part} is cut short" in output
+    assert re.search(r"outputs: sha256 [0-9a-f]{64}\n", output)
+    assert "states identical to the bit" in output
 
 
 @pytest.mark.parametrize(

@@ -211,8 +211,8 @@ def test_the_page_is_one_file_and_says_what_happened(tmp_path):
     assert "A test &lt;flight&gt; &amp; more" in text
     assert "calm &amp; &lt;b&gt;" in text
     assert "&lt;settings&gt;" in text
-    for said in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
-        assert said in text
+    for output in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
+        assert output in text
     assert "0.38 m over the deck" in text, "the cause of a transition"
     assert "contact with the deck" in text
     assert text.count("<canvas") == text.count('role="img"') == len(re.findall(r'<canvas[^>]*aria-label="[^"]{20,}"', text))
@@ -292,8 +292,16 @@ def test_the_path_that_steered_has_the_band():
 def test_an_empty_flight_still_has_a_page(tmp_path):
     page = write_report(FlightLog("nothing", ns(0), PAD, CAMERA), tmp_path)
     text = page.read_text("utf-8")
-    for said in ("No touchdown", "No frames", "Neither truth", "Nothing was estimated", "No commands", "No times", "No results"):
-        assert said in text
+    for output in (
+        "No touchdown",
+        "No frames",
+        "Neither truth",
+        "Nothing was estimated",
+        "No commands",
+        "No times",
+        "No results",
+    ):
+        assert output in text
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
 
 

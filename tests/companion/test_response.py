@@ -33,7 +33,7 @@ def test_the_largest_tilt_is_the_acceleration_of_a_hovering_thrust() -> None:
 @pytest.mark.parametrize(
     "tilt", [TiltResponse(0.07, 6.0, 0.8, 0.05), TiltResponse(0.2, 15.0, 0.4), TiltResponse(0.0, 5.0, 1.5, 0.2)]
 )
-def test_a_steady_change_of_the_command_is_followed_as_late_as_is_said(tilt: TiltResponse) -> None:
+def test_a_steady_change_of_the_command_is_followed_as_late_as_is_reported(tilt: TiltResponse) -> None:
     """A command that is held for a period is half a period later than the line through its beginnings."""
     period_s = 0.01
     model = tilt_model(tilt, period_s)

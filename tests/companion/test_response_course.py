@@ -12,7 +12,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 
 
-def test_the_lean_that_is_asked_for_is_that_of_the_law_with_its_trim() -> None:
+def test_the_tilt_that_is_requested_is_that_of_the_law_with_its_trim() -> None:
     lean = Lean(np.array([0.3, -0.2]), np.array([0.1, 0.5]), np.array([1.0, 2.0, -0.4]), 0.0)
     assert asked_lean(lean) == pytest.approx((0.4, 0.3))
     for command in (None, Hover(), Velocity(np.array([1.0, 2.0, 3.0]), 0.0)):
@@ -24,7 +24,7 @@ def test_the_lean_that_is_asked_for_is_that_of_the_law_with_its_trim() -> None:
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.2, 0.0), (0.0, 0.3), (-0.4, 0.25), (0.3, -0.5)])
-def test_a_reported_lean_is_where_a_thrust_that_holds_the_height_pushes(roll: float, pitch: float) -> None:
+def test_a_reported_tilt_is_where_a_thrust_that_holds_the_height_pushes(roll: float, pitch: float) -> None:
     """Whatever the heading: the thrust is along the body's own axis, and its part upward is gravity's."""
     thrust = Rotation.from_rpy(roll, pitch, 0.0).matrix @ np.array([0.0, 0.0, -1.0])
     for yaw in (0.0, 2.0):
@@ -76,8 +76,8 @@ def test_a_course_is_the_mean_of_what_held_over_each_step_beside_what_was_report
     np.testing.assert_allclose((course.asked - held.mean(axis=1))[known].mean(axis=0), 0.0, atol=1e-3)
     np.testing.assert_array_equal(course.asked[~known], y[~known], "where nobody asks, the vehicle leans as it likes")
     between = np.clip(np.searchsorted(reported.t_s, begins), 1, None)
-    heard = reported.t_s[between] - reported.t_s[between - 1] <= 0.25
-    counts = [bool(known[k] and heard[k] and k >= 60 and known[k - 60 : k].all()) for k in range(n)]
+    received = reported.t_s[between] - reported.t_s[between - 1] <= 0.25
+    counts = [bool(known[k] and received[k] and k >= 60 and known[k - 60 : k].all()) for k in range(n)]
     np.testing.assert_array_equal(course.counts, counts)
     assert 100 < sum(counts) < n - 200
 
@@ -115,7 +115,7 @@ def test_two_steps_are_a_course_and_fewer_are_none(seconds: float, steps: int | 
     assert course_of(none, two) is course_of(two, none) is course_of(none, none) is None
 
 
-def test_a_lean_of_which_one_axis_is_unknown_is_not_compared() -> None:
+def test_a_tilt_of_which_one_axis_is_unknown_is_not_compared() -> None:
     t = STEP_S * np.arange(200)
     asked = np.ones((t.size, 2))
     asked[120:130, 1] = math.nan
@@ -140,7 +140,7 @@ def test_a_gap_between_the_outermost_reports_is_a_gap(gap: str) -> None:
     assert not course.counts[-1] if gap == "last" else course.counts[-1]
 
 
-def test_before_the_first_command_the_vehicle_leans_as_it_likes() -> None:
+def test_before_the_first_command_the_vehicle_tilts_as_it_likes() -> None:
     t = STEP_S * np.arange(100)
     asked = np.where(t < 0.41, math.nan, 1.0)[:, None]
     course = course_of(Track(t, asked), Track(t, np.full((t.size, 1), 0.3)))

@@ -107,14 +107,14 @@ def test_an_error_of_the_stamps_is_one_of_the_delay_and_no_delay_is_known_to_les
 
 @pytest.mark.parametrize("rho", [0.5, 0.95])
 def test_what_it_says_of_its_errors_is_true(rho: float) -> None:
-    off, told, nees = [], [], []
+    off, noted, nees = [], [], []
     for seed in range(16):
         found = fitted(course(seed, noise=0.08, rho=rho))
         off.append(found.fitted.values - [0.12, math.log(5.5), math.log(0.6), 0.0])
         cov = found.fitted.cov - np.diag([0.004**2, 0.0, 0.0, 0.0])
-        told.append(np.sqrt(np.diag(cov)))
+        noted.append(np.sqrt(np.diag(cov)))
         nees.append(off[-1] @ np.linalg.solve(cov, off[-1]) / 4.0)
-    assert np.sqrt(np.mean((np.array(off) / np.array(told)) ** 2, axis=0)) == pytest.approx(np.full(4, 0.9), abs=0.35)
+    assert np.sqrt(np.mean((np.array(off) / np.array(noted)) ** 2, axis=0)) == pytest.approx(np.full(4, 0.9), abs=0.35)
     assert 0.4 < np.mean(nees) < 1.5
     found = fitted(course(3, 3000, noise=0.08, rho=rho))
     assert found.fitted.rho == pytest.approx(rho, abs=0.05)
@@ -246,14 +246,14 @@ def tilt_course(frequency_rad_s: float, damping: float) -> TiltFit:
     return fitted(FlightCourse(u, out, np.arange(600) > 0))
 
 
-def test_of_a_climb_that_asked_for_nothing_lag_and_gain_stay_where_the_search_began() -> None:
+def test_of_a_climb_that_requested_nothing_lag_and_gain_stay_where_the_search_began() -> None:
     still = FlightCourse(np.zeros((600, 1)), lasting(np.random.default_rng(5), (600, 1), 0.05, 0.9)[:, :1], np.arange(600) > WARM)
     found = fit_climb(still, GIVEN.climb)
     assert found is not None
     assert found.fitted.values[1:] == pytest.approx([math.log(GIVEN.climb.lag_s), 0.0], abs=0.02)
 
 
-def test_of_a_flight_that_tells_little_most_stays_where_the_search_began() -> None:
+def test_of_a_flight_that_reports_little_most_stays_where_the_search_began() -> None:
     n = 600
     u = 0.004 * asked(7, n)
     y = answered(TRUE, u) + lasting(np.random.default_rng(7), (n, 2), 0.08, 0.9)

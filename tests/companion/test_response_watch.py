@@ -119,7 +119,7 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
 
 
 @pytest.mark.parametrize(("delay_s", "too_late"), [(0.3, False), (0.38, False), (0.45, True)])
-def test_a_delay_that_nothing_can_fly_with_is_told_after_two_fits(delay_s: float, too_late: bool) -> None:
+def test_a_delay_that_nothing_can_fly_with_is_reported_after_two_fits(delay_s: float, too_late: bool) -> None:
     u = leans(3, 16.0, 0.6)
     watch = begun(GIVEN.tilt, KNOWN_S)
     for before, after in watched(watch, u, answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, 3)):
@@ -198,20 +198,20 @@ def test_a_fit_confirms_contradicts_or_decides_nothing(
     tilt = structs.replace(GIVEN.tilt, delay_sigma_s=file_sigma_s)
     found = ResponseInUse(ResponseState.IDENTIFIED, flown_with_s, 0.01, flown_with_s - tilt.delay_s)
     for in_use in (begun(tilt, KNOWN_S).in_use, found):
-        said = judged(in_use, tilt, fit_of(delay_s, sigma_s), KNOWN_S)
-        if said is in_use:
+        output = judged(in_use, tilt, fit_of(delay_s, sigma_s), KNOWN_S)
+        if output is in_use:
             continue
         assert sigma_s <= KNOWN_S + 1e-12
-        if said.state is ResponseState.ASSUMED:
+        if output.state is ResponseState.ASSUMED:
             assert in_use is found, "nothing known is forgotten but a longer delay"
-            assert delay_s < tilt.delay_s == said.delay_s
+            assert delay_s < tilt.delay_s == output.delay_s
             continue
-        assert said.delay_s >= tilt.delay_s, "no shorter delay is flown with"
-        if said.state is ResponseState.KNOWN:
-            assert said.delay_s == tilt.delay_s
-            assert said.longer_s == 0.0
-        assert abs(said.delay_s - delay_s) <= CONTRADICTION_S
-        if said.delay_s != in_use.delay_s:
+        assert output.delay_s >= tilt.delay_s, "no shorter delay is flown with"
+        if output.state is ResponseState.KNOWN:
+            assert output.delay_s == tilt.delay_s
+            assert output.longer_s == 0.0
+        assert abs(output.delay_s - delay_s) <= CONTRADICTION_S
+        if output.delay_s != in_use.delay_s:
             assert abs(delay_s - in_use.delay_s) > max(CONTRADICTION_S, 3.0 * sigma_s)
 
 
@@ -310,45 +310,45 @@ def test_what_is_known_before_the_first_cycle_is_flown_by_from_it_on() -> None:
 
 
 def identified_by(guidance: GuidanceOptions, tilt: TiltResponse, **other: Any) -> tuple[ResponseIdentifier, list[ResponseInUse]]:
-    identifier, told = ResponseIdentifier(tilt, guidance), []
+    identifier, noted = ResponseIdentifier(tilt, guidance), []
     u = leans(5, 16.0, 0.6)
     y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
     for k in range(u.shape[0]):
         identifier.on_attitude(Stamp(ns(k * T), ns(k * T + 0.01), 0.002, "synced"), (y[k, 0], y[k, 1]))
         command = other.get("command") or Lean(u[k], np.zeros(2), np.zeros(3), 0.0)
         found = identifier.on_command(ns(k * T), command, other.get("state", State.DESCEND))
-        told += [] if found is None else [found]
-    return identifier, told
+        noted += [] if found is None else [found]
+    return identifier, noted
 
 
-def test_softer_gains_and_a_contradiction_are_told_once_each() -> None:
-    identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt)
-    assert [one.state for one in told] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
-    assert identifier.in_use is told[-1]
-    assert "softer gains" in told[0].text
-    assert "ms longer than its response file says" in told[1].text
-    _, told = identified_by(GuidanceOptions(), SURE)
-    assert [one.state for one in told] == [ResponseState.IDENTIFIED], "that the file holds is nothing to tell"
+def test_softer_gains_and_a_contradiction_are_reported_once_each() -> None:
+    identifier, noted = identified_by(GuidanceOptions(), GIVEN.tilt)
+    assert [one.state for one in noted] == [ResponseState.ASSUMED, ResponseState.IDENTIFIED]
+    assert identifier.in_use is noted[-1]
+    assert "softer gains" in noted[0].text
+    assert "ms longer than its response file says" in noted[1].text
+    _, noted = identified_by(GuidanceOptions(), SURE)
+    assert [one.state for one in noted] == [ResponseState.IDENTIFIED], "that the file holds is nothing to tell"
 
 
 @pytest.mark.parametrize("state", [State.STANDBY, State.PRESS, State.DOWN, State.LANDED])
-def test_a_drone_that_touches_something_tells_nothing(state: State) -> None:
-    identifier, told = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
-    assert told == []
+def test_a_drone_that_touches_something_reports_nothing(state: State) -> None:
+    identifier, noted = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
+    assert noted == []
     assert identifier.in_use == ASSUMED
 
 
-def test_a_hover_asks_for_no_tilt_and_tells_nothing() -> None:
-    _, told = identified_by(GuidanceOptions(), GIVEN.tilt, command=Hover())
-    assert [one.state for one in told] == [ResponseState.ASSUMED]
+def test_a_hover_requests_no_tilt_and_reports_nothing() -> None:
+    _, noted = identified_by(GuidanceOptions(), GIVEN.tilt, command=Hover())
+    assert [one.state for one in noted] == [ResponseState.ASSUMED]
 
 
 @pytest.mark.parametrize(
     "guidance", [GuidanceOptions(follow_deck=FollowDeckOptions(identify=False)), GuidanceOptions(controller="pid")]
 )
 def test_without_identification_the_file_is_flown_as_it_is(guidance: GuidanceOptions) -> None:
-    identifier, told = identified_by(guidance, GIVEN.tilt)
-    assert told == []
+    identifier, noted = identified_by(guidance, GIVEN.tilt)
+    assert noted == []
     assert identifier.in_use is None
 
 

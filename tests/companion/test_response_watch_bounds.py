@@ -163,8 +163,8 @@ def test_no_delay_shorter_than_the_files_is_flown_with() -> None:
     for state in (ResponseState.ASSUMED, ResponseState.KNOWN):
         in_use = ResponseInUse(state, 0.1, 0.03)
         assert judged(in_use, late, fit(0.013), KNOWN_S) is in_use
-    said = judged(ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.1), late, fit(0.013), KNOWN_S)
-    assert said == ResponseInUse(ResponseState.ASSUMED, 0.1, None), "what was longer is in doubt, and the gains are soft"
+    output = judged(ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.1), late, fit(0.013), KNOWN_S)
+    assert output == ResponseInUse(ResponseState.ASSUMED, 0.1, None), "what was longer is in doubt, and the gains are soft"
 
 
 def test_forty_milliseconds_to_the_bit_are_no_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:

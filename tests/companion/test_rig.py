@@ -144,8 +144,8 @@ def test_where_an_autopilot_flies_what_the_file_says_wins_and_silence_is_an_auto
 ) -> None:
     """WHY: a key that a file set to an AR.Drone's default was taken for silence, and replaced."""
     of_autopilot = from_mapping(MINIMALS["mavlink"], "default")
-    said = {"guidance": {"tries": {"heading": "keep"}}, "estimator": {"ekf": {"sigma_attitude_bias_rad": sigma_rad}}}
-    given = from_mapping({**minimal, **said}, "given", by_autopilot=True)
+    output = {"guidance": {"tries": {"heading": "keep"}}, "estimator": {"ekf": {"sigma_attitude_bias_rad": sigma_rad}}}
+    given = from_mapping({**minimal, **output}, "given", by_autopilot=True)
     assert given.guidance.tries.heading == "keep"
     assert given.estimator.ekf == msgspec.structs.replace(of_autopilot.estimator.ekf, sigma_attitude_bias_rad=sigma_rad)
     silent = from_mapping(minimal, "silent", by_autopilot=True)
@@ -188,7 +188,7 @@ CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/
     ("links", "level"),
     [("udpin://0.0.0.0:14550", "WARNING"), ("serial:///dev/ttyAMA0:57600, tcp://127.0.0.1:5760", "INFO")],
 )
-def test_links_that_are_not_signed_are_told_of_with_the_cure(
+def test_links_that_are_not_signed_are_reported_with_the_cure(
     links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     caplog.set_level("INFO")
@@ -197,6 +197,6 @@ def test_links_that_are_not_signed_are_told_of_with_the_cure(
     file = tmp_path / "build.toml"
     file.write_text(f'[vehicle]\nkind = "mavlink"\nlinks = "{links}"\n{CAMERA}[pad]\nfile = "thesis"\n')
     assert main(["run", "--config", str(file), "--check"]) == 0
-    said = capsys.readouterr().out
-    assert "not signed: decklander keys make" in said
-    assert "commands from the autopilot's own link" in said
+    output = capsys.readouterr().out
+    assert "not signed: decklander keys make" in output
+    assert "commands from the autopilot's own link" in output

@@ -137,6 +137,7 @@ def below(height_m: float, loop: Loop):
     return lambda decision: loop.d[2] < height_m
 
 
+@pytest.mark.hazard("H1")
 @settings(max_examples=12)
 @given(
     spells=st.lists(st.tuples(st.integers(2, 80), st.sampled_from(FAULTS)), min_size=1, max_size=5),
@@ -180,12 +181,12 @@ def test_without_a_fault_it_lands() -> None:
     assert loop.d[2] < 0.45
 
 
-def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
+def test_a_camera_that_freezes_is_refused_reported_and_not_descended_by() -> None:
     loop = Loop()
     loop.until(below(1.5, loop))
-    told = loop.until(lambda decision: IntegrityAlert.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
-    assert told.belief is not None
-    assert not told.belief.consistent
+    reported = loop.until(lambda decision: IntegrityAlert.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
+    assert reported.belief is not None
+    assert not reported.belief.consistent
     for _ in range(40):
         assert not descends(loop.tick("camera frozen"))
     assert loop.verdicts[-1] is Verdict.REPEATED
@@ -194,6 +195,7 @@ def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
     assert loop.d[2] == pytest.approx(TRIES.safe_height_m, abs=0.4)
 
 
+@pytest.mark.hazard("H2")
 @pytest.mark.parametrize("path", ["dead_reckoning", "median_mean", "ekf"])
 def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: PathName) -> None:
     loop = Loop(path)
@@ -204,14 +206,15 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
         assert not descends(loop.tick("aside"))
     assert loop.d[2] == pytest.approx(TRIES.safe_height_m, abs=0.4)
     assert abs(loop.d[1]) < 0.5
-    told = loop.pilot.belief(loop.now)
-    assert told is not None
-    assert IntegrityAlert.ELSEWHERE in told.alerts, "no autopilot is led to it either"
+    reported = loop.pilot.belief(loop.now)
+    assert reported is not None
+    assert IntegrityAlert.ELSEWHERE in reported.alerts, "no autopilot is led to it either"
     loop.pilot.begin()
     loop.until(lambda decision: isinstance(decision.command, Land), "aside")
     assert loop.d[1] == pytest.approx(-1.2, abs=0.2), "the operator took the other pad"
 
 
+@pytest.mark.hazard("H1")
 @pytest.mark.parametrize(
     ("fault", "alert"),
     [
@@ -222,7 +225,7 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
         ("stamps old", IntegrityAlert.STAMPS),
     ],
 )
-def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, alert: IntegrityAlert) -> None:
+def test_what_is_dead_or_contradicts_stops_the_descent_and_is_reported(fault: str, alert: IntegrityAlert) -> None:
     loop = Loop()
     loop.until(below(1.8, loop))
     loop.until(lambda decision: alert.value in decision.reason, fault, seconds=2.0)
@@ -235,13 +238,14 @@ def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, a
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
-def test_half_an_imu_that_is_dead_is_told_and_after_a_second_nobody_descends_until_it_lives() -> None:
+@pytest.mark.hazard("H1")
+def test_half_an_imu_that_is_dead_is_reported_and_after_a_second_nobody_descends_until_it_lives() -> None:
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     words = "the accelerometer repeats its readings; flying without it"
-    told = loop.until(lambda decision: words in decision.reason, "accelerometer frozen", seconds=0.4)
-    assert told.belief is not None
-    assert told.belief.consistent
+    reported = loop.until(lambda decision: words in decision.reason, "accelerometer frozen", seconds=0.4)
+    assert reported.belief is not None
+    assert reported.belief.consistent
     loop.until(lambda decision: IntegrityAlert.UNFELT.value in decision.reason, "accelerometer frozen", seconds=1.2)
     for _ in range(60):
         assert not descends(loop.tick("accelerometer frozen"))
@@ -256,6 +260,7 @@ def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> 
     assert np.hypot(*loop.d[:2]) < 0.2
 
 
+@pytest.mark.hazard("H1", "H7")
 def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A lying accelerometer makes the filter estimate a deck that rises ever faster; the drone followed it up at 1 m/s."""
     loop = Loop("ekf")
@@ -269,9 +274,9 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
         assert not descends(decision)
         assert decision.belief is not None
         assert IntegrityAlert.DECK in decision.belief.alerts
-        told = loop.pilot.belief(loop.now)
-        assert told is not None
-        assert not told.consistent
+        reported = loop.pilot.belief(loop.now)
+        assert reported is not None
+        assert not reported.consistent
     assert IntegrityAlert.DECK.value in decision.reason
     assert loop.d[2] < height_m + 1.5, "it follows no such deck up"
     monkeypatch.undo()

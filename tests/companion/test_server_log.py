@@ -41,7 +41,7 @@ async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) ->
     return answers
 
 
-async def test_strangers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
+async def test_unknown_peers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
     """A request with a broken header, bytes that are no HTTP, and a client that hangs up."""
     with caplog.at_level(logging.DEBUG, "companion.base.server_log"):
         await _answers(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", upgrade(b"/"))
@@ -58,7 +58,7 @@ async def test_bytes_that_are_no_text_are_refused(text: bytes, torn: bytes, capl
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
 
 
-async def test_an_error_of_ours_is_told_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
+async def test_an_error_of_ours_is_reported_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
     await _answers(True, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
     (record,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
     assert record.levelno == logging.ERROR

@@ -27,54 +27,55 @@ def log_into_pipe() -> Iterator[tuple[ServiceLog, int]]:
     import fcntl
 
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
-    told = ServiceLog(writing, timed=False)
+    reported = ServiceLog(writing, timed=False)
     try:
-        yield told, reading
+        yield reported, reading
     finally:
         os.close(reading)
-        told.close()
+        reported.close()
         os.close(writing)
 
 
 def read_until(reading: int, wanted: str) -> str:
     """Return the written bytes up to a text."""
-    said, end = "", time.monotonic() + PATIENCE_S
-    while wanted not in said:
-        assert time.monotonic() < end, said
+    output, end = "", time.monotonic() + PATIENCE_S
+    while wanted not in output:
+        assert time.monotonic() < end, output
         try:
-            said += os.read(reading, 65536).decode()
+            output += os.read(reading, 65536).decode()
         except BlockingIOError:
             time.sleep(0.01)
-    return said
+    return output
 
 
+@pytest.mark.hazard("H11")
 def test_a_reader_that_stands_still_costs_lines_and_no_time() -> None:
-    with log_into_pipe() as (told, reading):
+    with log_into_pipe() as (reported, reading):
         began = time.monotonic()
         for n in range(3000):
-            told.handle(record(f"number {n} {'x' * 40}", line=n))
+            reported.handle(record(f"number {n} {'x' * 40}", line=n))
         assert time.monotonic() - began < 5.0, "it waited"
-        dropped = told.counts()["dropped"]
+        dropped = reported.counts()["dropped"]
         assert dropped >= 1000
-        said, missing = "", 0
+        output, missing = "", 0
         while missing < dropped:  # a thread that still wrote while others waited says it in parts
-            said += read_until(reading, " of this log are missing")
-            missing = sum(int(n) for n in re.findall(r"(\d+) lines of this log are missing", said))
-        assert said.splitlines()[0] == f"WARNING companion.x: number 0 {'x' * 40}"
+            output += read_until(reading, " of this log are missing")
+            missing = sum(int(n) for n in re.findall(r"(\d+) lines of this log are missing", output))
+        assert output.splitlines()[0] == f"WARNING companion.x: number 0 {'x' * 40}"
         assert missing == dropped
-        told.handle(record("and on", line=9999))
+        reported.handle(record("and on", line=9999))
         read_until(reading, "and on")
 
 
 def test_a_reader_that_went_away_is_no_error() -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    told = ServiceLog(writing)
+    reported = ServiceLog(writing)
     for n in range(5):
-        told.handle(record("nobody", line=n))
-    told.close()
+        reported.handle(record("nobody", line=n))
+    reported.close()
     os.close(writing)
-    assert told.counts()["dropped"] >= 5
+    assert reported.counts()["dropped"] >= 5
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.floats(0.0, 30.0)), max_size=400))
@@ -103,19 +104,19 @@ def test_a_flood_is_one_line_with_its_count() -> None:
     assert limit.admits(record("bad stream again"), 60.1)
 
 
-def test_a_text_that_a_peer_chose_stays_on_one_line_and_says_nothing_to_a_terminal() -> None:
-    with log_into_pipe() as (told, reading):
-        told.handle(record("ship\n2026 ERROR forged: it landed\x1b[2J\u2028end"))
+def test_a_text_that_a_peer_chose_stays_on_one_line_and_cannot_control_a_terminal() -> None:
+    with log_into_pipe() as (reported, reading):
+        reported.handle(record("ship\n2026 ERROR forged: it landed\x1b[2J\u2028end"))
         assert read_until(reading, "end") == "WARNING companion.x: ship 2026 ERROR forged: it landed [2J end\n"
 
 
 def test_other_peoples_loggers_are_shown_by_our_levels() -> None:
-    with log_into_pipe() as (told, reading):
+    with log_into_pipe() as (reported, reading):
         for n, (name, level) in enumerate(
             [("pymavlink.dialects", logging.ERROR), ("aiohttp.web", logging.INFO), ("libav.h264", logging.WARNING)]
         ):
-            told.handle(record("not shown", n, name, level))
-        told.handle(record("task failed", 5, "asyncio", logging.ERROR))
+            reported.handle(record("not shown", n, name, level))
+        reported.handle(record("task failed", 5, "asyncio", logging.ERROR))
         assert read_until(reading, "failed") == "ERROR asyncio: task failed\n"
 
 
@@ -125,6 +126,6 @@ def test_the_root_logger_is_given_back(capfd: pytest.CaptureFixture[str]) -> Non
         logging.getLogger("companion.x").info("inside")
         logging.getLogger("companion.x").debug("below the level")
     assert logging.getLogger().handlers == [h for h in before if h in logging.getLogger().handlers]
-    said = capfd.readouterr().err
-    assert re.search(r"^INFO [-0-9]+ [:,0-9]+ companion\.x: inside$", said, re.MULTILINE), "the level leads the line"
-    assert "below" not in said
+    output = capfd.readouterr().err
+    assert re.search(r"^INFO [-0-9]+ [:,0-9]+ companion\.x: inside$", output, re.MULTILINE), "the level leads the line"
+    assert "below" not in output

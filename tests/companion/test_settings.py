@@ -117,9 +117,9 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
     ],
 )
 def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[str, Any], text: str | None) -> None:
-    said = refusal(minimal(**changes))
-    assert said.startswith("rig.toml: ")
-    assert text in (None, said.removeprefix("rig.toml: "))
+    output = refusal(minimal(**changes))
+    assert output.startswith("rig.toml: ")
+    assert text in (None, output.removeprefix("rig.toml: "))
 
 
 def test_a_missing_table_says_what_it_needs() -> None:
@@ -135,8 +135,8 @@ def test_every_number_refuses_nan_infinities_and_what_lies_outside_its_range(pat
     assert kind.ge is not None
     assert kind.le is not None
     for bad in (math.nan, math.inf, -math.inf, kind.ge - 1, kind.le + 1, "1", True):
-        said = refusal(minimal(KIND_OF[path], **{path.replace(".", "__"): bad}))
-        assert path in said, said
+        output = refusal(minimal(KIND_OF[path], **{path.replace(".", "__"): bad}))
+        assert path in output, output
 
 
 UNITS = {
@@ -275,8 +275,8 @@ junk = st.recursive(
 
 def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> None:
     for kind, other_key in (("ardrone", "links"), ("mavlink", "host")):
-        said = refusal(minimal(kind, **{f"vehicle__{other_key}": "tcp://127.0.0.1:5760"}))
-        assert said.endswith(f"vehicle.{other_key} is not a known key of this kind of vehicle")
+        output = refusal(minimal(kind, **{f"vehicle__{other_key}": "tcp://127.0.0.1:5760"}))
+        assert output.endswith(f"vehicle.{other_key} is not a known key of this kind of vehicle")
     assert refusal({**minimal(), "vehicle": {}}).endswith('vehicle.kind is missing: it must be one of "ardrone", "mavlink"')
     assert refusal({**minimal(), "vehicle": {"kind": "mavlink"}}).endswith(
         "vehicle.links is missing: it must be text of 1 to 4096 characters"
@@ -330,11 +330,11 @@ def test_any_mapping_is_either_settings_or_one_line(data: dict[str, Any]) -> Non
     try:
         from_mapping({**minimal(), **data}, "rig.toml")
     except BadInput as why:
-        said = str(why)
+        output = str(why)
     else:
         return
-    assert said.startswith("rig.toml: ")
-    assert "\n" not in said
+    assert output.startswith("rig.toml: ")
+    assert "\n" not in output
 
 
 @given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
@@ -477,8 +477,8 @@ def test_a_pipe_and_a_device_are_no_settings(tmp_path: Path, capsys: pytest.Capt
     os.mkfifo(tmp_path / "pipe.toml")
     for name in (str(tmp_path / "pipe.toml"), "/dev/zero"):
         assert cli.main(["config", "check", name]) == 2
-        said = capsys.readouterr().err
-        assert len(said.splitlines()) == 1
+        output = capsys.readouterr().err
+        assert len(output.splitlines()) == 1
 
 
 def test_long_rows_of_numbers_and_texts_with_dots_are_no_deep_keys() -> None:

@@ -109,13 +109,13 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
             told_m: list[tuple[float, float]] = []
 
             def arrives() -> bool:
-                if said := re.search(r"the vessel is (\d+) m away", pilot.landing.reason):
-                    told_m.append((float(said[1]), math.hypot(*(fake.p_ned - ship_s_place())[:2])))
+                if output := re.search(r"the vessel is (\d+) m away", pilot.landing.reason):
+                    told_m.append((float(output[1]), math.hypot(*(fake.p_ned - ship_s_place())[:2])))
                 return pilot.state is State.SEARCH
 
             await tell(ship, arrives)
-            assert max(told for told, _ in told_m) - min(told for told, _ in told_m) > 5.0
-            assert all(told == pytest.approx(true_m, abs=8.0) for told, true_m in told_m), told_m
+            assert max(reported for reported, _ in told_m) - min(reported for reported, _ in told_m) > 5.0
+            assert all(reported == pytest.approx(true_m, abs=8.0) for reported, true_m in told_m), told_m
             from_astern = (fake.p_ned - ship_s_place())[:2] - (0.0, -way.range_m)
             assert math.hypot(*from_astern) < way.reached_m + 2.0, "the hold-off point"
             await tell(ship, lambda: math.hypot(*(fake.p_ned - ship_s_place())[:2]) < 2.5)
@@ -132,8 +132,8 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
         assert f'name="refused_{reason}",part="sentences"' in metrics
     for reason in set(GARBAGE.values()):
         words = REFUSED_FOR.get(reason, reason.replace("_", " "))
-        told = [line for line in caplog.messages if f"was refused ({words})" in line]
-        assert len(told) == 1, reason
+        reported = [line for line in caplog.messages if f"was refused ({words})" in line]
+        assert len(reported) == 1, reason
     assert any("are refused, those from" in line for line in caplog.messages)
     assert len([line for line in caplog.messages if line.startswith("rendezvous: the vessel is")]) <= 2, "not at every metre"
 

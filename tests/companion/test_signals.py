@@ -158,11 +158,11 @@ program(work)
 def test_a_task_that_does_not_end_is_named_and_abandoned(what: str) -> None:
     with python(HEAD + ENDLESS[what], stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"
-        code, said = ended(process, signal.SIGTERM)
+        code, output = ended(process, signal.SIGTERM)
     assert code == 143
     # A loop without processor time for two seconds has none to name its task either: the thread that ends it says so.
-    assert any(("stubborn" in words and "going without" in words) or "ending at once" in words for words in said)
-    assert not any("Traceback" in words for words in said)
+    assert any(("stubborn" in words and "going without" in words) or "ending at once" in words for words in output)
+    assert not any("Traceback" in words for words in output)
 
 
 @pytest.mark.parametrize("what", sorted(BUSY))
@@ -170,18 +170,18 @@ def test_a_task_that_does_not_end_is_named_and_abandoned(what: str) -> None:
 def test_a_busy_thread_holds_nothing_up(what: str, number: signal.Signals) -> None:
     with python(HEAD + BUSY[what], stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"
-        code, said = ended(process, number)
-    assert (code, said) == (128 + number, [])
+        code, output = ended(process, number)
+    assert (code, output) == (128 + number, [])
 
 
 @pytest.mark.parametrize("what", sorted(HELD))
 def test_what_holds_the_main_thread_is_named_and_the_process_ends_around_it(what: str) -> None:
     with python(HEAD + HELD[what], stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"
-        code, said = ended(process, signal.SIGTERM)
+        code, output = ended(process, signal.SIGTERM)
     assert code == 143
-    assert "ending at once" in said[-1]
-    assert "main thread in" in said[-1]
+    assert "ending at once" in output[-1]
+    assert "main thread in" in output[-1]
 
 
 def test_standard_error_that_nobody_reads_holds_nothing_up() -> None:
@@ -243,8 +243,8 @@ program(lambda: run(main()))
 def test_signals_end_it_in_order_though_its_tasks_and_callbacks_call_exit(number: signal.Signals) -> None:
     with python(HEAD + AFTER_EXIT, stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"
-        code, said = ended(process, number)
-        assert (code, said[0]) == (128 + number, "hovered")
+        code, output = ended(process, number)
+        assert (code, output[0]) == (128 + number, "hovered")
 
 
 def test_the_main_task_may_call_exit_itself() -> None:
@@ -303,7 +303,7 @@ def test_a_signal_that_comes_twice_by_two_ways_is_one() -> None:
         assert ended(process, signal.SIGINT, signal.SIGINT, pause_s=0.0) == (0, ["done"])
 
 
-def test_what_a_forked_worker_hears_does_not_end_its_parent() -> None:
+def test_what_a_forked_worker_receives_does_not_end_its_parent() -> None:
     source = """
 def work():
     child = os.fork()
@@ -387,9 +387,9 @@ def test_sigterm_at_any_moment_on_a_busy_machine(command: str, seed: int, rig: s
     moment_s = random.Random(f"{command} {seed}").uniform(0.05, 3.5)
     with burners(2), started(decklander(*words), stderr=subprocess.PIPE) as process:
         time.sleep(moment_s)
-        code, said = ended(process, signal.SIGTERM)
+        code, output = ended(process, signal.SIGTERM)
     assert code in (0, 143, -signal.SIGTERM)  # before anything was begun Python's own answer is as good
-    assert not any("Traceback" in words for words in said), f"after {moment_s:.2f} s"
+    assert not any("Traceback" in words for words in output), f"after {moment_s:.2f} s"
 
 
 def test_sigterm_while_it_ends_already(rig: str) -> None:
@@ -397,9 +397,9 @@ def test_sigterm_while_it_ends_already(rig: str) -> None:
         assert process.stderr is not None
         while "trying again" not in (words := process.stderr.readline()):  # it runs, and lacks its drone
             assert words
-        code, said = ended(process, signal.SIGINT, signal.SIGTERM, pause_s=0.02)
+        code, output = ended(process, signal.SIGINT, signal.SIGTERM, pause_s=0.02)
     assert code in (0, 143)
-    assert not any("Traceback" in words for words in said)
+    assert not any("Traceback" in words for words in output)
 
 
 def test_semaphores_that_are_in_use_at_the_end_do_not_leak() -> None:

@@ -25,16 +25,20 @@ ENDING = Ending(
 )
 
 
-def test_every_contact_and_what_was_unsafe_is_told() -> None:
-    told = ENDING.as_json()
-    assert json.loads(json.dumps(told)) == told
-    assert [(c["at_s"], c["surface"], c["phase"], c["motors"]) for c in told["contacts"]] == [
+def test_every_contact_and_what_was_unsafe_is_reported() -> None:
+    reported = ENDING.as_json()
+    assert json.loads(json.dumps(reported)) == reported
+    assert [(c["at_s"], c["surface"], c["phase"], c["motors"]) for c in reported["contacts"]] == [
         (9.0, "deck", "descend", True),
         (14.5, "pad", "land", True),
     ]
-    assert told["touchdown"]["lateral_m"] == 0.081
-    assert (told["landed_on_pad"], told["in_water"], told["contacts_outside_commit"]) == (True, False, 1)
-    assert (told["refused"], told["grade"], told["faults"]) == (None, "failed", [{"kind": "frames_frozen", "at_s": 6.2}])
+    assert reported["touchdown"]["lateral_m"] == 0.081
+    assert (reported["landed_on_pad"], reported["in_water"], reported["contacts_outside_commit"]) == (True, False, 1)
+    assert (reported["refused"], reported["grade"], reported["faults"]) == (
+        None,
+        "failed",
+        [{"kind": "frames_frozen", "at_s": 6.2}],
+    )
     assert ENDING.in_words().splitlines() == [
         "landed after 15.2 s, on the pad: 8.1 cm from its centre, descending at 0.41 m/s, sliding at 0.02 m/s",
         "before that, at 9.0 s, on deck, off the pad: 48.0 cm from its centre, descending at 0.56 m/s, sliding at 0.05 m/s "
@@ -60,12 +64,17 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     text = NEAR.replace("duration_limit_s = 40.0", 'duration_limit_s = 1.0\nexpect = "refuse"')
     near.write_text(text + '[[faults]]\nkind = "lens_covered"\nat_s = 0.0\n')
     assert cli.main(["simulate", str(near), "--seed", "2", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["because"] == "time ran out: it neither landed nor gave up"
-    assert (told["outcome"], told["expect"], told["contacts"], told["touchdown"]) == ("time ran out", "refuse", [], None)
-    assert told["faults"] == [{"kind": "lens_covered", "at_s": 0.0}]
-    assert told["cpu_s"] > 0.0
-    assert set(told["frames"]) <= {"no_pad", "no_attitude"}
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["because"] == "time ran out: it neither landed nor gave up"
+    assert (reported["outcome"], reported["expect"], reported["contacts"], reported["touchdown"]) == (
+        "time ran out",
+        "refuse",
+        [],
+        None,
+    )
+    assert reported["faults"] == [{"kind": "lens_covered", "at_s": 0.0}]
+    assert reported["cpu_s"] > 0.0
+    assert set(reported["frames"]) <= {"no_pad", "no_attitude"}
 
 
 @pytest.mark.parametrize(
@@ -99,14 +108,14 @@ def test_a_flight_that_is_refused_leaves_no_recording(
 
 
 def test_a_recording_replaces_a_file_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for out, said in (
+    for out, output in (
         (tmp_path, "is there already and is no regular file"),
         (Path("/dev/null"), "is there already and is no regular file"),
         (tmp_path / "none" / "new.mcap", "No such file or directory"),
     ):
         assert cli.main(["simulate", "calm", "--perception", "truth", "--record", str(out)]) == 2
         err = capsys.readouterr().err
-        assert err.startswith(f"decklander: --record {out}: {said}")
+        assert err.startswith(f"decklander: --record {out}: {output}")
         assert err.count("\n") == 1
     assert Path("/dev/null").is_char_device()
 
@@ -117,14 +126,14 @@ def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:
     assert (
         cli.main(["simulate", "calm", "--pad", "apriltag_nest", "--seed", "1", "--json", *(f"--set={key}" for key in start)]) == 0
     )
-    told = json.loads(capsys.readouterr().out)
-    assert told["touchdown"]["lateral_m"] < 0.06
-    assert abs(told["touchdown"]["yaw_deg"]) < 3.0
-    assert told["frames"]["fused"] > 5 * told["frames"].get("no_pad", 0)
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["touchdown"]["lateral_m"] < 0.06
+    assert abs(reported["touchdown"]["yaw_deg"]) < 3.0
+    assert reported["frames"]["fused"] > 5 * reported["frames"].get("no_pad", 0)
 
 
 def test_faults_are_refused_where_nobody_would_fly_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["simulate", "faults/camera_freezes", "--follow", "udpin://127.0.0.1:14999"]) == 2
-    said = capsys.readouterr().err
-    assert "faults/camera_freezes: its faults (frames_frozen) are for the simulated AR.Drone alone" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "faults/camera_freezes: its faults (frames_frozen) are for the simulated AR.Drone alone" in output
+    assert output.count("\n") == 1

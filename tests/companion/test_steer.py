@@ -54,7 +54,7 @@ def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
 
-def test_before_a_landing_is_asked_for_nothing_but_a_hover_is() -> None:
+def test_before_a_landing_is_requested_nothing_but_a_hover_is_commanded() -> None:
     p, found = aim(Progress(State.READY, automatic=False), GuidanceCycle(ns(NOW), known()), guided(), over_ground=True)
     assert (p.state, found) == (State.READY, Hover())
 
@@ -103,7 +103,7 @@ def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
     assert target(State.COMMIT, known()).descent_rate_m_s == guided().cone.commit_rate_m_s
 
 
-def test_pressing_leans_nowhere_and_stays_where_it_touched() -> None:
+def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     found = target(State.PRESS, known())
     assert (found.lean_max_rad, found.descent_rate_m_s) == (0.0, guided().cone.commit_rate_m_s)
     assert found.d_body_pad_level.tolist() == list(ABOVE)
@@ -241,6 +241,26 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
     assert found.d_body_pad_level.tolist() == [*ABOVE[:2], 1.4]
 
 
+@pytest.mark.parametrize(
+    ("state", "age_s", "over_m", "climbs_m_s"),
+    [
+        (State.REFUSED, 0.0, 0.0, 0.6), (State.ABORTED, 0.0, 0.5, 0.3), (State.HOLD_BLIND, 0.0, 1.5, 0.0),
+        (State.REFUSED, 0.9, 1.5, 0.6), (State.ANOTHER_PAD, 0.0, 1.5, 0.6), (State.COMMIT, 0.9, 1.5, 0.6),
+    ],
+)  # fmt: skip
+def test_what_was_lifted_over_its_held_height_lets_a_rising_deck_come_up(
+    state: State, age_s: float, over_m: float, climbs_m_s: float
+) -> None:
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 5.0 + over_m), age=age_s))
+    p = Progress(state, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
+    found = allowed(up, p, s, guided(), over_ground=True)
+    assert isinstance(found, Lean)
+    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+    by_driver = Velocity(np.array([0.0, 0.0, -0.6]), 0.0)
+    assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
+
+
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
 def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, over: bool) -> None:
     found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))
@@ -249,7 +269,7 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
 
 
 @pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
-def test_a_question_about_another_pad_is_asked_from_higher_up(entered_m: float, rate_m_s: float | None) -> None:
+def test_a_question_about_another_pad_waits_higher_up(entered_m: float, rate_m_s: float | None) -> None:
     found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
     assert found.descent_rate_m_s == rate_m_s
 

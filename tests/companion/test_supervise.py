@@ -117,7 +117,7 @@ async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
     assert caught.value.subgroup(KeyError) is not None
 
 
-async def test_a_cancellation_that_nobody_asked_for_is_a_bug_of_a_vital_part_and_not_its_orderly_end() -> None:
+async def test_a_cancellation_that_nobody_requested_is_a_bug_of_a_vital_part_and_not_its_orderly_end() -> None:
     async def body() -> None:
         raise asyncio.CancelledError
 
@@ -173,21 +173,21 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
         task.cancel()
 
 
-async def test_the_vital_parts_have_ended_before_the_others_are_told_to() -> None:
-    said: list[str] = []
+async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> None:
+    output: list[str] = []
 
     async def part(name: str) -> None:
         try:
             await asyncio.Event().wait()
         finally:
             await asyncio.sleep(0.01)
-            said.append(name)
+            output.append(name)
 
     ended = asyncio.Event()
     asyncio.get_running_loop().call_soon(ended.set)
     parts = {"vehicle": lambda: part("vehicle")}
     await run(parts, RestartOptions(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
-    assert said == ["vehicle", "mqtt"]
+    assert output == ["vehicle", "mqtt"]
 
 
 async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fails(caplog: pytest.LogCaptureFixture) -> None:

@@ -120,7 +120,7 @@ def test_an_older_report_does_not_replace_a_newer_one() -> None:
     assert track.counted() == {"taken": 1, "vessel_out_of_order": 1}
 
 
-def test_a_jump_is_believed_when_a_person_begins_again_or_after_a_long_silence() -> None:
+def test_a_jump_is_accepted_when_a_person_begins_again_or_after_a_long_silence() -> None:
     jumped = fix("vessel", 9.5, 140.0, 0.0)
     track = after(fix("vessel", 9.0, 40.0, 0.0), jumped)
     again = rendezvous.on_sample(rendezvous.restarted(track), fix("vessel", 10.0, 140.0, 0.0))
@@ -129,7 +129,7 @@ def test_a_jump_is_believed_when_a_person_begins_again_or_after_a_long_silence()
     assert known(later, 45.0).distance_m == pytest.approx(140.0, abs=0.1)
 
 
-def test_a_drone_without_a_place_or_a_heading_of_its_own_is_told_so() -> None:
+def test_a_drone_without_a_place_or_a_heading_of_its_own_is_reported() -> None:
     track = rendezvous.on_sample(VesselTrack(), fix("vessel", 1.0, 40.0, 0.0))
     assert cause(track, 1.0) is ReasonCause.NO_OWN_PLACE
     track = rendezvous.on_sample(track, fix("vehicle", 1.0, 0.0, 0.0))

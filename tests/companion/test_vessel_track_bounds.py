@@ -67,7 +67,7 @@ def test_the_vehicle_s_own_place_counts_for_two_seconds_and_its_heading_for_one(
     assert isinstance(place, VesselPosition) if cause is None else place is cause
 
 
-def test_the_ship_s_place_counts_until_its_age_says_so() -> None:
+def test_the_ship_s_place_counts_until_its_age_reports_it() -> None:
     old = LIMITS.age_max_s
     for age_s, counts in ((old, True), (old + 0.001, False)):
         t = 20.0 + age_s
@@ -159,13 +159,13 @@ def test_a_report_of_the_same_instant_is_in_order_and_one_before_it_is_not(after
     assert (track.velocity[1][0], track.heading[1]) == ((2.0, 0.2) if taken else (1.0, 0.1))
 
 
-def test_after_a_long_silence_any_place_is_believed() -> None:
-    for gap_s, believed in ((LIMITS.forget_s, False), (LIMITS.forget_s + 0.001, True)):
+def test_after_a_long_silence_any_place_is_accepted() -> None:
+    for gap_s, estimate in ((LIMITS.forget_s, False), (LIMITS.forget_s + 0.001, True)):
         track = track_of(fix("vessel", 7.0), fix("vessel", 7.0 + gap_s, (9000.0, 0.0, 0.0)))
-        assert (track.counted()["taken"] == 2) is believed
+        assert (track.counted()["taken"] == 2) is estimate
 
 
-def test_why_she_is_refused_is_said_while_her_reports_arrive_and_forgotten_with_the_next_good_one() -> None:
+def test_why_she_is_refused_is_reported_while_her_reports_arrive_and_forgotten_with_the_next_good_one() -> None:
     jumped = fix("vessel", 10.0, (5000.0, 0.0, 0.0), late_s=0.5)
     before = fix("vessel", 9.0)
     for since_s, cause in ((LIMITS.age_max_s, ReasonCause.VESSEL_JUMPED), (LIMITS.age_max_s + 0.001, ReasonCause.VESSEL_OLD)):
@@ -229,7 +229,7 @@ def test_her_height_is_the_newest_that_she_reported_and_that_of_the_sea_before()
     own = fix("vehicle", 9.0, (0.0, 0.0, -30.0), v=(0.0, 0.0, 0.0)), nose(9.0)
     without = fix("vessel", 9.0, (20.0, 0.0, 0.0), origin=flat)
     assert known(track_of(without, *own, limits=limits), 9.0).height_m == pytest.approx(28.5, abs=0.01)
-    told = fix("vessel", 8.9, (20.0, 0.0, -6.0))
-    assert known(track_of(told, without, *own, limits=limits), 9.0).height_m == pytest.approx(22.5, abs=0.01)
+    noted = fix("vessel", 8.9, (20.0, 0.0, -6.0))
+    assert known(track_of(noted, without, *own, limits=limits), 9.0).height_m == pytest.approx(22.5, abs=0.01)
     blind = fix("vehicle", 9.0, (0.0, 0.0, 0.0), origin=flat), nose(9.0)
-    assert known(track_of(told, *blind), 9.0).height_m is None
+    assert known(track_of(noted, *blind), 9.0).height_m is None

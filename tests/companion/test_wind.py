@@ -33,7 +33,7 @@ def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.nda
 
 @given(st.floats(0.0, 12.0), st.floats(-3.1, 3.1), st.floats(-0.3, 0.3), st.floats(0.0, 2.0))
 @settings(max_examples=15, deadline=None)
-def test_wind_is_what_the_lean_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
+def test_wind_is_what_the_tilt_holds_against(speed: float, bearing: float, turn: float, gust: float) -> None:
     into = np.array([math.cos(bearing), math.sin(bearing)])
     watch, heading = WindWatch(), 0.0
     for n in range(1500):

@@ -89,7 +89,7 @@ class FakeFlight:
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(1000)
         self.commands: list[tuple[int, str]] = []
-        """When, and what, as text: equal text is an equal command to the bit."""
+        """Time and command as text: equal text is an equal command to the bit."""
         self.left = 0
 
     def command(self, command: Command) -> None:

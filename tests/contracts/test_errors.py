@@ -10,9 +10,9 @@ from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, S
 @pytest.mark.parametrize("kind", [BadInput, Recoverable, SetupImpossible])
 @given(text=st.text())
 def test_a_text_is_one_printable_line(kind: type[DecklanderError], text: str) -> None:
-    said = str(kind(text))
-    assert said.isprintable()
-    assert said == text or not text.isprintable()
+    output = str(kind(text))
+    assert output.isprintable()
+    assert output == text or not text.isprintable()
 
 
 def test_a_line_break_becomes_a_space_and_an_escape_sequence_is_shown() -> None:

@@ -56,9 +56,9 @@ def command_lines() -> list[tuple[str, list[str]]]:
     found = []
     for page in PAGES:
         for number, line in enumerate(page.read_text().splitlines(), 1):
-            said = re.match(r"^(?: {3,}|)(?:\.venv/bin/)?(decklander [^|>&#;`]*)", line)
-            if said is not None and "SOURCE..." not in line:
-                typed = re.sub(r"\[[^\]]*\]", "", re.split(r" {2,}", said[1])[0]).strip(" \\")
+            output = re.match(r"^(?: {3,}|)(?:\.venv/bin/)?(decklander [^|>&#;`]*)", line)
+            if output is not None and "SOURCE..." not in line:
+                typed = re.sub(r"\[[^\]]*\]", "", re.split(r" {2,}", output[1])[0]).strip(" \\")
                 words = [word for word in shlex.split(typed)[1:] if word != "..."]
                 if words:
                     found.append((f"{page.name}:{number}", words))

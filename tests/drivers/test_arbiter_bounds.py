@@ -64,7 +64,7 @@ def test_a_service_that_is_gone_never_lengthens_its_word() -> None:
 
 
 @pytest.mark.parametrize("watchdog", [True, False])
-def test_without_a_report_the_watchdog_is_reset_where_the_word_asked_for_it(watchdog: bool) -> None:
+def test_without_a_report_the_watchdog_is_reset_where_the_word_requested_it(watchdog: bool) -> None:
     expected = [at.ComWdg(), HOVER] if watchdog else [HOVER]
     assert silent(watchdog=watchdog).commands(ms(121)) == expected
     late = silent(watchdog=watchdog)

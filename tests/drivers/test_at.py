@@ -80,21 +80,21 @@ def test_garbage_never_raises_and_never_costs_the_next_command(garbage: bytes, b
 
 
 def test_a_datagram_cut_at_every_byte_keeps_its_whole_commands() -> None:
-    told: list[tuple[int, Any]] = [
+    reported: list[tuple[int, Any]] = [
         (1, at.Ref(at.REF_BASE)),
         (2, at.Config("video:video_channel", "1")),
         (3, at.Pcmd(1, 0.5, 0.25, -0.125, 1.0)),
     ]
-    lines = [at.encode(*t) for t in told]
+    lines = [at.encode(*t) for t in reported]
     data = b"".join(lines)
     for cut in range(len(data) + 1):
         whole = sum(len(b"".join(lines[: k + 1])) <= cut for k in range(3))
         results = at.decode(data[:cut])
-        assert results[:whole] == told[:whole]
+        assert results[:whole] == reported[:whole]
         assert results[whole:] == ([Refusal.TORN] if cut > len(b"".join(lines[:whole])) else [])
         tail = at.decode(data[cut:])
         starts = [len(b"".join(lines[:k])) for k in range(3)]
-        assert [r for r in tail if not isinstance(r, Refusal)] == [t for t, s in zip(told, starts, strict=True) if s >= cut]
+        assert [r for r in tail if not isinstance(r, Refusal)] == [t for t, s in zip(reported, starts, strict=True) if s >= cut]
 
 
 @pytest.mark.parametrize(

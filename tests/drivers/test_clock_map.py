@@ -85,7 +85,7 @@ def steady(clock: ClockMap, start_remote_s: float, start_s: float, seconds: floa
 
 
 @pytest.mark.parametrize(("before_s", "after_s", "away_s"), [(500.0, 1.0, 20.0), (1900.0, 1.0, 20.0), (10.0, 900.0, 3.0)])
-def test_a_clock_set_anew_is_noticed_at_once(before_s: float, after_s: float, away_s: float) -> None:
+def test_a_clock_set_again_is_noticed_at_once(before_s: float, after_s: float, away_s: float) -> None:
     clock = ClockMap(ClockMapOptions(wrap_ns=2048 * S, floor_s=0.002, floor_sigma_s=0.0005))
     last = steady(clock, before_s, 50.0, 5.0)[-1]
     stamps = steady(clock, after_s, 55.0 + away_s, 2.0)
@@ -137,7 +137,7 @@ def test_a_queue_that_fills_for_some_seconds_is_no_slow_clock() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.4, 0.98, 1.02, 2.5])
-def test_a_clock_of_another_rate_is_left_for_the_arrival_and_believed_again(
+def test_a_clock_of_another_rate_is_left_for_the_arrival_and_accepted_again(
     rate: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = ClockMap(ClockMapOptions(floor_s=0.002, name="camera mast"))
@@ -156,7 +156,7 @@ def test_a_clock_of_another_rate_is_left_for_the_arrival_and_believed_again(
     assert f"camera mast runs at {rate:.3f} of ours" in caplog.text
 
 
-def test_a_longer_way_is_believed_after_the_window() -> None:
+def test_a_longer_way_is_accepted_after_the_window() -> None:
     clock = ClockMap(ClockMapOptions(window_s=2.0, floor_s=0.002))
     steady(clock, 0.0, 10.0, 3.0, delay_s=0.002)
     stamps = steady(clock, 3.0, 13.0, 5.0, delay_s=0.012)

@@ -304,7 +304,7 @@ def _sticks(cockpit: Cockpit, t: int) -> at.Pcmd:
     return sticks
 
 
-def test_a_lean_is_flown_without_a_measured_velocity_but_not_without_an_attitude(cockpit: Cockpit) -> None:
+def test_a_tilt_is_flown_without_a_measured_velocity_but_not_without_an_attitude(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(LEAN, ms(0))
     assert _sticks(cockpit, 1) == HOVER
@@ -315,7 +315,7 @@ def test_a_lean_is_flown_without_a_measured_velocity_but_not_without_an_attitude
     assert cockpit.counters.hover_for_blindness == 1
 
 
-def test_a_lean_that_nobody_renews_is_flown_as_hover(cockpit: Cockpit) -> None:
+def test_a_tilt_that_nobody_renews_is_flown_as_hover(cockpit: Cockpit) -> None:
     """Whatever a law requests, it ends with the law."""
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(LEAN, ms(0))

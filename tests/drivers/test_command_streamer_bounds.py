@@ -239,7 +239,7 @@ def test_the_watchdog_is_counted_as_often_as_it_is_reset(cockpit: Cockpit) -> No
     assert cockpit.counters.watchdog_resets == 2
 
 
-def test_the_lean_counts_while_it_is_recent(cockpit: Cockpit) -> None:
+def test_the_tilt_counts_while_it_is_recent(cockpit: Cockpit) -> None:
     def pitch(age_ms: float | None) -> float:
         flown = Cockpit()
         flown.hears(1000, FLYING)
@@ -253,7 +253,7 @@ def test_the_lean_counts_while_it_is_recent(cockpit: Cockpit) -> None:
     assert pitch(200.001) == pitch(None)
 
 
-def test_the_loop_steps_by_the_time_between_periods_and_begins_anew_after_a_hover(cockpit: Cockpit) -> None:
+def test_the_loop_steps_by_the_time_between_periods_and_begins_again_after_a_hover(cockpit: Cockpit) -> None:
     def flown(*instants_ms: float, hover_at: float | None = None) -> at.Pcmd:
         cockpit = Cockpit()
         sticks = HOVER

@@ -13,16 +13,16 @@ values = st.lists(words, max_size=4).map(" ".join)
 @needs_captures
 def test_a_real_configuration() -> None:
     text = (CAPTURES / "config_port5559_ardrone1.txt").read_bytes()
-    told = control.parse(text)
-    assert len(told) == len([line for line in text.splitlines() if b"=" in line])
-    assert told["general:navdata_options"] == "65537"
-    assert told["general:soft_build_date"] == "2011-07-13 09:52"
-    assert told["network:passkey"] == ""
-    assert told["network:owner_mac"] == "00:00:00:00:00:00"
-    assert control.boolean(told["general:navdata_demo"]) is True
-    assert control.vector(told["control:accs_offset"]) == (-2235.3198, 1924.7540, 2084.4270)
-    assert control.number(told["control:euler_angle_max"]) == pytest.approx(0.15)
-    assert control.render(told).rstrip(b"\0").split() == text.split()
+    reported = control.parse(text)
+    assert len(reported) == len([line for line in text.splitlines() if b"=" in line])
+    assert reported["general:navdata_options"] == "65537"
+    assert reported["general:soft_build_date"] == "2011-07-13 09:52"
+    assert reported["network:passkey"] == ""
+    assert reported["network:owner_mac"] == "00:00:00:00:00:00"
+    assert control.boolean(reported["general:navdata_demo"]) is True
+    assert control.vector(reported["control:accs_offset"]) == (-2235.3198, 1924.7540, 2084.4270)
+    assert control.number(reported["control:euler_angle_max"]) == pytest.approx(0.15)
+    assert control.render(reported).rstrip(b"\0").split() == text.split()
 
 
 @given(st.dictionaries(keys, values, max_size=8))
@@ -36,8 +36,8 @@ def test_what_is_rendered_parses(configuration: dict[str, str]) -> None:
 @given(st.binary(max_size=300))
 def test_garbage_never_raises_and_costs_no_line(garbage: bytes) -> None:
     control.parse(garbage)
-    told = control.parse(garbage.replace(b"\0", b"") + b"\ngeneral:a = 1\n")
-    assert told["general:a"] == "1"
+    reported = control.parse(garbage.replace(b"\0", b"") + b"\ngeneral:a = 1\n")
+    assert reported["general:a"] == "1"
 
 
 def test_values() -> None:

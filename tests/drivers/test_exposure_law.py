@@ -107,7 +107,7 @@ def test_the_product_never_swings(per_ms: float, start: ExposureSetting, lag: in
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 4000.0), min_size=30, max_size=60), decades, starts, st.floats(0.5, 4.0), st.booleans())
-def test_no_exposure_that_is_asked_for_smears_more_than_the_limit(
+def test_no_exposure_that_is_requested_smears_more_than_the_limit(
     speeds: list[float], per_ms: float, start: ExposureSetting, blur_px: float, tracked: bool
 ) -> None:
     options = ExposureOptions(mode="pad", blur_px=blur_px, longest_s=0.02)
@@ -120,7 +120,7 @@ def test_no_exposure_that_is_asked_for_smears_more_than_the_limit(
         assert 1.0 <= setting.gain <= CAN.gain_most
 
 
-def test_light_beyond_the_limits_is_said() -> None:
+def test_light_beyond_the_limits_is_reported() -> None:
     dark = Metered(0.01)
     full = CAN.split(1.0, 0.01)
     memory, wanted = step(LawMemory(), full, CAN, 0.01, dark)

@@ -90,8 +90,8 @@ async def ending(python: str, *, silence_s: float = 5.0) -> tuple[Exception, Vid
 
 async def test_a_frame_is_rows_without_their_padding_and_a_hole_in_the_numbers_is_counted(tmp_path: Path) -> None:
     now = CLOCK.now()
-    said = b"".join(message(wire.FRAME, rows(7), now - 10_000_000 + n, n) for n in (4, 5, 9))
-    why, camera, frames = await ending(program(tmp_path, message(wire.READY) + said, 3))
+    output = b"".join(message(wire.FRAME, rows(7), now - 10_000_000 + n, n) for n in (4, 5, 9))
+    why, camera, frames = await ending(program(tmp_path, message(wire.READY) + output, 3))
     assert isinstance(why, CameraLost)
     assert why.reason == "failed"
     assert "exit code 3" in str(why)
@@ -104,8 +104,8 @@ async def test_a_frame_is_rows_without_their_padding_and_a_hole_in_the_numbers_i
 
 
 async def test_a_stamp_of_another_clock_is_refused_and_none_is_the_arrival(tmp_path: Path) -> None:
-    said = message(wire.READY) + message(wire.FRAME, rows(1), 5)
-    _, camera, frames = await ending(program(tmp_path, said))
+    output = message(wire.READY) + message(wire.FRAME, rows(1), 5)
+    _, camera, frames = await ending(program(tmp_path, output))
     assert (frames[0].stamp.source, camera.counters.stamps_refused) == ("arrival", 1)
     (tmp_path / "b").mkdir()
     _, camera, frames = await ending(program(tmp_path / "b", message(wire.READY) + message(wire.FRAME, rows(1))))
@@ -124,10 +124,10 @@ async def test_each_end_has_its_error(tmp_path: Path) -> None:
         (b"hello, I am no camera at all", 0, CameraLost, "no message of ours"),
         (b"", 0, CameraLost, "its process ended"),
     )
-    for i, (said, code, kind, words) in enumerate(cases):
+    for i, (output, code, kind, words) in enumerate(cases):
         folder = tmp_path / str(i)
         folder.mkdir()
-        why, camera, _ = await ending(program(folder, said, code))
+        why, camera, _ = await ending(program(folder, output, code))
         assert isinstance(why, kind), (i, why)
         assert words in str(why), (i, why)
         assert camera.down is not None, "nothing came, so it was never up"
@@ -157,8 +157,8 @@ async def test_a_pipeline_that_cannot_be_built_again_is_lost_and_tried_again(tmp
 
 
 async def test_a_pipeline_that_stops_giving_frames_is_silent(tmp_path: Path) -> None:
-    said = message(wire.READY) + message(wire.FRAME, rows(1))
-    why, _, frames = await ending(program(tmp_path, said, stays=True), silence_s=0.1)
+    output = message(wire.READY) + message(wire.FRAME, rows(1))
+    why, _, frames = await ending(program(tmp_path, output, stays=True), silence_s=0.1)
     assert isinstance(why, CameraLost)
     assert why.reason == "silent"
     assert len(frames) == 1

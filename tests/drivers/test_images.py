@@ -39,7 +39,7 @@ def untouched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("size", [(64, 48), (641, 359)])
-def test_the_header_tells_the_size_that_the_decoder_finds(suffix: str, size: tuple[int, int]) -> None:
+def test_the_header_gives_the_size_that_the_decoder_finds(suffix: str, size: tuple[int, int]) -> None:
     data = encoded(suffix, *size)
     assert claimed_size(data) == size
     assert decode(data, size).shape == (size[1], size[0], 3)

@@ -35,9 +35,7 @@ def test_only_a_gap_longer_than_a_second_can_have_been_our_silence(gap_ms: int, 
 @pytest.mark.parametrize(
     ("since_ms", "heard_ms", "cause"), [(0, 0, Cause.OTHERS), (-10, 0, Cause.SILENCE), (-10, 500, Cause.OTHERS)]
 )
-def test_a_drone_that_said_for_a_second_that_nobody_speaks_lands_for_our_silence(
-    since_ms: int, heard_ms: int, cause: Cause
-) -> None:
+def test_a_drone_that_reported_no_commands_for_a_second_lands_for_our_silence(since_ms: int, heard_ms: int, cause: Cause) -> None:
     """Its reports come all the time, as they do while our own sender stands still."""
     watch = LandingWatch()
     for t in range(since_ms, 1000, 10):

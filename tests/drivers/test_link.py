@@ -131,7 +131,7 @@ async def test_video_pieces_of_any_size_and_a_gap() -> None:
         assert drone.counters.video_skipped_bytes == 13
 
 
-async def test_a_frame_is_heard_with_its_first_byte() -> None:
+async def test_a_frame_is_received_with_its_first_byte() -> None:
     unit = video()[0]
     fake = FakeArDrone()
     async with linked(fake, video_silence_s=30.0) as drone:
@@ -265,7 +265,7 @@ async def test_control_connection_lost_and_found_again_alone() -> None:
         assert drone.counters.restarts["at"] == drone.counters.restarts["navdata"] == 0
 
 
-async def test_a_key_that_reads_back_wrongly_is_asked_for_again() -> None:
+async def test_a_key_that_reads_back_wrongly_is_requested_again() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.counters.control_reads == 1)
@@ -277,7 +277,7 @@ async def test_a_key_that_reads_back_wrongly_is_asked_for_again() -> None:
         assert drone.ready
 
 
-async def test_silent_navdata_is_asked_for_again_and_commands_go_on() -> None:
+async def test_silent_navdata_is_requested_again_and_commands_go_on() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.ready)
@@ -311,7 +311,7 @@ async def test_order_loss_and_damage_of_navdata_are_counted() -> None:
         assert counters.samples > good
 
 
-async def test_a_drone_that_begins_anew_is_configured_anew() -> None:
+async def test_a_drone_that_begins_again_is_configured_again() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.ready)
@@ -324,7 +324,7 @@ async def test_a_drone_that_begins_anew_is_configured_anew() -> None:
         assert not fake.state & (nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG)
 
 
-async def test_a_drone_that_falls_back_to_demo_mode_is_configured_anew() -> None:
+async def test_a_drone_that_falls_back_to_demo_mode_is_configured_again() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.ready)

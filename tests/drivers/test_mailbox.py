@@ -172,7 +172,7 @@ async def test_what_has_come_elsewhere_is_fetched_before_what_waits_is_taken():
     assert line.waiting() == [3]
 
 
-def test_a_line_that_has_failed_says_so_when_nothing_is_left():
+def test_a_line_that_has_failed_reports_it_when_nothing_is_left():
     line = Line[int](3)
     line.check()
     line.offer(1)

@@ -46,7 +46,7 @@ def test_overtaken_and_doubled_datagrams_are_refused(ear: Ear) -> None:
 
 
 @pytest.mark.parametrize(("last", "anew"), [(500, 1), (500, 3), (20, 1)])
-def test_a_sequence_that_begins_anew_is_a_restart(ear: Ear, last: int, anew: int) -> None:
+def test_a_sequence_that_begins_again_is_a_restart(ear: Ear, last: int, anew: int) -> None:
     ear.hears(last, 60_000, 100_000)
     ear.hears(anew, 59_800, 100_100)  # a small step back of the clock: no restart to be seen in the clock alone
     assert ear.sequences == [last, anew]
@@ -55,14 +55,14 @@ def test_a_sequence_that_begins_anew_is_a_restart(ear: Ear, last: int, anew: int
     assert stamp.received_at - stamp.measured_at < 5_000_000, "the new clock is not read by the old map"
 
 
-def test_without_a_clock_the_stamp_says_so(ear: Ear) -> None:
+def test_without_a_clock_the_stamp_reports_it(ear: Ear) -> None:
     ear.hears(1, None, 1000)
     stamp = ear.samples[0].stamp
     assert (stamp.source, stamp.sigma_s) == ("arrival", ArDroneOptions().arrival_sigma_s)
     assert stamp.measured_at < stamp.received_at
 
 
-def test_bootstrap_has_no_samples_but_is_heard(ear: Ear) -> None:
+def test_bootstrap_has_no_samples_but_is_received(ear: Ear) -> None:
     ear.channel.take(nd.encode(nd.Navdata.of(nd.NavdataState.NAVDATA_BOOTSTRAP, 1)), MonoNs(5))
     assert ear.sequences == [1]
     assert ear.samples == []

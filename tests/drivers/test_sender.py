@@ -112,8 +112,8 @@ async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[t
 def test_it_is_small() -> None:
     """No large package is imported: it starts in a tenth of a second, and stays in memory when the service does not."""
     code = "import sys, drivers.ardrone.sender; print(sorted({'numpy', 'cv2', 'asyncio', 'av', 'logging'} & set(sys.modules)))"
-    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
+    output = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert output.stdout.strip() == "[]"
 
 
 def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
@@ -126,6 +126,7 @@ def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
     assert json.loads(options.as_json())["host"] == HOST
 
 
+@pytest.mark.hazard("H5")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
     fake = FakeArDrone()
@@ -198,7 +199,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         assert not alive(first)
 
 
-async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> None:
+async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> None:
     """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
@@ -223,13 +224,13 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
             flies()
             assert len(past) == 1
             drone.setblocking(False)
-            said = []
+            output = []
             while True:
                 try:
-                    said += commands(drone.recv(2048))
+                    output += commands(drone.recv(2048))
                 except BlockingIOError:
                     break
-            assert said[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
+            assert output[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
             os.kill(client.pid, signal.SIGCONT)
             drone.settimeout(60.0)
             flies()
@@ -267,6 +268,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
             client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
+@pytest.mark.hazard("H5")
 async def test_a_blocked_event_loop_means_hover() -> None:
     fake = FakeArDrone()
     async with fake.on_loopback(command_timeout_s=0.12) as options, open_ardrone(options, CLOCK) as drone:

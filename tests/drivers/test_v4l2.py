@@ -171,7 +171,7 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
     assert device.closed
 
 
-def test_a_share_of_torn_frames_is_told_with_its_cure(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_share_of_torn_frames_is_reported_with_its_cure(caplog: pytest.LogCaptureFixture) -> None:
     camera, layout = VideoSource(), FrameLayout("MJPG", W, H, 0)
     whole = cv2.imencode(".jpg", image())[1].tobytes()
     torn = whole[: len(whole) // 2] + whole[len(whole) // 2 + 40 :]
@@ -295,7 +295,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
 
 
 @pytest.mark.parametrize("damage", ["gap", "error", "garbage"])
-async def test_h264_waits_for_a_image_that_stands_alone_after_any_damage(damage: str) -> None:
+async def test_h264_waits_for_an_image_that_stands_alone_after_any_damage(damage: str) -> None:
     units = h264(6)
     camera, device = VideoSource(), FakeDevice("H264", 0)
     assert [stands_alone(u) for u in units] == [True] + [False] * 5

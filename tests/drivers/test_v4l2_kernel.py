@@ -49,8 +49,8 @@ def test_the_calls_and_structs_are_those_of_the_kernel_s_header(tmp_path: Path) 
         + "\nreturn 0; }\n"
     )
     subprocess.run(["cc", str(source), "-o", str(tmp_path / "layout")], check=True)
-    said = subprocess.run([str(tmp_path / "layout")], capture_output=True, text=True, check=True).stdout
-    assert {line.split()[0]: int(line.split()[1]) for line in said.splitlines()} == wanted
+    output = subprocess.run([str(tmp_path / "layout")], capture_output=True, text=True, check=True).stdout
+    assert {line.split()[0]: int(line.split()[1]) for line in output.splitlines()} == wanted
 
 
 def test_a_pixel_format_is_its_letters() -> None:

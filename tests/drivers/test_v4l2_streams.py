@@ -80,7 +80,7 @@ async def test_a_file_that_is_repeated_goes_on(tmp_path: Path) -> None:
             pass
 
 
-async def test_what_is_no_video_is_said_at_once(tmp_path: Path) -> None:
+async def test_what_is_no_video_is_reported_at_once(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("not a film")
     for name, words in (("none.mp4", "no such file"), ("text.mp4", "not a video")):
         with pytest.raises(BadInput, match=words):

@@ -108,7 +108,7 @@ def test_options_refuse_nonsense() -> None:
 
 
 @given(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
-def test_a_lean_is_the_tilt_of_its_acceleration_and_never_more_than_the_limit(
+def test_a_tilt_follows_from_its_acceleration_and_never_exceeds_the_limit(
     forward: float, right: float, trim_forward: float, trim_right: float
 ) -> None:
     wanted = Lean(np.array([forward, right]), np.array([trim_forward, trim_right]), np.zeros(3), 0.0)
@@ -121,7 +121,7 @@ def test_a_lean_is_the_tilt_of_its_acceleration_and_never_more_than_the_limit(
 
 
 @pytest.mark.parametrize(("heading", "forward", "right"), [(0.0, 1.2, 0.4), (math.pi / 2, 0.4, -1.2), (math.pi, -1.2, -0.4)])
-def test_a_velocity_after_a_lean_begins_with_its_trim_wherever_the_nose_has_turned(
+def test_a_velocity_after_a_tilt_begins_with_its_trim_wherever_the_nose_has_turned(
     heading: float, forward: float, right: float
 ) -> None:
     """Otherwise the wind carries the drone off for as long as an integral takes to come back."""

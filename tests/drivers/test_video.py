@@ -121,7 +121,7 @@ def test_damage_before_an_idr_in_one_batch_does_no_harm() -> None:
     assert image.index == 15
 
 
-def test_a_image_that_is_not_as_its_header_says_is_refused() -> None:
+def test_an_image_that_is_not_as_its_header_says_is_refused() -> None:
     unit = clip()[0][0]
     decoder = VideoDecoder()
     assert decoder.newest([replace(unit, header=replace(unit.header, display_width=1280, display_height=720))]) is None

@@ -268,7 +268,7 @@ async def test_a_tcp_server_that_forgot_us_is_connected_to_again(monkeypatch: py
                 await broken
 
 
-async def test_a_resolver_that_hangs_holds_up_nobody_and_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_resolver_that_hangs_holds_up_nobody_and_is_queried_once(monkeypatch: pytest.MonkeyPatch) -> None:
     asked, go_on = [0], threading.Event()
 
     def getaddrinfo(host: str, port: int, **options: Any) -> list[Any]:

@@ -107,7 +107,7 @@ def test_the_result_of_a_sighting_holds_its_innovation_in_the_bodys_axes() -> No
 
 
 @given(age_s=st.floats(0.0, 0.4))
-def test_a_late_frame_is_carried_on_to_the_instant_asked_for_and_widens_the_covariance(age_s: float) -> None:
+def test_a_late_frame_is_carried_on_to_the_instant_requested_and_widens_the_covariance(age_s: float) -> None:
     path, v = ConstantVelocityPath(), np.array([0.6, -0.2, -0.4])
     for i in range(60):
         path, _ = sighted(path, i / 30, np.array([0.0, 0.0, 4.0]) + v * i / 30)
@@ -143,6 +143,6 @@ def test_without_filterpy_one_line_names_the_extra(monkeypatch: pytest.MonkeyPat
     for words in (["simulate"], ["campaign", "--runs", "1", "--json"]):
         arguments = [words[0], "calm", *words[1:], "--perception", "model", "--set", "estimator.path=constant_velocity"]
         assert cli.main(arguments) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        assert "decklander[compare]" in said
+        output = capsys.readouterr().err
+        assert output.count("\n") == 1
+        assert "decklander[compare]" in output

@@ -38,7 +38,7 @@ def test_a_single_outlier_leaves_no_trace():
     assert [f.d_body_pad_level[0] for f in out] == [1.0] * 9
 
 
-def test_a_ramp_comes_out_two_samples_late_and_says_so():
+def test_a_ramp_comes_out_two_samples_late_and_reports_it():
     out = run([0.1 * i for i in range(10)])
     for i, f in enumerate(out):
         lag = (f.measured_at - f.holds_at) / TICK
@@ -87,7 +87,7 @@ def test_missing_headings_are_left_out():
     assert out[-1].yaw_rad == pytest.approx(0.3)
 
 
-def test_an_h_alone_keeps_the_branch_the_arrow_told():
+def test_an_h_alone_keeps_the_branch_the_arrow_chose():
     yaws = [3.0, 3.0, 3.0] + [wrap_pi(3.0 + math.pi)] * 12
     ambiguous = [False] * 3 + [True] * 12
     for f in run([0.0] * 15, yaws=yaws, ambiguous=ambiguous):

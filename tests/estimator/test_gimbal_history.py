@@ -40,8 +40,8 @@ def swinging(t: float) -> Rotation:
 def test_the_same_pose_in_each_frame_is_the_same_camera_on_the_body(frame: GimbalFrame) -> None:
     R_body_gimbal = Rotation.from_rpy(0.05, -1.4, 0.2)
     R_level_body = R_NED_BODY.without_heading()
-    told = {"ned": R_NED_BODY @ R_body_gimbal, "level": R_level_body @ R_body_gimbal, "body": R_body_gimbal}[frame]
-    held = GimbalHistory().add(report(1.0, told, frame), report(1.1, told, frame)).at(stamp(1.05), attitude(1.05))
+    reported = {"ned": R_NED_BODY @ R_body_gimbal, "level": R_level_body @ R_body_gimbal, "body": R_body_gimbal}[frame]
+    held = GimbalHistory().add(report(1.0, reported, frame), report(1.1, reported, frame)).at(stamp(1.05), attitude(1.05))
     assert held is not None
     assert held.R_body_gimbal.angle_to(R_body_gimbal) < 1e-9
 
@@ -82,7 +82,7 @@ def test_reports_that_do_not_cover_the_exposure_give_nothing(exposed_s: float) -
     assert GimbalHistory().at(stamp(exposed_s), attitude(exposed_s)) is None
 
 
-def test_a_change_of_frame_begins_anew() -> None:
+def test_a_change_of_frame_begins_again() -> None:
     history = GimbalHistory().add(report(1.0, DOWN, "level"), report(1.1, DOWN, "ned"))
     assert history.at(stamp(1.05), attitude(1.05)) is None
     assert history.frame == "ned"

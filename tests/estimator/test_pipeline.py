@@ -59,13 +59,13 @@ def same(a: RelativeState, b: RelativeState) -> bool:
     return bool(np.array_equal(a.d_body_pad_level, b.d_body_pad_level) and np.array_equal(a.cov, b.cov))
 
 
-def test_nothing_is_believed_before_the_first_sighting() -> None:
+def test_nothing_is_accepted_before_the_first_sighting() -> None:
     memory, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), at_rest(0.0))
     assert pipeline.belief(memory, MonoNs(0)) is None
     assert pipeline.beliefs(memory, MonoNs(0)) == ()
 
 
-def test_every_path_believes_the_pad_where_it_was_seen() -> None:
+def test_every_path_estimates_the_pad_where_it_was_seen() -> None:
     memory = hovering()
     for belief in pipeline.beliefs(memory, MonoNs(10**9)):
         assert np.allclose(belief.d_body_pad_level, (0.5, -0.2, 2.0), atol=0.01)
@@ -146,10 +146,10 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
     assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
     assert len(memory.guard.view.bearings) > 4
     assert all(level[1] < 0.0 for _, _, level, _ in memory.guard.view.bearings), "the view watch follows the tracked pad alone"
-    believed = pipeline.belief(memory, NOW)
-    assert believed is not None
-    assert IntegrityAlert.ELSEWHERE in believed.alerts
-    assert not believed.consistent
+    estimate = pipeline.belief(memory, NOW)
+    assert estimate is not None
+    assert IntegrityAlert.ELSEWHERE in estimate.alerts
+    assert not estimate.consistent
 
 
 def test_a_tracked_pad_that_is_unsure_does_not_count_beside_a_clearer_one() -> None:

@@ -198,7 +198,7 @@ def test_the_estimator_carries_the_pad_on_between_sightings() -> None:
     assert later.cov[0, 0] > state.cov[0, 0]
 
 
-def test_the_estimator_takes_late_sightings_and_says_why_it_refuses_others() -> None:
+def test_the_estimator_takes_late_sightings_and_gives_the_reason_it_refuses_others() -> None:
     filter = hovering()
     assert filter.on_sighting(sighting(1.9, received=2.0)) is Verdict.FUSED
     before = filter.at(MonoNs(2_000_000_000))

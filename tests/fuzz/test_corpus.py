@@ -95,20 +95,20 @@ def test_the_command_shows_a_fault_and_a_hang_and_ends_with_1(tmp_path: Path, ca
         patch.setattr(sys, "executable", str(stand_in))
         assert fuzz.run(["control"], 1.0, 1, tmp_path / "a") == 0
         assert fuzz.run(["control", "at", "pave"], 1.0, 1, tmp_path / "b") == 1
-    said = capsys.readouterr().out
-    assert "5000     77      123" in said
-    assert "15000 executions, 231 edges, 2 faults" in said
-    assert "at: KeyError at a.py:1" in said
-    assert "pave: timeout after 21 seconds" in said
+    output = capsys.readouterr().out
+    assert "5000     77      123" in output
+    assert "15000 executions, 231 edges, 2 faults" in output
+    assert "at: KeyError at a.py:1" in output
+    assert "pave: timeout after 21 seconds" in output
 
 
 def test_a_fault_of_the_native_core_is_shown_with_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = "core/sea.c:33:22: runtime error: -nan is outside the range of representable values of type 'long'"
-    code = f"import sys; print({said!r}, file=sys.stderr); sys.exit(1)"
+    output = "core/sea.c:33:22: runtime error: -nan is outside the range of representable values of type 'long'"
+    code = f"import sys; print({output!r}, file=sys.stderr); sys.exit(1)"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(native, "command", lambda *_: [sys.executable, "-c", code])
         assert fuzz.run(["core"], 1.0, 1, tmp_path) == 1
-    assert f"core: {said}" in capsys.readouterr().out
+    assert f"core: {output}" in capsys.readouterr().out
 
 
 def test_a_build_slower_than_the_run_does_not_end_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,8 +144,8 @@ def test_without_clang_the_other_targets_run(monkeypatch: pytest.MonkeyPatch, ca
 def test_make_runs_it_and_says_where_it_cannot() -> None:
     makefile = (ROOT / "Makefile").read_text()
     assert "python -m fuzz" in makefile
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-m", "fuzz", "--only", "nonsense"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=240
     )
-    assert said.returncode == 2
-    assert "navdata" in said.stderr
+    assert output.returncode == 2
+    assert "navdata" in output.stderr

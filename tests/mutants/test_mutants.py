@@ -67,7 +67,7 @@ def test_each_change_of_a_c_source_is_one_and_leaves_comments_and_sizes_alone() 
     assert {(m.line, m.within) for m in found} == {(3, ""), (7, "good"), (8, "good"), (9, "good")}
 
 
-def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> None:
+def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_requested() -> None:
     rows = [Mutant(i, f"{i}  ->  {i + 1}", "") for i in range(2000)]
     drawn = [m for m in rows if chosen("a.py", m, 0.1, 1)]
     assert 140 < len(drawn) < 260
@@ -93,11 +93,11 @@ def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Pat
         f"t = judge('gatekeeper.py', ['test_gatekeeper.py'], 1.0, 1, root=Path({str(tmp_path)!r}))\n"
         "print(t.killed, sorted(m.change for m in t.survivors))"
     )
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
         check=True, timeout=100,
     ).stdout  # fmt: skip
-    assert said.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
+    assert output.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
     broken = subprocess.run(
         [sys.executable, "-c", f"import mutants.interpreted; del mutants.interpreted.changed_functions; {program}"],
         cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False, timeout=100,

@@ -91,14 +91,14 @@ class Guest:
         """Run a command, hold it to its exit code and to what it must say, and print both."""
         began = time.monotonic()
         done = self.run(command)
-        said = done.stdout + done.stderr
-        missing = [text for text in told if not re.search(text, said)]
+        output = done.stdout + done.stderr
+        missing = [text for text in told if not re.search(text, output)]
         print(f"{time.monotonic() - began:7.1f} s  {command} -> {done.returncode}", flush=True)
-        for line in said.strip().splitlines()[-3:]:
+        for line in output.strip().splitlines()[-3:]:
             print(f"           {line[:180]}", flush=True)
         if done.returncode != code or missing:
-            raise Failed(f"{command}: ended with {done.returncode}, not {code}; not told: {missing}\n{said}")
-        return said
+            raise Failed(f"{command}: ended with {done.returncode}, not {code}; not told: {missing}\n{output}")
+        return output
 
     def stop(self) -> None:
         self._unshare.kill()

@@ -190,8 +190,8 @@ def chroot(
 
 def _pip_files() -> list[Path]:
     """Pip's configuration of this machine in a folder, with a copy of the certificates it trusts; then the folders it names."""
-    said = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
-    options = dict(re.findall(r"^(?:global|:env:)\.([\w-]+)='(.*)'$", said, re.MULTILINE))
+    output = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
+    options = dict(re.findall(r"^(?:global|:env:)\.([\w-]+)='(.*)'$", output, re.MULTILINE))
     if not options:
         return []
     lent = Path(tempfile.mkdtemp(prefix="decklander-pip-"))
@@ -209,10 +209,10 @@ def _pip_files() -> list[Path]:
 
 
 def sizes(image: Image) -> str:
-    said = subprocess.run(
+    output = subprocess.run(
         ["du", "--summarize", "--one-file-system", "--block-size=1M", str(image.root)], capture_output=True, text=True, check=True
     )
-    return f"{said.stdout.split()[0]} MB"
+    return f"{output.stdout.split()[0]} MB"
 
 
 def main() -> int:

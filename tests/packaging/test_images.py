@@ -36,7 +36,7 @@ def composed(*words: str) -> str:
 
 
 @needs_compose
-def test_compose_is_valid_and_starts_the_autopilot_only_when_asked() -> None:
+def test_compose_is_valid_and_starts_the_autopilot_only_when_requested() -> None:
     always = set(composed("config", "--services").split())
     assert {"broker", "sim", "daemon", "prometheus", "grafana"} <= always
     text = composed("config")
@@ -98,7 +98,7 @@ def told() -> set[str]:
     return {family.name + ("_total" if family.type == "counter" else "") for family in everything}
 
 
-def test_the_dashboard_asks_for_figures_that_the_service_tells() -> None:
+def test_the_dashboard_requests_figures_that_the_service_reports() -> None:
     dashboard = json.loads((COMPOSE / "grafana/dashboards/decklander.json").read_text())
     asked = {name for panel in dashboard["panels"] for t in panel["targets"] for name in re.findall(r"decklander_\w+", t["expr"])}
     assert len(asked) >= 12

@@ -24,11 +24,11 @@ def lines(key: str) -> list[str]:
 
 @needs_analyze
 def test_it_is_exposed_little() -> None:
-    said = subprocess.run(
+    output = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager", str(UNIT)], capture_output=True, text=True, check=True
     )
-    found = re.search(r"Overall exposure level for decklander.service: ([0-9.]+)", said.stdout)
-    assert found is not None, said.stdout
+    found = re.search(r"Overall exposure level for decklander.service: ([0-9.]+)", output.stdout)
+    assert found is not None, output.stdout
     assert float(found[1]) <= MOST_EXPOSED
 
 
@@ -39,8 +39,8 @@ def test_systemd_finds_nothing_wrong_and_would_find_something(tmp_path: Path) ->
     good, bad = tmp_path / "decklander.service", tmp_path / "wrong.service"
     good.write_text(text)
     bad.write_text(text.replace("WatchdogSec=5", "WatchdogSec=soon").replace("UMask", "UMaks"))
-    said = subprocess.run(["systemd-analyze", "verify", str(good)], capture_output=True, text=True, check=False)
-    assert [line for line in said.stderr.splitlines() if "decklander.service" in line] == []
+    output = subprocess.run(["systemd-analyze", "verify", str(good)], capture_output=True, text=True, check=False)
+    assert [line for line in output.stderr.splitlines() if "decklander.service" in line] == []
     wrong = subprocess.run(["systemd-analyze", "verify", str(bad)], capture_output=True, text=True, check=False)
     assert "Failed to parse sec value" in wrong.stderr
     assert "UMaks" in wrong.stderr

@@ -71,7 +71,7 @@ def test_drydens_turbulence_has_the_strength_and_spectra_of_the_specification(he
 
 
 def test_kaimals_turbulence_has_the_spectra_of_the_surface_layer() -> None:
-    """Power n S / u*^2 at f = n z / U along, across and up, of 30 flights of 80 s at 5 m in a wind of 10 m/s to the east."""
+    """The power is n S / u*^2 at f = n z / U along, across and up. It is of 30 flights of 80 s at 5 m in a wind of 10 m/s."""
     at = met(AirModel(10.0, math.pi / 2, logarithmic=True, turbulence="kaimal"), 5.0, 80.0)
     mean = 10.0 * math.log(5.0 / 0.0002) / math.log(10.0 / 0.0002)
     friction = 0.4 * 10.0 / math.log(10.0 / 0.0002)

@@ -120,6 +120,7 @@ MOMENTS = {
 }
 
 
+@pytest.mark.hazard("H5")
 @pytest.mark.parametrize(
     ("name", "silence"),
     [(name, "killed") for name in MOMENTS]

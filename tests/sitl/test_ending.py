@@ -19,9 +19,9 @@ def test_every_ending_has_the_keys_that_machines_read() -> None:
     grade = FlightGrade("on pad", "3 cm", (), None, 0, None, 0, (), "land", 1.5)
     judged = Ending("calm", 1, FlightOutcome.LANDED, (contact,), 3.0, Counter(), judged=grade)
     for ending in (bare, judged):
-        told = ending.as_json()
-        assert set(told) >= KEYS
-        assert set(told["touchdown"]) >= TOUCHDOWN
-        assert set(told["contacts"][0]) >= TOUCHDOWN | {"at_s", "phase", "motors"}
+        reported = ending.as_json()
+        assert set(reported) >= KEYS
+        assert set(reported["touchdown"]) >= TOUCHDOWN
+        assert set(reported["contacts"][0]) >= TOUCHDOWN | {"at_s", "phase", "motors"}
     assert bare.as_json()["cpu_s"] is None
     assert judged.as_json()["cpu_s"] == 1.5

@@ -169,13 +169,13 @@ def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault:
     assert not np.array_equal(getattr(second, held), getattr(at(w, 1.6).readings(), held))
 
 
-def test_a_delayed_sensor_tells_what_was_true_before() -> None:
+def test_a_delayed_sensor_reports_what_was_true_before() -> None:
     w, true = world(Barometer(at_s=0.0, delay_s=0.4)), world()
-    told, past = list[float](), list[float]()
+    reported, past = list[float](), list[float]()
     for tick in range(1, 301):
-        for each, out in ((w, told), (true, past)):
+        for each, out in ((w, reported), (true, past)):
             out.append(at(each, 0.004 * tick).readings().pressure_pa)
-    assert told[200:] == past[100:200]
+    assert reported[200:] == past[100:200]
 
 
 def test_dropped_and_noisy_readings_follow_the_seed() -> None:
@@ -324,7 +324,7 @@ def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None
         flown(ServiceKilled(at_s=0.5, for_s=0.5))
 
 
-def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     flight, _ = flown(LensCovered(at_s=0.0), 0.2)
     pilot = flight._pilot
 

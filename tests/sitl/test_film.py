@@ -82,7 +82,7 @@ def test_where_nothing_arrives_the_picture_stands_still() -> None:
     assert all(np.array_equal(a, b) for a, b in pairwise(seen[5:]))
 
 
-def test_frames_asked_for_late_or_never_change_no_other() -> None:
+def test_frames_requested_late_or_never_change_no_other() -> None:
     shots = [replace(shot(1.5, (0.01 * i, 0.0)), t_s=4.0 + i / 30.0) for i in range(6)]
     one_by_one = film(replace(FLAT, daylight_ev=-3.0), link=VideoLinkOptions(800.0, loss=0.1))
     straight = [one_by_one.order(s, np.random.default_rng(i))() for i, s in enumerate(shots)]

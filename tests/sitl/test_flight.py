@@ -38,7 +38,7 @@ class Diary(NullObserver):
         self.decisions: list[Decision] = []
         self.verdicts: list[Verdict] = []
         self.errors_m: list[float] = []
-        """How far the belief was from the truth at each decision that had one."""
+        """Distance of the estimate from the truth at each decision that had one."""
         self.flight: Flight | None = None
         self._digest = hashlib.sha256()
 
@@ -133,7 +133,7 @@ def decisions_blind(diary: Diary) -> int:
 
 
 @pytest.mark.parametrize("kind", ["frames", "navdata"])
-def test_a_fault_in_the_descent_never_makes_it_sink_or_land_blind(kind: str) -> None:
+def test_a_fault_in_the_descent_never_makes_it_descend_or_land_without_sight(kind: str) -> None:
     """Losses of the wires are lost with images and without: the flight sees by the model of them."""
     diary, perception = Diary(), perceive("model")
     scenario = msgspec.structs.replace(with_fault(kind, 2.5, 4.0), duration_limit_s=12.0)

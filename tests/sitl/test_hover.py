@@ -27,7 +27,7 @@ class Errors(NullObserver):
             self.nees.append(float(error @ np.linalg.solve(decision.belief.cov[:3, :3], error)))
 
 
-def test_a_leaning_body_is_not_told_from_a_biased_accelerometer_by_standing_still() -> None:
+def test_a_tilted_body_is_not_distinguished_from_a_biased_accelerometer_by_standing_still() -> None:
     """Two seeds whose accelerometers are off by two sigma; a filter that learns from its own corrections is at 10, not at 3."""
     scenario = msgspec.structs.replace(load_scenario("calm"), duration_limit_s=30.0)
     settings = msgspec.structs.replace(SIM, guidance=msgspec.structs.replace(SIM.guidance, start="signal"))

@@ -52,10 +52,10 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
 
 
 def test_the_same_seed_trains_the_same_policy_and_it_survives_its_file(tmp_path: Path) -> None:
-    short = ImitationOptions(steps=40, batches=10, batch=128, width=16)
+    short = ImitationOptions(steps=140, batches=10, batch=128, width=16)
     trained = []
     for _ in range(2):
-        student, rounds = Imitation(TrainingWorlds(SCENARIO, 8), RESPONSE, 5, options=short), iter((0.0, 0.5, 1.0))
+        student, rounds = Imitation([TrainingWorlds(SCENARIO, 8)], RESPONSE, 5, options=short), iter((0.0, 0.5, 1.0))
         assert len(list(student.rounds(5000, lambda: next(rounds)))) == 2  # noqa: B023
         trained.append(student.policy({"scenario": "weather_3"}))
     assert all((trained[0].weights[name] == trained[1].weights[name]).all() for name in ARRAYS)

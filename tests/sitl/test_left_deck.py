@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import State, StateChange
@@ -41,6 +42,7 @@ def assert_landed_softly(ending: Ending) -> None:
     assert ending.contact.vertical_speed_m_s < 0.5
 
 
+@pytest.mark.hazard("H3")
 def test_it_waits_at_the_gate_while_the_deck_will_fall_away_from_a_drone_that_stands_on_it() -> None:
     hasty, _ = flown(AT_THE_GATE, deck_fall_m_s=10.0)
     ending, changes = flown(AT_THE_GATE)

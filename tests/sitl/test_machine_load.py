@@ -32,7 +32,7 @@ def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None
     return demo._ending(argparse.Namespace(scenario="demo", seed=1), outcome, 30.0, [], health, drone)
 
 
-def test_a_demo_that_gave_up_on_a_machine_too_slow_says_so_with_the_figure() -> None:
+def test_a_demo_that_gave_up_on_a_machine_too_slow_reports_it_with_the_figure() -> None:
     late = ended(FlightOutcome.GAVE_UP, 0.085)
     assert late.in_words().splitlines()[-1] == (
         "this machine was too slow to fly in real time; the result means nothing: "
@@ -55,9 +55,9 @@ def test_a_demo_that_failed_on_a_machine_that_kept_up_blames_no_machine() -> Non
         ({"counters": {}}, "0% of the frames were rendered in time"),
     ],
 )
-def test_what_the_simulated_drone_says_of_its_own_time_is_told(changed: dict[str, Any], figure: str) -> None:
-    said = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
-    assert ended(None, said=said).in_words().endswith(f"the result means nothing: {figure}")
+def test_the_simulated_drone_s_own_time_is_reported(changed: dict[str, Any], figure: str) -> None:
+    output = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
+    assert ended(None, said=output).in_words().endswith(f"the result means nothing: {figure}")
 
 
 def test_a_landing_on_the_pad_is_not_talked_down() -> None:

@@ -33,10 +33,10 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     again.pop("cpu_s")
     assert first == again
     assert first["outcome"] == "time ran out"
-    told = [sample.at for sample in truth]
-    assert told == sorted(told)
-    assert len(told) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
-    assert told[-1] == 1_000_000_000, "the last one at the end"
+    reported = [sample.at for sample in truth]
+    assert reported == sorted(reported)
+    assert len(reported) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
+    assert reported[-1] == 1_000_000_000, "the last one at the end"
     assert fly("near", scenario, 4, settings).as_json()["seed"] == 4
 
 
@@ -53,12 +53,12 @@ def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture
     with pytest.raises(BadInput, match="known are pixels"):
         perception_level("thoughts")
     assert cli.main(["simulate", "calm", "--perception", "thoughts"]) == 2
-    said = capsys.readouterr().err
-    assert "--perception: there is no level 'thoughts'; known are pixels" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "--perception: there is no level 'thoughts'; known are pixels" in output
+    assert output.count("\n") == 1
 
 
-def test_what_is_flown_on_without_a_link_is_told_and_is_no_blind_descent() -> None:
+def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:
     """The drone holds its last command for two seconds, in a descent that no order could end."""
     lost = {"kind": "link_lost", "below_height_m": 1.7, "for_s": 2.5}
     scenario = short(faults=[lost], expect="either", because="it hovers by itself", duration_limit_s=9.0)
@@ -91,7 +91,7 @@ def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() 
     assert fly("near", paused, 3, settings, "truth", options=FlyOptions(overtime_s=30.0)).duration_s == 2.0
 
 
-def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_told() -> None:
+def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_reported() -> None:
     """WHY: it landed by itself up to 1.8 m beside the pad, while guidance took itself to be two metres up."""
     scenario = faulty(load("demo"), 5069, possible=lambda _: True, name="link_lost_4_s")
     ending = fly("demo", scenario, 5069, settings_for(scenario, None), "truth")

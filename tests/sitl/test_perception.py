@@ -137,14 +137,14 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
 @pytest.mark.parametrize("level", ["model", "pixels"])
 def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> None:
     """The picture reaches 1.7 m to the right from 2 m over the deck, but only 1 m ahead: there the shifted pad is cut off."""
-    told = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
-    seen = told.index(Verdict.ELSEWHERE)
+    reports = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
+    seen = reports.index(Verdict.ELSEWHERE)
     # Once they agree with one another they come as far as the filter, which refuses them.
-    assert len(told[seen:]) >= 15
-    assert set(told[:seen]) == {Verdict.FUSED}
-    assert set(told[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
+    assert len(reports[seen:]) >= 15
+    assert set(reports[:seen]) == {Verdict.FUSED}
+    assert set(reports[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
     cut = fly(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
-    assert cut.count(Verdict.FUSED) == told.count(Verdict.FUSED), "nothing beside the pad is taken for it"
+    assert cut.count(Verdict.FUSED) == reports.count(Verdict.FUSED), "nothing beside the pad is taken for it"
     assert set(cut) <= {Verdict.FUSED, Verdict.NO_PAD, Verdict.LOW_CONFIDENCE}
 
 
@@ -250,7 +250,7 @@ def test_a_method_without_a_model_is_refused() -> None:
         perceive("model").pilot(other)
 
 
-def test_wrong_use_is_told_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_use_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["simulate", "calm", "--perception-model", "fused"]) == 2
     assert "--perception-model" in capsys.readouterr().err
     assert main(["simulate", "calm", "--perception", "model", "--perception-model", str(tmp_path / "none.toml")]) == 2

@@ -44,7 +44,7 @@ def test_wrong_places_are_refused_with_their_reason(capsys: pytest.CaptureFixtur
     assert words in str(ending["refused"])
 
 
-def test_a_drone_without_a_receiver_refuses_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drone_without_a_receiver_refuses_and_gives_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     code, ending = flown(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
     assert (code, ending["outcome"]) == (1, "refused")
     assert "the drone does not know its own place (no GNSS)" in str(ending["refused"])

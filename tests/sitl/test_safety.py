@@ -137,7 +137,7 @@ def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
     assert watch.worst.descent_m == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
+def test_a_contact_that_no_order_could_prevent_is_distinguished() -> None:
     """WHAT: the link is lost from 1 s to 4 s; contacts before, then, in the landing begun then, and long after."""
 
     def touched(at_s: float, phase: VehiclePhase = VehiclePhase.FLYING, surface: Literal["deck", "water"] = "deck") -> Touchdown:
@@ -168,8 +168,8 @@ def test_a_contact_that_no_order_could_prevent_is_told_apart() -> None:
 
 def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_service() -> None:
     assert dangers(SAFE, [contact("pad")], None) == ()
-    said = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
-    assert said == (
+    output = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
+    assert output == (
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "came down 1.30 m, to 0.20 m over the deck, without true sight of the pad for 5.2 s",
         "touched the deck 0.48 m from the pad's centre",

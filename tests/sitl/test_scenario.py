@@ -111,7 +111,7 @@ def test_every_shipped_fault_loads_and_says_what_is_right() -> None:
         assert of_ship or scenario.vessel == load("demo").vessel, "what the file does not say is the base's"
 
 
-def test_a_base_gives_what_is_not_said_and_its_faults_come_first(tmp_path: Path) -> None:
+def test_a_base_gives_what_is_not_reported_and_its_faults_come_first(tmp_path: Path) -> None:
     (tmp_path / "low.toml").write_text(
         'title = "low"\nbase = "sea_state_4"\n[start]\nheight_m = 3.0\n[[faults]]\nkind = "flow_blind"\nat_s = 1.0\n'
     )
@@ -206,8 +206,8 @@ def test_any_data_is_a_scenario_or_one_clear_line(data: Any) -> None:
     try:
         from_mapping(table, "any.toml")
     except BadInput as why:
-        said = str(why)
+        output = str(why)
     else:
-        said = "any.toml: good"
-    assert said.startswith("any.toml: ")
-    assert "\n" not in said
+        output = "any.toml: good"
+    assert output.startswith("any.toml: ")
+    assert "\n" not in output

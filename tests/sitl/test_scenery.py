@@ -44,7 +44,7 @@ def test_the_same_shot_and_seed_give_the_same_bits_from_a_new_renderer_too() -> 
     v=st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)),
 )
 @settings(max_examples=60)
-def test_a_image_comes_from_anywhere_in_any_attitude(
+def test_an_image_comes_from_anywhere_in_any_attitude(
     which: Renderer,
     p: tuple[float, ...],
     rpy: tuple[float, float, float],
@@ -61,7 +61,7 @@ def test_a_image_comes_from_anywhere_in_any_attitude(
 
 
 @pytest.mark.parametrize("height_m", [0.2, 0.06, 0.02, 0.0, -0.02])
-def test_standing_on_the_pad_and_a_little_under_it_still_gives_a_image(height_m: float) -> None:
+def test_standing_on_the_pad_and_a_little_under_it_still_gives_an_image(height_m: float) -> None:
     for renderer in RENDERERS:
         assert np.all(np.isfinite(renderer.radiance(shot(height_m))))
 

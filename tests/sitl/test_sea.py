@@ -16,7 +16,7 @@ W = np.linspace(0.02, 60.0, 200_000)
 
 
 @pytest.mark.parametrize("state", [s for s in SEA_STATES.values() if s.hs_m > 0], ids=str)
-def test_spectra_hold_the_energy_of_their_height_and_peak_where_told(state: SeaState) -> None:
+def test_spectra_hold_the_energy_of_their_height_and_peak_where_reported(state: SeaState) -> None:
     for density in (jonswap(W, state.hs_m, state.tp_s), ittc(W, state.hs_m, state.tp_s)):
         assert 4.0 * math.sqrt(np.trapezoid(density, W)) == pytest.approx(state.hs_m, rel=0.01)
         assert W[density.argmax()] == pytest.approx(math.tau / state.tp_s, rel=0.01)
@@ -58,7 +58,7 @@ def test_slope_is_the_derivative_of_height() -> None:
         np.testing.assert_allclose(waves.slope(p, 3.0)[..., axis], numeric, atol=1e-7)
 
 
-def test_crests_run_where_told_at_the_speed_of_deep_water() -> None:
+def test_crests_run_where_reported_at_the_speed_of_deep_water() -> None:
     # One harmonic: its shape moves with w / k = g / w along its direction, and stays level across it.
     w, towards = 1.3, 0.9
     waves = Waves(np.array([[0.5]]), np.array([[w]]), np.array([[towards]]), np.array([[0.4]]))

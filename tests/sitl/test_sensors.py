@@ -148,7 +148,7 @@ def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
         assert (fly(v, s, 20)[-1].ultrasound_m is not None) is hears
 
 
-def test_blind_optical_flow_tells_no_velocity() -> None:
+def test_blind_optical_flow_reports_no_velocity() -> None:
     v, s = setup(PERFECT)
     fly(v, s, 30)
     v.flow_works = False

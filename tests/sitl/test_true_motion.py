@@ -25,13 +25,13 @@ def test_the_tilt_rates_are_those_of_the_deck_whatever_the_ships_heading() -> No
     """A rate turned by the ship's heading once more would exchange roll and pitch."""
     scenario = load("sea_state_4")
     world = World(structs.replace(scenario, vessel=structs.replace(scenario.vessel, heading_deg=100.0)), 3)
-    told = TrueMotion(world, WithoutErrors())  # type: ignore[arg-type]
+    reported = TrueMotion(world, WithoutErrors())  # type: ignore[arg-type]
     differences, rates, size = [], [], []
     for k in range(1, 200):
         world.advance(MonoNs(25 * k * STEP_NS - STEP_NS))
         before = world.truth().R_ned_pad.rpy_rad
         world.advance(MonoNs(25 * k * STEP_NS))
-        _, deck = told.motion(world.at, None)
+        _, deck = reported.motion(world.at, None)
         after = world.truth().R_ned_pad.rpy_rad
         differences.append([(after[i] - before[i]) / (STEP_NS * 1e-9) for i in (0, 1)])
         rates.append([deck.roll_rate_rad_s, deck.pitch_rate_rad_s])

@@ -226,7 +226,7 @@ def test_lands_by_itself_and_stands() -> None:
     assert v.f_body == pytest.approx([0.0, 0.0, -G_M_S2], abs=1e-6)
 
 
-def test_a_drop_does_not_bounce_or_sink() -> None:
+def test_a_drop_does_not_bounce_or_descend() -> None:
     v = flying(height_m=0.5 + STILL.feet.below_m + 0.1)
     v.cut_motors()
     v.thrust_n = 0.0

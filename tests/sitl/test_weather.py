@@ -128,7 +128,7 @@ def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
     assert stands_m(0.05) - stands_m(0.0) == pytest.approx(0.05, abs=0.005)
 
 
-def test_a_wrong_model_is_the_seeds_and_leaves_what_the_service_believes() -> None:
+def test_a_wrong_model_is_drawn_by_the_seed_and_leaves_the_service_s_model() -> None:
     drawn = WrongModel(sigma=1.0).drawn(7)
     assert drawn == WrongModel(sigma=1.0).drawn(7) != WrongModel(sigma=1.0).drawn(8)
     assert set(drawn.as_json()) == set(SPREADS)
@@ -140,9 +140,9 @@ def test_a_wrong_model_is_the_seeds_and_leaves_what_the_service_believes() -> No
     assert airframe(differs).loops.tilt_p == pytest.approx(0.64 * airframe(CALM).loops.tilt_p)
     assert airframe(differs).lift_share == 0.9
     assert settings_for(differs, None) == settings_for(CALM, None)
-    told, true = true_camera(CALM), true_camera(differs)
-    assert true.fx == pytest.approx(1.02 * told.fx)
-    apart = told.T_body_cam.R.matrix.T @ true.T_body_cam.R.matrix
+    reported, true = true_camera(CALM), true_camera(differs)
+    assert true.fx == pytest.approx(1.02 * reported.fx)
+    apart = reported.T_body_cam.R.matrix.T @ true.T_body_cam.R.matrix
     assert math.degrees(math.acos((np.trace(apart) - 1.0) / 2.0)) == pytest.approx(2.0)
 
 
@@ -181,9 +181,9 @@ def test_a_refused_vehicle_that_falls_is_unsafe() -> None:
     world.land()
     run(world, 12.0)
     watch.step(world.truth(), reached=True)
-    told = watch.result(world.truth(), "refused", None)
-    assert told.contacts == 1
-    assert told.unsafe == ("refused, and then touched the deck 1 times with turning motors",)
+    reported = watch.result(world.truth(), "refused", None)
+    assert reported.contacts == 1
+    assert reported.unsafe == ("refused, and then touched the deck 1 times with turning motors",)
 
 
 def log_line(t_s: float, north_m: float, height_m: float, quality: int = 4) -> str:
@@ -232,8 +232,8 @@ def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
     cells = cells_of(flights)
     assert (cells["quad", 4, 6.0].on_pad, cells["quad", 4, 9.0].on_pad) == (2, 0)
     page = render_map("weather_4", "model", flights)
-    for said in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
-        assert said in page
+    for output in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
+        assert output in page
     with pytest.raises(BadInput, match="a map needs flights that vary"):
         cells_of([{"seed": 1}])
 

@@ -84,7 +84,7 @@ def test_the_mast_s_shadow_falls_away_from_the_sun() -> None:
     assert abs(dark[beside[1], beside[0]]) < 0.01
 
 
-def test_drops_fall_stay_and_run_off_the_same_whatever_was_asked_before() -> None:
+def test_drops_fall_stay_and_run_off_the_same_whatever_was_requested_before() -> None:
     drops = Drops(rain_per_s=2.0, spray_per_s=0.2, stays_s=3.0, seed=5)
     later = drops.present(33.3, 640, 360)
     assert [len(drops.present(t, 640, 360)) > 0 for t in np.arange(0.0, 60.0, 5.0)].count(True) > 8

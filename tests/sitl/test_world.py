@@ -243,10 +243,10 @@ def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> 
     assert landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.1)
     assert strike.surface == landing.surface == "pad"
     assert outside_commit(truth.contacts) == 1
-    said = record(truth)
-    assert [contact["phase"] for contact in said["contacts"]] == ["flying", "landing"]
-    assert said["touchdown"] == said["contacts"][-1]
-    assert said["touchdown"]["on_pad"] is True
+    output = record(truth)
+    assert [contact["phase"] for contact in output["contacts"]] == ["flying", "landing"]
+    assert output["touchdown"] == output["contacts"][-1]
+    assert output["touchdown"]["on_pad"] is True
 
 
 def test_emergency_stops_the_motors_at_once() -> None:
@@ -298,13 +298,13 @@ def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
     assert gust.truth().p_body_ned[1] - calm.truth().p_body_ned[1] < -0.1
 
 
-def test_velocity_may_be_told_against_the_water() -> None:
+def test_velocity_may_be_reported_against_the_water() -> None:
     """The two frames of velocity differ over a deck of 1.5 m/s by the deck's speed times the scale."""
-    told = []
+    reported = []
     for over in ("seen", "water"):
         ship = VesselSettings(hull="supply_ship", moored=False, speed_m_s=1.5)
         quiet = SensorSettings(velocity_over=over, tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0)
         world = World(with_(CALM, vessel=ship, sensors=quiet), 1)
         run(world, 0.2)
-        told.append(world.readings().v_level_m_s[0])
-    assert told[1] - told[0] == pytest.approx(0.83 * 1.5, abs=0.1)
+        reported.append(world.readings().v_level_m_s[0])
+    assert reported[1] - reported[0] == pytest.approx(0.83 * 1.5, abs=0.1)

@@ -69,11 +69,11 @@ def test_there_is_no_package_for_a_32_bit_system() -> None:
 def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: Path) -> None:
     """Each script is run by a shell whose python3 and rm only tell what they were given."""
     folder = staged(tmp_path, carried, "package")
-    told = tmp_path / "told"
+    reported = tmp_path / "told"
     for name in ("python3", "rm"):
         program = tmp_path / "bin" / name
         program.parent.mkdir(exist_ok=True)
-        program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {told}\n')
+        program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {reported}\n')
         program.chmod(0o755)
     ours = f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main"
     wanted = {
@@ -85,12 +85,12 @@ def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: 
     }
     environment = {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}
     for (script, argument), line in wanted.items():
-        told.write_text("")
+        reported.write_text("")
         subprocess.run([folder / "DEBIAN" / script, argument], check=True, env=environment)
-        assert told.read_text().strip() == line
-    told.write_text("")
+        assert reported.read_text().strip() == line
+    reported.write_text("")
     subprocess.run([folder / "DEBIAN/postrm", "purge"], check=True, env=environment)
-    purged = shlex.split(told.read_text())[1:]
+    purged = shlex.split(reported.read_text())[1:]
     assert {"/etc/decklander", "/var/lib/private/decklander", PREFIX} <= set(purged)
     assert all("decklander" in path for path in purged if path.startswith("/")), "nothing of others'"
 

@@ -91,7 +91,7 @@ FOUND = "Found 1 known vulnerability in 1 package"
         (f"ERROR: {SKIPPED}", 1, ["--strict"], 1, COULD_NOT),
     ],
 )
-def test_an_audit_fails_on_a_weakness_and_says_so_where_it_could_not_be_made(
+def test_an_audit_fails_on_a_weakness_and_reports_it_where_it_could_not_be_made(
     tmp_path: Path, answer: str, code: int, options: list[str], ends: int, says: str
 ) -> None:
     program = tmp_path / "pip-audit"

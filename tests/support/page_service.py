@@ -66,7 +66,7 @@ class PageService:
         """The kinds of all commands so far: some are repeated for half a second only."""
         self.flying = True
         self.px = np.full((360, 640, 3), 90, np.uint8)
-        """What the camera sees."""
+        """Image that the camera takes."""
         self.cycles = 0
         self._frames = 0
 

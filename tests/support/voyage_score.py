@@ -104,8 +104,8 @@ def score(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
 
 
 def score_forecast(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
-    told = ekf.forecast(memory, ns(now_s), HORIZONS_S)
-    if told is None:
+    reported = ekf.forecast(memory, ns(now_s), HORIZONS_S)
+    if reported is None:
         return
     h = np.array(HORIZONS_S)
     p, v, _ = voyage.pad(now_s + h)
@@ -116,9 +116,9 @@ def score_forecast(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) ->
     true: dict[str, F64] = {"d_body_pad_level": (p - body - v_body * h[:, None]) @ Z.T, "rise_m_s": -v[:, 2]}
     for what, value in true.items():
         for probability in (0.68, 0.95):
-            low, high = told.band(what, probability)
+            low, high = reported.band(what, probability)
             for k, horizon in enumerate(HORIZONS_S):
                 out.bands.setdefault((what, horizon, probability), []).append(
                     float(np.mean(((low <= value) & (value <= high))[k]))
                 )
-    out.rise.append((*(told.rise_m_s - true["rise_m_s"]).tolist(), *true["rise_m_s"].tolist()))
+    out.rise.append((*(reported.rise_m_s - true["rise_m_s"]).tolist(), *true["rise_m_s"].tolist()))

@@ -93,9 +93,9 @@ class Plug:
         _, length, _, _, _, setup = struct.unpack(">I4i8s", rest)
         data = b"" if to_host else self._read(length)
         if endpoint == 0:
-            said = self._function.control(setup, data)
+            output = self._function.control(setup, data)
             with self._lock:
-                self._answer(seq, _STALL if said is None else 0, b"" if said is None else said[:length], len(data))
+                self._answer(seq, _STALL if output is None else 0, b"" if output is None else output[:length], len(data))
         else:
             with self._more:
                 self._asked.append((seq, length))

@@ -72,7 +72,7 @@ class Webcam:
             (_PROCESSING, 0x0B): self.auto_balance,
         }
         self.stubborn = False
-        """Whether it refuses a new exposure time."""
+        """True if it refuses a new exposure time."""
         self._probe = self._offer(1, 1)
         self._chosen: tuple[str, tuple[int, int]] | None = None
         self._plug: Plug | None = None

@@ -89,7 +89,7 @@ class DeckVelocity:
         self._known_s = 0.0
         self._at: MonoNs | None = None
         self._kept: tuple[MonoNs, F64] | None = None
-        """When the pad was last seen, and its horizontal velocity then."""
+        """Time when the pad was last seen, and its horizontal velocity then."""
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""

@@ -231,10 +231,10 @@ class MetricsEndpoint:
         ok = self._health.flight_fault() is None
         if "Decision" in self._health.flows and (why := stuck(self._health.snapshot(), flying=False)) is not None:
             down["pipeline"], ok = why, False
-        said: dict[str, object] = {"ok": ok}
+        output: dict[str, object] = {"ok": ok}
         if self._allows(request):
-            said["down"] = down
-        return _closing(web.Response(text=json.dumps(said) + "\n", status=200 if ok else 503, content_type="application/json"))
+            output["down"] = down
+        return _closing(web.Response(text=json.dumps(output) + "\n", status=200 if ok else 503, content_type="application/json"))
 
     def _allows(self, request: web.Request) -> bool:
         """Return whether the request carries the token."""

@@ -156,7 +156,7 @@ class Connection(aiomqtt.Client):
         self._dialling: socket.socket | None = None
         self._interrupted = False
         self.dialling = False
-        """Whether the connecting thread is running."""
+        """True while the connecting thread is running."""
         # These bound what paho leaves to the system or to the broker: the duration of connecting, the addresses (paho's own
         # look-up cannot be ended), and the size of a packet that an MQTT 3.1.1 broker sends.
         self._client._create_socket_connection = self._dial  # type: ignore[method-assign]
@@ -168,7 +168,7 @@ class Connection(aiomqtt.Client):
         """The number of publications that the broker refused."""
         self.last_refusal = ""
         self.farewell = ""
-        """Why the broker ended the connection, as far as it said so (MQTT 5)."""
+        """Reason for which the broker ended the connection, if it gave one (MQTT 5)."""
 
     async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
         """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.

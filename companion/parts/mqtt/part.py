@@ -91,7 +91,7 @@ class MqttPart:
         self._started = clock.now()
         self._client_id = client_id(self._topics.drone)
         self._namesake_at: MonoNs | None = None
-        """When another service was heard last that publishes under our drone's name."""
+        """Time of the last message of another service that publishes under our drone's name."""
         self._changes = Changes()
         self._decision: Decision | None = None
         self._seen: ProcessedFrame | None = None

@@ -76,10 +76,10 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
             path, sigma, v = state.belief.path, state.belief.sigma_d_m, state.belief.v_pad_level_m_s
             beside_cm, height_cm = 100 * max(sigma[0], sigma[1]), 100 * sigma[2]
             yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
-            doubt = "" if state.belief.consistent else paint("   inconsistent", _RED)
+            alert = "" if state.belief.consistent else paint("   inconsistent", _RED)
             lines.append(
                 f"belief   {path}   sigma {beside_cm:.1f} cm beside, {height_cm:.1f} cm height"
-                f"   pad moves {v[0]:+.2f} {v[1]:+.2f} {v[2]:+.2f} m/s   heading {yaw}{doubt}"
+                f"   pad moves {v[0]:+.2f} {v[1]:+.2f} {v[2]:+.2f} m/s   heading {yaw}{alert}"
             )
         lines.append(f"order    {_order(drone)}")
         lines.append(f"vehicle  {_vehicle(drone, paint)}")

@@ -110,7 +110,7 @@ class _Session:
         self._operator = PilotOperator(pilot, self._sender, clock)
         self._rest = b""
         self.lost: str | None = None
-        """Why the gamepad is gone; None while it is there."""
+        """Reason why the gamepad is gone; None while it is there."""
         self._ranges: dict[int, AxisRange] = {}
         self.memory: GamepadMemory = start(mapping, {})
         self._read_axes()

@@ -219,5 +219,5 @@ def text_of(message: ToPage) -> str:
 
 def picture_message(header: PictureHeader, image: bytes) -> bytes:
     """Return a picture's message: the header's length as a little-endian u32, the header as JSON, the encoded image."""
-    said = _encode(header)
-    return struct.pack("<I", len(said)) + said + image
+    output = _encode(header)
+    return struct.pack("<I", len(output)) + output + image

@@ -131,7 +131,7 @@ class ReportMaker:
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
         )  # fmt: skip
         async with asyncio.TaskGroup() as group:
-            said = group.create_task(_last_line(process))
+            printed = group.create_task(_last_line(process))
             try:
                 _stand_back(process.pid)
                 fault = await self._ended(process)
@@ -140,7 +140,7 @@ class ReportMaker:
                     process.kill()
                 await process.wait()
         if fault is None and process.returncode != 0:
-            return said.result() or f"ended with {process.returncode}"
+            return printed.result() or f"ended with {process.returncode}"
         return fault
 
     async def _ended(self, process: asyncio.subprocess.Process) -> str | None:

@@ -85,7 +85,7 @@ class PageViewer:
         self.encoder: FrameEncoder | None = None
         """Makes H.264 for this browser alone, which may skip pictures that others get; None while it gets JPEG."""
         self.picture_delay_s: float | None = None
-        """From the newest drawn picture's exposure until the browser said that it is drawn, s."""
+        """Time from the newest drawn picture's exposure until the browser confirmed it, s."""
 
     @property
     def ready(self) -> bool:

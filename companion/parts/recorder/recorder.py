@@ -101,7 +101,7 @@ class Recorder:
         self._recorded_health: MonoNs | None = None
         self._shown = RecorderState.IDLE
         self._busy_since_s: float | None = None
-        """When the thread began with its present record; None while it waits for one."""
+        """Time when the thread began with its present record; None while it waits for one."""
         self._hanging: int | None = None
         """The number of records dropped before the disk hung; None while it does not."""
         self._seen = 0
@@ -119,7 +119,7 @@ class Recorder:
         self.dropped: Counter[str] = Counter()
         """The number of dropped records, by kind: the thread was behind, or the disk had no space."""
         self.faults = 0
-        """The number of the recorder's own faults, each of which costs one record at most."""
+        """Number of the recorder's own faults; each costs one record at most."""
         self.files = 0
 
     @property

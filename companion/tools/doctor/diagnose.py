@@ -63,9 +63,9 @@ def estimator(p: Snapshot) -> Finding | None:
     if not refused:
         return None
     worst = max(refused, key=lambda n: refused[n].over_s)
-    said = ", ".join(f"{n} for {r.over_s:.1f} s (ratio {r.worst:.1f} at {r.at_s:.1f} s)" for n, r in refused.items())
+    output = ", ".join(f"{n} for {r.over_s:.1f} s (ratio {r.worst:.1f} at {r.at_s:.1f} s)" for n, r in refused.items())
     make = error if refused[worst].over_s >= _REFUSED_LONG_S and worst in ("velocity", "position") else warning
-    return make("log-ekf", f"the EKF refused what it measured: {said}", f"check {_SOURCES.get(worst, worst)}")
+    return make("log-ekf", f"the EKF refused what it measured: {output}", f"check {_SOURCES.get(worst, worst)}")
 
 
 def clipping(p: Snapshot) -> Finding | None:
@@ -99,13 +99,13 @@ def landing_detector(p: Snapshot) -> Finding | None:
     log, autopilot = _log(p), p.autopilot
     if log is None or autopilot is None:
         return None
-    doubted = [one for one in log.landings if one.lost > 0]
-    if not doubted:
+    suspect = [one for one in log.landings if one.lost > 0]
+    if not suspect:
         return None
     px4 = "set LNDMC_ROT_MAX 20; "
     return warning(
         "log-land-detector",
-        f"the landing at {doubted[0].at_s:.1f} s was detected and taken back {_times(doubted[0].lost)}: a moving deck hides it",
+        f"the landing at {suspect[0].at_s:.1f} s was detected and taken back {_times(suspect[0].lost)}: a moving deck hides it",
         f"{px4 if autopilot.stack == 'PX4' else ''}leave vehicle.disarm_on_contact on: the service stops the motors itself",
     )
 

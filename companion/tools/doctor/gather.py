@@ -162,8 +162,8 @@ async def examine(
     """
     notes = Notes()
     began = clock.now()
-    heard = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
-    async with open_autopilot(options, clock, links) as autopilot, tending(heard, autopilot, clock):
+    found = None if gimbal is None or not gimbal.given else Gimbal(structs.replace(gimbal, point_down=False), clock)
+    async with open_autopilot(options, clock, links) as autopilot, tending(found, autopilot, clock):
         autopilot.add_listener(notes.on_message)
         say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
         await wait_until(clock, seconds, lambda: autopilot.connected)
@@ -171,9 +171,9 @@ async def examine(
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say)
         snapshot = snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
-        if heard is None or snapshot.autopilot is None:
+        if found is None or snapshot.autopilot is None:
             return snapshot
-        return structs.replace(snapshot, gimbal=GimbalSnapshot(heard.device_id, heard.rate_hz, dict(heard.sampler.refused)))
+        return structs.replace(snapshot, gimbal=GimbalSnapshot(found.device_id, found.rate_hz, dict(found.sampler.refused)))
 
 
 async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
@@ -218,8 +218,8 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
     parameters.request(dict.fromkeys((*names_in(PARAMETERS[identity.stack.value], firmware), *known)))
 
     def answered() -> bool:
-        heard = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
-        return heard or (autopilot.sync is not None and autopilot.sync.round_trip_s is not None)
+        found = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
+        return found or (autopilot.sync is not None and autopilot.sync.round_trip_s is not None)
 
     await wait_until(clock, _FIRST_ANSWER_S, answered)
     if answered():
@@ -253,12 +253,12 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         wanted: the system id that the settings request; 0 for any.
         seconds: how long was listened.
     """
-    heard = tuple(notes.heard[ids] for ids in sorted(notes.heard))
+    found = tuple(notes.heard[ids] for ids in sorted(notes.heard))
     links = tuple(link_snapshot(link) for link in autopilot.links.all)
     id_conflicts = tuple(IdConflictSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.id_conflicts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, heard=heard, id_conflicts=id_conflicts)
+        return Snapshot(seconds, links, wanted_system=wanted, heard=found, id_conflicts=id_conflicts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
@@ -267,7 +267,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         AutopilotSnapshot(
             stack=identity.stack.value,
             system=identity.system,
-            others=tuple(sorted({one.system for one in heard if one.hovers} - {identity.system})),
+            others=tuple(sorted({one.system for one in found if one.hovers} - {identity.system})),
             firmware=_firmware(autopilot),
             mode=condition.mode,
             armed=condition.armed,
@@ -285,7 +285,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
-        heard=heard,
+        found=found,
         id_conflicts=id_conflicts,
     )
 

@@ -185,10 +185,10 @@ def no_autopilot(p: Snapshot) -> Finding | None:
         if any(one.component != 1 for one in others):
             fix = "an autopilot is expected as component 1: set its component id to 1"
         return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); heard: {_listed(p)}", fix)
-    said = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+    output = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
     return error(
         "no-autopilot",
-        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {said}",
+        f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {output}",
         "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
     )
 
@@ -276,9 +276,9 @@ def stream_silent(p: Snapshot) -> Finding | None:
     a = p.autopilot
     if a is None or p.seconds < 3.0 or unanswered(p):
         return None
-    heard = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
+    received = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
     asked = [n for n in ESSENTIAL if n in a.wanted_hz and a.refused.get(n, _NO_ANSWER) == _NO_ANSWER]
-    silent = [n for n in asked if n not in heard and INSTEAD.get(n, n) not in heard]
+    silent = [n for n in asked if n not in received and INSTEAD.get(n, n) not in received]
     if silent:
         return error(
             "stream-silent",

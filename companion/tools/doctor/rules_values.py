@@ -42,11 +42,11 @@ def arming_refused(p: Snapshot) -> Finding | None:
     a = p.autopilot
     if a is None or a.armed or p.log is not None:
         return None
-    told = list(dict.fromkeys(found[1].strip() for text in a.texts if (found := _REFUSAL.match(text)) is not None))
-    if not told:
+    reported = list(dict.fromkeys(found[1].strip() for text in a.texts if (found := _REFUSAL.match(text)) is not None))
+    if not reported:
         return None
-    shown = told[:_SHOWN] + ([f"{len(told) - _SHOWN} more"] if len(told) > _SHOWN else [])
-    first = told[0].lower()
+    shown = reported[:_SHOWN] + ([f"{len(reported) - _SHOWN} more"] if len(reported) > _SHOWN else [])
+    first = reported[0].lower()
     fix = next((fix for word, fix in _FIXES.items() if word in first), "its documentation explains each of these texts")
     return warning("arming-refused", f"it refuses to arm: {'; '.join(shown)}", fix)
 

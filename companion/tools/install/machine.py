@@ -148,8 +148,8 @@ class Machine:
             return
         done = self.run(command if outside else self._within(command))
         if done.returncode != 0:
-            said = " ".join(line.strip() for line in (done.stderr or done.stdout).strip().splitlines()[-4:])
-            raise Recoverable(f"{' '.join(command)}: {said or f'ended with {done.returncode}'}")
+            output = " ".join(line.strip() for line in (done.stderr or done.stdout).strip().splitlines()[-4:])
+            raise Recoverable(f"{' '.join(command)}: {output or f'ended with {done.returncode}'}")
 
     def ask(self, command: Sequence[str]) -> subprocess.CompletedProcess[str]:
         """Run a command that changes nothing, also in a dry run."""

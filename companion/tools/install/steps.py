@@ -78,12 +78,12 @@ def state(machine: Machine) -> ServiceState | None:
     if not has_manager(machine):
         return None
     done = machine.ask(["systemctl", "show", UNIT_NAME, "--property=ActiveState,MainPID,NRestarts,StatusText"])
-    said = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    output = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
     return ServiceState(
-        said.get("ActiveState", "unknown"),
-        int(said.get("MainPID") or 0),
-        int(said.get("NRestarts") or 0),
-        said.get("StatusText", ""),
+        output.get("ActiveState", "unknown"),
+        int(output.get("MainPID") or 0),
+        int(output.get("NRestarts") or 0),
+        output.get("StatusText", ""),
     )
 
 

@@ -146,8 +146,8 @@ def _pip(words: list[str], what: str) -> None:
     command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        said = done.stderr.strip().splitlines() or ["pip said nothing"]
-        raise Recoverable(f"{what}: {said[-1]}")
+        output = done.stderr.strip().splitlines() or ["pip said nothing"]
+        raise Recoverable(f"{what}: {output[-1]}")
 
 
 _NEEDED_BYTES = 900_000_000

@@ -30,7 +30,7 @@ from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verified
 
 FRAMES = 4.0
-"""Views in a frame of 640x360: it has this many times as many places."""
+"""Factor from places in one view to places in a frame of 640x360."""
 _MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
 CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")

@@ -53,9 +53,9 @@ def camera_lean(processed: ProcessedFrame, belief: RelativeState | None) -> Rota
     expected = None if belief is None else expected_in_body(processed, belief.path)
     if belief is None or expected is None or processed.attitude is None:
         return None
-    believed: F64 = processed.attitude.R_ned_body.without_heading().inv @ belief.d_body_pad_level
-    axis = np.cross(believed, expected)
+    estimated: F64 = processed.attitude.R_ned_body.without_heading().inv @ belief.d_body_pad_level
+    axis = np.cross(estimated, expected)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         return Rotation.identity()
-    return Rotation.from_rotvec(axis * (math.atan2(sine, float(believed @ expected)) / sine))
+    return Rotation.from_rotvec(axis * (math.atan2(sine, float(estimated @ expected)) / sine))

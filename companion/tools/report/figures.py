@@ -195,9 +195,9 @@ def deck_rows(log: FlightLog) -> list[DeckRow]:
         samples = [s for s in log.decks if round(seconds_between(s.made_at, s.at), 3) == ahead_s]
         if not samples:
             continue
-        said = np.array([(s.roll_rad, s.pitch_rad, s.sigma_roll_rad, s.sigma_pitch_rad) for s in samples])
-        error = said[:, :2] - _interpolated(at, tilts, [s.at for s in samples])
-        tilt, normalized = np.hypot(error[:, 0], error[:, 1]), ((error / said[:, 2:]) ** 2).mean(axis=1)
+        output = np.array([(s.roll_rad, s.pitch_rad, s.sigma_roll_rad, s.sigma_pitch_rad) for s in samples])
+        error = output[:, :2] - _interpolated(at, tilts, [s.at for s in samples])
+        tilt, normalized = np.hypot(error[:, 0], error[:, 1]), ((error / output[:, 2:]) ** 2).mean(axis=1)
         count = int(np.isfinite(tilt).sum())
         rows.append(DeckRow(ahead_s, count, _quantile(tilt, 0.5), _quantile(tilt, 0.95), _mean(normalized)))
     return rows

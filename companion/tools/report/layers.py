@@ -96,12 +96,12 @@ class Plot:
         """Return what the plot shows, for whoever does not see it."""
         if self.names:
             return f"{self.title} over time: " + ", ".join(self.names)
-        told = []
+        reported = []
         for layer in self.layers:
             values = layer.y[np.isfinite(layer.y)]
             if layer.read and layer.style != "level" and len(values):
-                told.append(f"{layer.name} from {np.min(values):.3g} to {np.max(values):.3g}, {values[-1]:.3g} at its end")
-        return f"{self.title}, {self.unit}, over time: " + ("; ".join(told) or "nothing was measured")
+                reported.append(f"{layer.name} from {np.min(values):.3g} to {np.max(values):.3g}, {values[-1]:.3g} at its end")
+        return f"{self.title}, {self.unit}, over time: " + ("; ".join(reported) or "nothing was measured")
 
     def packed(self, columns: Columns) -> dict[str, Any]:
         """Return the plot for the page."""

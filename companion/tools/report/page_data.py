@@ -108,8 +108,8 @@ def page_flight(log: FlightLog, label: str, ink: str, video_from: MonoNs | None)
             ("last look", "s ago", 2, t, age),
         ]
     seen = sorted(log.frames, key=lambda f: f.exposed_at)
-    told = [(seconds_between(log.started, f.exposed_at), f.verdict.value.replace("_", " ")) for f in seen]
-    out.kinds = [("state", phases), ("frame", told)]
+    reported = [(seconds_between(log.started, f.exposed_at), f.verdict.value.replace("_", " ")) for f in seen]
+    out.kinds = [("state", phases), ("frame", reported)]
     return out
 
 
@@ -201,8 +201,8 @@ def _flight(flight: PageFlight, columns: Columns) -> dict[str, Any]:
         kept = thinned(t, y)
         figures.append({"name": name, "unit": unit, "digits": digits, "t": columns.add(t[kept]), "y": columns.add(y[kept])})
     kinds = []
-    for name, told in flight.kinds:
-        changed = [one for k, one in enumerate(told) if not k or one[1] != told[k - 1][1]]
+    for name, reported in flight.kinds:
+        changed = [one for k, one in enumerate(reported) if not k or one[1] != reported[k - 1][1]]
         times_s = columns.add(np.array([t for t, _ in changed]))
         kinds.append({"name": name, "t": times_s, "texts": [text for _, text in changed]})
     phases = [[round(t, 3), text] for t, text in flight.phases]

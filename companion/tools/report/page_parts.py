@@ -60,9 +60,9 @@ def flight_page(title: str, body: str, data: str, films: Sequence[FilmFile | Non
 def header(title: str, outcome: str, good: bool, facts: Iterable[tuple[str, str]]) -> str:
     """Return the head of a page: its title, how the flight ended, and the facts."""
     items = "".join(f"<li>{escape(k)} <b>{escape(v)}</b></li>" for k, v in facts)
-    told = f'<ul class="facts">{items}</ul>' if items else ""
+    reported = f'<ul class="facts">{items}</ul>' if items else ""
     ink = "outcome good" if good else "outcome"
-    return f'<header><h1>{escape(title)}</h1><span class="{ink}">{escape(outcome)}</span></header>\n{told}'
+    return f'<header><h1>{escape(title)}</h1><span class="{ink}">{escape(outcome)}</span></header>\n{reported}'
 
 
 def cards(cells: Iterable[tuple[str, str]]) -> str:

@@ -60,7 +60,7 @@ class LiveClient:
         self._note = note
         self._told = ""
         self.connections = 0
-        """How often the service was reached."""
+        """Number of connections to the service."""
 
     async def messages(self) -> AsyncIterator[LiveMessage]:
         """Yield the messages of one connection after the other, without end; `connections` counts up before each one's first.

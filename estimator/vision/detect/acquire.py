@@ -50,9 +50,7 @@ _ARROW_SEEN = 0.3
 _ARROW_MISSING = 0.5
 """Margin by which it must be surer that no arrowhead is at its place than that there is none half a turn away."""
 _WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY, _WORK_TURN = 1.0, 1.2, 0.3, 0.6
-"""Work of an alignment with the tilt known and unknown, of one without a step or one that is given up, and of one after a turn by
-180 degrees.
-"""
+"""Work of alignments. They are with the tilt known and unknown, without a step or given up, and after a turn by 180 degrees."""
 _WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
 """Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
 _SMALL_PX = 30.0

@@ -197,10 +197,12 @@ LEAST_DRAWING, _LEAST_ROUND = 0.04, 0.015
 a pale pad from afar the drawing shows little more than the disc. No guess of another kind with less was the pad in 900 frames.
 """
 _CLEAR_DRAWING, _CLEAR_AREA, _CLEAR_COLOUR, _CLEAR_STROKES = 0.2, 0.3, 0.1, 0.55
-"""Fraction of the variance that a guess must explain to be tried before all kinds were looked at once; that of one from an area,
-and from the disc's colour, whose guesses are few; and the score of the H's strokes, of which half has 0.3 to 0.55. Of 920 pads in
-all lights, half of them partly hidden, 19 in 20 are found by such a guess. Of the guesses elsewhere one in seventy from the
-reduced images is one, one in twenty from circles of which half may be covered, and one in thirty of the areas.
+"""Fraction of the variance that a guess must explain to be tried before the other kinds.
+
+The others are for a guess from an area, for one from the disc's colour, whose guesses are few, and the score of the H's strokes:
+half an H has 0.3 to 0.55. Of 920 pads in all lights, half of them partly hidden, 19 in 20 are found by such a guess. Wrong
+guesses reach it rarely: one in seventy from the reduced images, one in twenty from circles that may be half covered, and one in
+thirty from areas.
 """
 _ROUND = 0.8
 """Support at which an area's outline is an ellipse."""
@@ -209,9 +211,10 @@ WORK_GUESS = 0.035
 _CIRCLES = 12
 """Number of circles of one image."""
 _MORE_CIRCLES, _MORE_GUESSES, _MORE_USUAL = {0: 32, 1: 16}, 60, 50
-"""Number of circles of an image at full and at half size where half of the disc may be covered, the largest number of guesses
-from one size, and how many there usually are from the full size. Of ten half discs at 10 m the full size has nine among them, of
-ten at 15 m six.
+"""Number of circles of an image at full and at half size where half of the disc may be covered.
+
+Then the largest number of guesses from one size, and their usual number from the full size. Of ten half discs at 10 m the full
+size has nine among them, of ten at 15 m six.
 """
 _MARGIN_PX = 8
 """Margin beyond the edge of such an image in which centres are searched, px: half of the disc may be out of the frame."""

@@ -24,8 +24,10 @@ _FOAM, _FOAM_AT_REST = (110.0, 130.0), 55.0
 """Brightness of the foam beside and behind a ship under way, and beside one at rest."""
 _NOWHERE: F64 = np.empty((0, 2))
 _SOFT_M, _SOFT_LEAST = (0.06, 0.10, 0.25), (0.6, 0.6, 0.8)
-"""Deviation of the soft edges of a ship's shadow, of the foam beside her and of her wake, m, and the least, in squares of 4 x 4
-pixels."""
+"""Deviations of soft edges: of a ship's shadow, of the foam beside her and of her wake, m.
+
+Then the least ones, in squares of 4 x 4 pixels.
+"""
 
 
 class SeaPainter:

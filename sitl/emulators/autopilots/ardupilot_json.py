@@ -59,7 +59,7 @@ def decode(data: bytes) -> Servos | None:
 
 def encode(state: BodyState) -> bytes:
     """Return the answer for a state: a line of JSON in SI units, ned and body axes."""
-    said: dict[str, Any] = {
+    output: dict[str, Any] = {
         "timestamp": state.t_s,
         "imu": {"gyro": _list(state.w_body), "accel_body": _list(state.f_body)},
         "position": _list(state.p_ned),
@@ -67,8 +67,8 @@ def encode(state: BodyState) -> bytes:
         "velocity": _list(state.v_ned),
     }
     if state.range_m is not None:
-        said["rng_1"] = state.range_m
-    return json.dumps(said, separators=(",", ":")).encode() + b"\n"
+        output["rng_1"] = state.range_m
+    return json.dumps(output, separators=(",", ":")).encode() + b"\n"
 
 
 def _list(values: Any) -> list[float]:

@@ -130,9 +130,9 @@ class KillableService:
     def __init__(self, make: Callable[[bool], FlightDaemon]) -> None:
         self._make = make
         self.now = make(True)
-        """The newest daemon, be it killed."""
+        """The newest daemon, even if it was killed."""
         self.gone = False
-        """Whether it was killed and no new one runs."""
+        """True if it was killed and no new one runs."""
         self._task: asyncio.Task[object] | None = None
         self._offered = self._before = self._unheard = 0
 

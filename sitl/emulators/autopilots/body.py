@@ -106,7 +106,7 @@ class Body:
         self.exposure: SimulatedExposure | None = None
         """The exposure of the camera where the service drives it."""
         self.gimbal = SimulatedGimbal(scenario.gimbal, step_s) if scenario.gimbal.given else None
-        """What carries the camera; None for a camera that is fixed on the vehicle."""
+        """Gimbal of the camera; None for a camera that is fixed on the vehicle."""
 
     @property
     def t_s(self) -> float:

@@ -174,9 +174,9 @@ class FaultyLink:
         self._to_daemon: Callable[[bytes], None] | None = None
         self._to_program: Callable[[bytes], None] | None = None
         self.cut = False
-        """Whether nothing passes because there is no service: what is under way arrives nowhere."""
+        """True while no service is there: messages under way are lost."""
         self.muted = False
-        """Whether nothing of the daemon's passes, while it hears the program."""
+        """True while nothing of the daemon's passes, although it receives the program."""
         self.carried: Counter[str] = Counter()
         """Datagrams that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
 

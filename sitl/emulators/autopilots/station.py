@@ -260,8 +260,8 @@ class GroundStation:
 
     @property
     def _last_status_text(self) -> str:
-        said = [text for _, component, text in self.texts if component == _AUTOPILOT]
-        return said[-1] if said else "it said nothing"
+        output = [text for _, component, text in self.texts if component == _AUTOPILOT]
+        return output[-1] if output else "it said nothing"
 
     def _next(self, task: Task, now: MonoNs) -> None:
         self.task, self._since = task, now

@@ -19,7 +19,7 @@ def test_a_firmware_s_own_defaults_differ_in_nothing_and_each_of_them_is_looked_
     assert differing(other, defaults) == {name: (value + 1.0, value) for name, value in sorted(defaults.items())}
 
 
-def test_later_releases_are_asked_by_their_names_and_judged_in_their_units() -> None:
+def test_later_releases_are_queried_by_their_names_and_judged_in_their_units() -> None:
     old, new = defaults_of("ArduPilot", (4, 5, 7)), defaults_of("ArduPilot", (4, 7, 0))
     assert (old["PSC_ACCZ_P"], new["PSC_D_ACC_P"], new["WP_SPD"]) == (0.5, 0.05, 10.0)
     assert not set(new) & {name for name, later in RENAMED.items() if later.name != name}

@@ -118,7 +118,7 @@ def test_a_px4_s_integers_and_reals_are_written_as_they_are(tmp_path: Path, caps
         assert (fake.parameters["EKF2_GPS_CHECK"], fake.parameters["COM_OF_LOSS_T"]) == (245 | 512, 10.0)
 
 
-def test_a_refused_write_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refused_write_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fake = quiet("ArduPilot", LAND_SPEED=250.0)
     fake.fixed_parameters = frozenset({"LAND_SPEED"})
     kept = tmp_path / "undo.json"

@@ -65,7 +65,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     assert snapshot.sync.locked
 
 
-async def test_a_later_firmware_is_asked_by_its_own_names() -> None:
+async def test_a_later_firmware_is_queried_by_its_own_names() -> None:
     fake = MiniatureAutopilot(parameters=dict.fromkeys(names_in(PARAMETERS["ArduPilot"], (4, 7, 0)), 1.0))
     talking = asyncio.create_task(examined(fake, 0.3))
     await until(lambda: fake.commands[512] > 0)
@@ -75,7 +75,7 @@ async def test_a_later_firmware_is_asked_by_its_own_names() -> None:
     assert not any(m.param_id == "LAND_SPEED" for m in fake.of("PARAM_REQUEST_READ"))
 
 
-async def test_only_a_disarmed_vehicle_is_asked_why_it_does_not_arm() -> None:
+async def test_only_a_disarmed_vehicle_is_queried_why_it_does_not_arm() -> None:
     names = dict.fromkeys(PARAMETERS["ArduPilot"], 0.0)
     fake = MiniatureAutopilot(armed=False, parameters=names)
     talking = asyncio.create_task(examined(fake, 0.5))
@@ -102,7 +102,7 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
     assert {f.rule for f in diagnose(snapshot)} == {"px4-precland-missing"}
 
 
-async def test_the_systems_that_are_heard_when_the_wished_one_is_not() -> None:
+async def test_the_systems_that_are_received_when_the_wished_one_is_not() -> None:
     snapshot = await examined(MiniatureAutopilot(Stack.PX4, 3, "auto.loiter"), system=5)
     (found,) = diagnose(snapshot)
     assert found.what == "system 5 is not heard; heard: system 3 (PX4 quadrotor)"
@@ -157,7 +157,7 @@ async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
     assert "none.mp4" in str(gone.device_fault)
 
 
-async def test_a_service_that_runs_is_asked() -> None:
+async def test_a_service_that_runs_is_queried() -> None:
     health = Health(SystemClock())
     for _ in range(5):
         health.beat("Frame")

@@ -134,7 +134,7 @@ def test_px4_s_own_precision_landing_on_a_ship_is_named(tmp_path: Path) -> None:
     assert found.rule == "px4-precland-moving"
 
 
-def test_a_log_with_holes_is_told(tmp_path: Path) -> None:
+def test_a_log_with_holes_is_reported(tmp_path: Path) -> None:
     path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)
     path.write_bytes(path.read_bytes() + struct.pack("<HBH", 2, ord("O"), 2500))
     (found,) = diagnose(examine_log(path))
@@ -263,7 +263,7 @@ def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(
     assert [f.rule for f in copter(tmp_path, [*FLIGHT, *(precland_text(*one) for one in said)])] == rules
 
 
-def test_a_log_tells_what_its_own_firmware_begins_with(tmp_path: Path) -> None:
+def test_a_log_reports_what_its_own_firmware_begins_with(tmp_path: Path) -> None:
     path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters | {"PSC_POSXY_P": 0.7, "SERIAL1_BAUD": 57.0}, FLIGHT)
     autopilot = examine_log(path).autopilot
     assert autopilot is not None

@@ -86,7 +86,7 @@ def in_32_bits(value: float) -> float:
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
-def test_a_later_name_is_told_in_its_own_unit() -> None:
+def test_a_later_name_is_reported_in_its_own_unit() -> None:
     autopilot = replace(ARDUPILOT, firmware=(4, 7, 0), parameters={"LAND_SPD_MS": in_32_bits(2.5), "ARMING_SKIPCHK": -1.0})
     speed, skipped = diagnose(replace(GOOD, autopilot=autopilot))
     assert speed.what.startswith("LAND_SPD_MS is 2.5: it strikes the deck")
@@ -94,7 +94,7 @@ def test_a_later_name_is_told_in_its_own_unit() -> None:
     assert skipped.rule == "arming-skipped"
 
 
-def test_each_firmware_is_asked_by_its_own_names() -> None:
+def test_each_firmware_is_queried_by_its_own_names() -> None:
     names = ("LAND_SPEED", "GPS_RATE_MS", "GUID_TIMEOUT")
     assert names_in(names, None) == names_in(names, (4, 5, 7)) == names
     assert names_in(names, (4, 6, 2)) == ("LAND_SPEED", "GPS1_RATE_MS", "GUID_TIMEOUT")
@@ -110,10 +110,10 @@ def test_there_are_forty_of_each_stack() -> None:
 
 def test_each_parameter_that_a_single_rule_judges_is_broken_or_good_in_the_data() -> None:
     for stack, data in DATA.items():
-        told = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
-        left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - told
+        reported = {name for one in data["broken"].values() for name in one["set"]} | set(data["good"]["defaults"])
+        left = {rule.parameter for rule in rules_values.RULES if rule.stack == stack} - reported
         assert left <= {"INS_HNTC2_FREQ", "ARMING_SKIPCHK"}
-        assert set(rules_values.FAILSAFE_PARAMETERS[stack]) <= told
+        assert set(rules_values.FAILSAFE_PARAMETERS[stack]) <= reported
 
 
 def test_limits_of_speed_are_judged_against_the_ship_s() -> None:

@@ -63,9 +63,9 @@ def examined(capsys: pytest.CaptureFixture[str], *words: str) -> set[str]:
     """Return the rules that the doctor's findings are named by."""
     capsys.readouterr()
     main(["doctor", *words, "--json", "--seconds", "8"])
-    said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    return {json.loads(line)["rule"] for line in said.out.splitlines() if line.startswith("{")}
+    output = capsys.readouterr()
+    assert "Traceback" not in output.err
+    return {json.loads(line)["rule"] for line in output.out.splitlines() if line.startswith("{")}
 
 
 @pytest.mark.timeout(300)

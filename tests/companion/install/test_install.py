@@ -46,26 +46,26 @@ def test_an_installation_runs_the_service_and_a_second_one_changes_nothing(tmp_p
     assert f"version {first.name} is current already" in again.said
 
 
-def test_without_settings_nothing_is_started_and_the_next_step_is_told(tmp_path: Path, first: Release) -> None:
+def test_without_settings_nothing_is_started_and_the_next_step_is_reported(tmp_path: Path, first: Release) -> None:
     computer = Computer(tmp_path / "root")
     steps.install(computer, first, options())
     assert f"next: write {SETTINGS}" in computer.said
     assert not any("restart" in line for line in computer.commands)
 
 
-def test_a_dry_run_tells_the_same_changes_and_makes_none(tmp_path: Path, first: Release) -> None:
+def test_a_dry_run_reports_the_same_changes_and_makes_none(tmp_path: Path, first: Release) -> None:
     dry, real = Computer(tmp_path / "dry", dry=True), Computer(tmp_path / "real")
     before = sorted(path.relative_to(tmp_path) for path in (tmp_path / "dry").rglob("*"))
     for computer in (dry, real):
         steps.install(computer, first, options(config=ROOT / "configs/sim.toml"))
     assert sorted(path.relative_to(tmp_path) for path in (tmp_path / "dry").rglob("*")) == before
-    told = [line.removeprefix("would ") for line in dry.said.splitlines() if line.startswith("would ")]
+    reported = [line.removeprefix("would ") for line in dry.said.splitlines() if line.startswith("would ")]
     done = real.said.splitlines()
     assert {f"write {UNIT} (mode 644)", f"link {CURRENT} -> {first.name}", "run systemctl restart decklander.service"} <= set(
-        told
+        reported
     )
     # The check of a version that is not made is told instead.
-    assert [line for line in told if line not in done and "config check" not in line] == []
+    assert [line for line in reported if line not in done and "config check" not in line] == []
 
 
 def test_secrets_are_for_root_alone_and_settings_are_never_overwritten(tmp_path: Path, first: Release) -> None:
@@ -249,8 +249,8 @@ def test_two_installations_at_a_time_do_not_meet(tmp_path: Path, first: Release)
 
 def test_a_wheel_that_cannot_install_itself_is_refused(tmp_path: Path) -> None:
     (tmp_path / "decklander-1-py3-none-any.whl").write_text("no zip")
-    for name, told in (("decklander-1-py3-none-any.whl", "not a wheel of decklander"), ("none.whl", "No such file")):
-        with pytest.raises(BadInput, match=told):
+    for name, reported in (("decklander-1-py3-none-any.whl", "not a wheel of decklander"), ("none.whl", "No such file")):
+        with pytest.raises(BadInput, match=reported):
             read(tmp_path / name)
 
 
@@ -277,7 +277,7 @@ def test_nobody_but_root_changes_the_system(
     assert "needs root: sudo decklander service uninstall" in capsys.readouterr().err
 
 
-def test_without_systemd_it_is_said(tmp_path: Path, first: Release) -> None:
+def test_without_systemd_it_is_reported(tmp_path: Path, first: Release) -> None:
     computer = Computer(tmp_path / "root")
     computer.settings()
     for gone in ("usr/bin/systemctl", "usr/bin/systemd-sysusers", "run/systemd/system"):

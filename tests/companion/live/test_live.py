@@ -200,7 +200,7 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
     assert min(np.diff(times)) >= 0.9e9 / 15.0, "no more pictures than were asked for"
 
 
-async def test_a_late_viewer_is_told_what_does_not_change_and_a_video_from_a_key_frame() -> None:
+async def test_a_late_viewer_gets_the_latched_topics_and_a_video_from_a_key_frame() -> None:
     async with serving(frames="h264") as service, watching(service) as first:
         await first.told("advertise")
         assert "/camera/image" not in first.channels
@@ -218,7 +218,7 @@ async def test_a_late_viewer_is_told_what_does_not_change_and_a_video_from_a_key
         await until(lambda: service.endpoint._feed._wanted == {"/camera/video"})
 
 
-async def test_nothing_is_taken_that_nobody_asked_for() -> None:
+async def test_nothing_is_taken_that_nobody_requested() -> None:
     async with serving() as service, watching(service) as client:
         await client.told("advertise")
         await service.fly(0.1)
@@ -247,7 +247,7 @@ async def test_nothing_is_taken_that_nobody_asked_for() -> None:
         (b"\x01\x00\x00\x00\x00data", "publishing is not offered"),
     ],
 )
-async def test_garbage_is_counted_and_told_and_ends_nothing(said: str | bytes, why: str) -> None:
+async def test_garbage_is_counted_and_reported_and_ends_nothing(said: str | bytes, why: str) -> None:
     async with serving() as service, watching(service) as client, watching(service) as other:
         await client.told("advertise")
         await (client.socket.send_str(said) if isinstance(said, str) else client.socket.send_bytes(said))
@@ -266,9 +266,9 @@ async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> No
     async with serving() as service, watching(service) as other:
         for flood in (["{"] * (part._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
             async with watching(service) as client:
-                for said in flood:
+                for output in flood:
                     if not client.socket.closed:
-                        await client.socket.send_str(said)
+                        await client.socket.send_str(output)
                 async with asyncio.timeout(20):
                     while (await client.socket.receive()).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
                         pass
@@ -318,7 +318,7 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
         reading.cancel()
 
 
-async def test_without_the_token_nothing_is_told(tmp_path: Path) -> None:
+async def test_without_the_token_nothing_is_reported(tmp_path: Path) -> None:
     (tmp_path / "token").write_text(TOKEN)
     async with serving(token_file=str(tmp_path / "token")) as service:
         for query, headers in (
@@ -382,7 +382,7 @@ async def test_a_flood_of_connections_neither_grows_nor_touches_who_watches() ->
             writer.close()
 
 
-def test_settings_that_would_let_others_watch_are_refused_and_those_without_effect_are_told() -> None:
+def test_settings_that_would_let_others_watch_are_refused_and_those_without_effect_are_reported() -> None:
     with pytest.raises(ValueError, match="token_file is needed because host"):
         FoxgloveSettings(endpoint="websocket", host="0.0.0.0")
     minimal = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "foxglove": {"port": 1}}

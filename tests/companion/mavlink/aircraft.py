@@ -60,9 +60,9 @@ class Aircraft(MiniatureAutopilot):
         """Horizontal distance from the pad of each place we were told of, when we were told."""
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
-        told = Px4Receiver().on_message(m)
-        if told is not None and told[0] == "absolute":
-            off = np.array(told[1])[:2] - self.body.p_pad_ned[:2]
+        reported = Px4Receiver().on_message(m)
+        if reported is not None and reported[0] == "absolute":
+            off = np.array(reported[1])[:2] - self.body.p_pad_ned[:2]
             self.told_off_m.append(float(np.hypot(off[0], off[1])))
 
     def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:

@@ -108,7 +108,7 @@ def test_landed_state(mode: str, flying: bool, state: int) -> None:
     assert station.newest("EXTENDED_SYS_STATE").landed_state == state
 
 
-def test_no_heartbeat_of_a_drone_that_is_not_heard() -> None:
+def test_no_heartbeat_of_a_drone_that_is_not_received() -> None:
     station = Station()
     station.bridge.tick(station.now)
     station.bridge.on_sample(VehicleStatus(stamp(station.now), None, "unknown", None, False, False))
@@ -197,7 +197,7 @@ async def test_it_is_closed_to_whoever_is_not_named(operators: str) -> None:
         wire.close()
 
 
-async def test_a_named_station_is_told_and_obeyed() -> None:
+async def test_a_named_station_is_reported_and_obeyed() -> None:
     async with bridged(operators="255") as (_part, links, orders):
         wire = Wire(links, (255, 190))
         answers = await wire.say(LAND)

@@ -49,7 +49,8 @@ def setting(border: Border) -> float:
     return border.component._parameters._store.get("PID_H_KP")
 
 
-async def test_a_stranger_s_commands_and_parameters_are_not_obeyed(stranger: socket.socket) -> None:
+@pytest.mark.hazard("H8")
+async def test_an_unknown_peer_s_commands_and_parameters_are_not_obeyed(stranger: socket.socket) -> None:
     async with bordered() as border:
         before = setting(border)
         for source in ((66, 1), STATION, AUTOPILOT, US):
@@ -61,7 +62,7 @@ async def test_a_stranger_s_commands_and_parameters_are_not_obeyed(stranger: soc
         await border.alive()
 
 
-async def test_forty_strangers_are_told_nothing() -> None:
+async def test_forty_unknown_peers_receive_nothing() -> None:
     async with bordered() as border:
         wires = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(40)]
         try:
@@ -77,7 +78,7 @@ async def test_forty_strangers_are_told_nothing() -> None:
                 wire.close()
 
 
-async def test_a_flood_of_strangers_pushes_nothing_out_that_was_asked_for() -> None:
+async def test_a_flood_of_unknown_peers_pushes_nothing_out_that_was_requested() -> None:
     async with bordered() as border:
         link, clock = border.links.all[0], border.autopilot._clock
         beat = Codec(66, 1).pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
@@ -103,7 +104,7 @@ async def test_nobody_is_the_autopilot_from_another_port(stranger: socket.socket
         assert border.autopilot.condition.flying is False
 
 
-async def test_an_autopilot_that_moved_is_believed_once_it_is_silent_where_it_was(stranger: socket.socket) -> None:
+async def test_an_autopilot_that_moved_is_accepted_once_it_is_silent_where_it_was(stranger: socket.socket) -> None:
     clock = LeapingClock()
     async with bordered(clock=clock) as border:
         beat = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
@@ -140,7 +141,7 @@ async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() 
         assert border.tower.handlers == ["pause"]
 
 
-async def test_a_named_operator_is_obeyed_and_told_from_its_first_port_alone(stranger: socket.socket) -> None:
+async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone(stranger: socket.socket) -> None:
     async with bordered(operators="255") as border:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
@@ -154,7 +155,7 @@ async def test_a_named_operator_is_obeyed_and_told_from_its_first_port_alone(str
             assert border.answers(stranger) == []
 
 
-async def test_a_peer_that_may_not_command_is_answered_and_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_peer_that_may_not_command_is_answered_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind((HOST, 0))
         station.setblocking(False)
@@ -170,9 +171,9 @@ async def test_a_peer_that_may_not_command_is_answered_and_told_of_once(caplog: 
             assert border.tower.handlers == []
             assert setting(border) == before
             assert border.component.refusals.counts == {"COMMAND_LONG": 24, "PARAM_SET": 3}
-            told = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]
-            assert len(told) == 1
-            assert "vehicle.operators" in told[0]
+            reported = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]
+            assert len(reported) == 1
+            assert "vehicle.operators" in reported[0]
 
 
 async def test_what_grows_by_what_is_sent_is_bounded() -> None:

@@ -17,7 +17,7 @@ from tests.companion.mavlink.stage import PAD_NED, staged
 from tests.support.fake_ardrone import until
 
 
-async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
+async def test_an_ardupilot_gets_the_place_of_the_pad() -> None:
     tilt = (math.radians(8.0), math.radians(-5.0), math.radians(130.0))
     fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
     fake.rpy = lambda t: tilt
@@ -31,25 +31,25 @@ async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
         assert stage.component.outputs.sends_ranges is not None
 
 
-async def test_a_px4_is_told_in_its_own_local_frame() -> None:
+async def test_a_px4_gets_the_pad_in_its_own_local_frame() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", p_ned=np.array([0.2, -1.9, -6.0]), v_ned=np.array([0.8, 0.3, 0.0]))
     fake.rpy = lambda t: (0.1, -0.15, 2.0)
     async with staged(fake, outputs={"vision_target_estimator": True}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 10)
         receiver = Px4Receiver()
         for m in fake.of("LANDING_TARGET")[-5:]:
-            told = receiver.on_message(m)
-            assert told is not None
-            assert told[0] == "absolute"
+            reported = receiver.on_message(m)
+            assert reported is not None
+            assert reported[0] == "absolute"
             # It flies at 0.9 m/s: the place on the ground stands still only if both parts are of one instant
-            assert told[1] == pytest.approx(PAD_NED, abs=0.03)
+            assert reported[1] == pytest.approx(PAD_NED, abs=0.03)
         stamps = [m.time_usec for m in fake.of("LANDING_TARGET")]
         assert stamps == sorted(set(stamps)), "never the same instant twice"
         assert len(fake.of("TARGET_RELATIVE")) > 5
         assert receiver.events == []
 
 
-async def test_rates_are_what_was_asked_for() -> None:
+async def test_rates_are_what_was_requested() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 20.0}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 2)
@@ -59,7 +59,7 @@ async def test_rates_are_what_was_asked_for() -> None:
         assert len(fake.of("LANDING_TARGET")) - before <= 20.0 * (time.monotonic() - began) + 8
 
 
-async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() -> None:
+async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_reported() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -84,7 +84,7 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
         assert len(fake.of("LANDING_TARGET")) == silent
 
 
-async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
+async def test_an_autopilot_does_not_get_an_inconsistent_pad() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -96,7 +96,7 @@ async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
         assert len(fake.of("LANDING_TARGET")) == silent
 
 
-async def test_a_sensor_that_is_flown_without_is_told_once() -> None:
+async def test_a_sensor_that_is_flown_without_is_reported_once() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
@@ -170,8 +170,8 @@ async def test_what_a_pilot_must_know() -> None:
     async with staged(fake) as stage:
         stage.phase = "gave up"
         await until(lambda: len(fake.of("STATUSTEXT")) >= 2)
-        told = {m.text: m.severity for m in fake.of("STATUSTEXT")}
-        assert told == {"Decklander: approach": 6, "Decklander: gave up": 2}
+        reported = {m.text: m.severity for m in fake.of("STATUSTEXT")}
+        assert reported == {"Decklander: approach": 6, "Decklander: gave up": 2}
         await until(lambda: len([m for m in fake.of("NAMED_VALUE_FLOAT") if m.name == "dl_sigma"]) == 2)
         values = {m.name: m.value for m in fake.of("NAMED_VALUE_FLOAT")}
         assert values["dl_seen"] == 1.0
@@ -195,7 +195,7 @@ async def test_commands_from_the_wire() -> None:
         await until(lambda: len(fake.of("ONBOARD_COMPUTER_STATUS")) > 0)
 
 
-async def test_a_frame_that_was_fused_is_told_of_without_waiting_for_the_next_turn() -> None:
+async def test_a_frame_that_was_fused_is_reported_without_waiting_for_the_next_turn() -> None:
     fake = MiniatureAutopilot()
     async with staged(fake, outputs={"rate_hz": 1.0}) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) >= 1)

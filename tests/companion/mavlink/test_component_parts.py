@@ -195,7 +195,7 @@ def test_a_landing_that_did_not_come_about(end: LandingProgress, result: int) ->
     assert acks(commands.due(at(1))) == [(21, result, 0)]
 
 
-def test_a_refusal_says_why() -> None:
+def test_a_refusal_gives_the_reason() -> None:
     tower = Tower()
     tower.refusal = "no recorder"
     commands = server(tower)
@@ -299,22 +299,22 @@ def test_reading_by_name_and_by_number(tunables: tuple[Tunables, list[Settings]]
         assert params.on_message(wired(mav.MAVLink_param_request_read_message(*US, name, index)), US) == []
 
 
-def test_setting_tells_everyone_the_value_in_force(tunables: tuple[Tunables, list[Settings]]) -> None:
+def test_setting_reports_the_value_in_force_to_everyone(tunables: tuple[Tunables, list[Settings]]) -> None:
     tuned, applied = tunables
     params = ParameterServer(tuned)
 
     def put(name: bytes, value: float, kind: int = 9, target: tuple[int, int] = US) -> list[Message]:
         return params.on_message(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
 
-    (told,) = put(b"PID_H_KP", 0.3)
-    assert told.param_value == pytest.approx(0.3)
+    (reported,) = put(b"PID_H_KP", 0.3)
+    assert reported.param_value == pytest.approx(0.3)
     assert applied[-1].guidance.pid.horizontal.kp == 0.3, "not 0.30000001192"
     for bad in (99.0, math.nan, math.inf):
-        (told,) = put(b"PID_H_KP", bad)
-        assert told.param_value == pytest.approx(0.3)
+        (reported,) = put(b"PID_H_KP", bad)
+        assert reported.param_value == pytest.approx(0.3)
         assert params.refused
-    (told,) = put(b"PID_H_KP", 1.0, kind=6)
-    assert told.param_value == pytest.approx(0.3)
+    (reported,) = put(b"PID_H_KP", 1.0, kind=6)
+    assert reported.param_value == pytest.approx(0.3)
     assert put(b"NO_SUCH", 1.0) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 1)) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 0)) == [], "setting is never for everyone"
@@ -349,7 +349,7 @@ def test_texts_are_few_and_the_severe_ones_go_first() -> None:
     assert len(texts.due(at(1.6))) == 1
 
 
-def test_the_same_text_is_not_said_twice_in_a_row() -> None:
+def test_the_same_text_is_not_reported_twice_in_a_row() -> None:
     texts = StatusTexts()
     for n in range(5):
         texts.say(MavSeverity.WARNING, "pad lost", at(n))
@@ -386,7 +386,7 @@ def host(root: Path, busy: int, idle: int) -> Path:
     return root
 
 
-def test_the_computer_is_read_as_linux_tells(tmp_path: Path) -> None:
+def test_the_computer_is_read_as_linux_reports(tmp_path: Path) -> None:
     reader = ComputerReader(host(tmp_path, 100, 100))
     assert reader.read().cores_percent == (), "a load needs two readings"
     host(tmp_path, 200, 200)
@@ -396,7 +396,7 @@ def test_the_computer_is_read_as_linux_tells(tmp_path: Path) -> None:
     assert (m.temperature_board, m.uptime) == (52, 345670)
 
 
-def test_a_host_that_tells_nothing(tmp_path: Path) -> None:
+def test_a_host_that_reports_nothing(tmp_path: Path) -> None:
     computer = ComputerReader(tmp_path).read()
     assert computer == Computer((), None, None, None, None)
     m = wired(computer_status(computer, at(0)))

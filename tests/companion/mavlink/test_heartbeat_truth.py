@@ -50,8 +50,8 @@ def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseEx
     """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
     options = ComponentOptions(0.39, 0.5)
     component = Component(options, Tower(), None, healthy=health.flight_fault, clock=clock, health=health)
-    said = Said(clock)
-    autopilot: Any = SimpleNamespace(links=said, add_listener=lambda listener: None, connected=False)
+    output = Said(clock)
+    autopilot: Any = SimpleNamespace(links=output, add_listener=lambda listener: None, connected=False)
     component.attach(autopilot)
 
     def fail(*_: object) -> None:
@@ -66,7 +66,7 @@ def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseEx
         if n % 2 == 0:
             component.on_decision(Decision(clock.t, "approach", None, None))
         component.tick(clock.t)
-    return said
+    return output
 
 
 @pytest.fixture
@@ -79,11 +79,11 @@ def health() -> Health:
 
 
 @pytest.mark.parametrize("part", ["broker", "recorder", "mqtt", "metrics", "bridge"])
-def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_told_once(health: Health, part: str) -> None:
+def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_reported_once(health: Health, part: str) -> None:
     health.down(part, Recoverable("gone"))
-    said = flown(health, Clock())
-    assert said.kinds["HEARTBEAT"] == FLOWN_S
-    assert [text for text in said.texts if part in text] == [f"Decklander: {part} is down: gone"]
+    output = flown(health, Clock())
+    assert output.kinds["HEARTBEAT"] == FLOWN_S
+    assert [text for text in output.texts if part in text] == [f"Decklander: {part} is down: gone"]
 
 
 @pytest.mark.parametrize("part", ["vehicle", "guidance"])
@@ -95,6 +95,6 @@ def test_a_vital_part_that_is_down_ends_it(health: Health, part: str) -> None:
 @pytest.mark.parametrize("broken", ["_computer.read", "_value", "texts.due", "_commands.due", "_check_health"])
 @pytest.mark.parametrize("error", [OSError(24, "too many open files"), ValueError("bad"), MemoryError(), RecursionError()])
 def test_whatever_else_it_says_may_fail_and_the_heartbeat_goes_on(health: Health, broken: str, error: BaseException) -> None:
-    said = flown(health, Clock(), broken, error)
-    assert said.kinds["HEARTBEAT"] == FLOWN_S
-    assert sum(health.contained.values()) + said.contained.total > 0
+    output = flown(health, Clock(), broken, error)
+    assert output.kinds["HEARTBEAT"] == FLOWN_S
+    assert sum(health.contained.values()) + output.contained.total > 0

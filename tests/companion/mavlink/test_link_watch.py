@@ -76,7 +76,7 @@ def old() -> Callable[[], bytes]:
     ],
     ids=["time", "key", "speed", "one way", "MAVLink 1", "silent"],
 )
-async def test_a_fault_is_said_once(
+async def test_a_fault_is_reported_once(
     data: Callable[[], bytes], signed: bool, said: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with watched(monkeypatch, signed=signed) as (health, address):
@@ -96,7 +96,7 @@ async def test_a_fault_is_said_once(
     assert health.parts[PART].up
 
 
-async def test_a_good_link_says_nothing_and_a_fault_that_is_over_no_more(
+async def test_a_good_link_reports_nothing_and_a_fault_that_is_over_no_more(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

@@ -59,7 +59,7 @@ async def command(direct: Any, number: int, **params: float) -> dict[str, Any]:
     return dict(json.loads((await direct.send_command(message)).fields_json))
 
 
-async def test_mavsdk_discovers_hears_and_commands_us() -> None:
+async def test_mavsdk_discovers_receives_and_commands_us() -> None:
     from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 
     async with met() as (stage, system):

@@ -59,8 +59,8 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
     video, rig, folder = tmp_path / "grey.mp4", tmp_path / "rig.toml", tmp_path / "kept"
     grey_video(video)
     rig.write_text(RIG.format(port=port, video=video, folder=folder))
-    said = tmp_path / "stderr"
-    with said.open("wb") as errors:
+    output = tmp_path / "stderr"
+    with output.open("wb") as errors:
         service = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig), stderr=errors
         )
@@ -84,7 +84,7 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
             assert all(m.vz <= 0.0 for _, m in craft.setpoints)
             assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED
         service.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(service.wait(), 60.0) == 0, said.read_text()
+        assert await asyncio.wait_for(service.wait(), 60.0) == 0, output.read_text()
     finally:
         if service.returncode is None:
             service.kill()

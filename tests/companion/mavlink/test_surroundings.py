@@ -31,11 +31,11 @@ def longest_gap_s(craft: MiniatureAutopilot, since: float) -> float:
 
 def drained(reading: int) -> str:
     """Return the bytes that wait in a pipe or terminal."""
-    said = b""
+    output = b""
     with suppress(BlockingIOError, OSError):
         while data := os.read(reading, 65536):
-            said += data
-    return said.decode(errors="replace")
+            output += data
+    return output.decode(errors="replace")
 
 
 @pytest.mark.timeout(120)
@@ -53,8 +53,8 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
             await until(lambda: bool(craft.of("HEARTBEAT")))
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
             await until(lambda: len(craft.setpoints) > 10)
-            said = drained(reading)
-            assert "search" in said
+            output = drained(reading)
+            assert "search" in output
 
             # Nobody reads its log, which would fill the pipe in these lines
             began = craft.now_s
@@ -71,7 +71,7 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
             service.send_signal(signal.SIGSTOP)
             await asyncio.sleep(2.4)
             service.send_signal(signal.SIGCONT)
-            lines = [said]
+            lines = [output]
 
             def heard(words: str) -> bool:
                 lines.append(drained(reading))
@@ -100,13 +100,13 @@ def test_a_terminal_that_hangs_up_does_not_end_it_and_sigterm_does(tmp_path: Pat
         os.chdir(ROOT)
         os.execv(sys.executable, decklander("run", "--config", str(rig)))
     os.set_blocking(terminal, False)
-    said, end = "", time.monotonic() + 40.0
+    output, end = "", time.monotonic() + 40.0
     try:
-        while "waiting for" not in said:
-            assert time.monotonic() < end, said
-            said += drained(terminal)
+        while "waiting for" not in output:
+            assert time.monotonic() < end, output
+            output += drained(terminal)
             time.sleep(0.05)
-        assert "started from a terminal" in said
+        assert "started from a terminal" in output
         os.close(terminal)
         time.sleep(0.5)
         assert os.waitpid(number, os.WNOHANG) == (0, 0), "it went on"

@@ -146,7 +146,7 @@ def test_between_beliefs_and_a_little_beyond() -> None:
         assert seen.R_ned_pad.rpy_rad[2] == pytest.approx(rpy(t)[2] - 0.3, abs=0.01)
 
 
-def test_nothing_is_said_where_nothing_is_known() -> None:
+def test_nothing_is_reported_where_nothing_is_known() -> None:
     track = filled()
     assert track.at(instant(1.5)) is None, "too far ahead"
     assert track.at(instant(-0.1)) is None, "before the first"

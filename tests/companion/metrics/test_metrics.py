@@ -225,7 +225,7 @@ async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixtur
         assert health.parts["metrics"].restarts == 0
 
 
-async def test_with_a_token_nothing_is_told_without_it(tmp_path: Path) -> None:
+async def test_with_a_token_nothing_is_reported_without_it(tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.write_text("0123456789abcdef\n")
     file.chmod(0o600)

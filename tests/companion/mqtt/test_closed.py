@@ -153,7 +153,7 @@ async def test_signed_commands_over_a_real_broker(broker: Broker, tmp_path: Path
         assert rig.count("commands_repeated") == 1
 
 
-async def test_what_a_display_may_read_tells_no_run_and_lets_it_command_nothing(broker: Broker, tmp_path: Path) -> None:
+async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothing(broker: Broker, tmp_path: Path) -> None:
     """The shipped access list lets the display read, and the ground command."""
     acl = (ROOT / "configs/broker/decklander.acl").read_text().replace("user display", "user mute")
     broker.stop()

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
 
 
-async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
+async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
     settings = broker.settings(state_hz=20.0, health_hz=10.0)
     received_at: dict[str, Any] = {}
     async with running(settings, tmp_path / "spool") as rig:
@@ -39,9 +39,9 @@ async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(brok
                 assert received_at[leaf] is not None, message
                 if {"status", "state", "health", "event", "fusion"} <= received_at.keys():
                     break
-            told = rig.health.fusion_states()[0].verdicts["no_attitude"]
+            reported = rig.health.fusion_states()[0].verdicts["no_attitude"]
             await asyncio.sleep(3.5 / settings.sighting_hz)
-            assert rig.count("fusion_sent") <= told, "what is not new is not said again"
+            assert rig.count("fusion_sent") <= reported, "what is not new is not said again"
     fusion = received_at["fusion"]
     assert isinstance(fusion, FusionMessage)
     assert fusion.paths["ekf"]["sighting"].verdict == "no_attitude"
@@ -72,8 +72,8 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
     async with running(broker.settings(), tmp_path / "spool") as rig:
         await until(lambda: rig.count("connections") == 1)
         assert (await retained()).online
-    said = await retained()
-    assert (said.online, said.reason) == (False, "stopped")
+    output = await retained()
+    assert (output.online, output.reason) == (False, "stopped")
 
     words = (sys.executable, "-c", _DYING, msgspec.json.encode(broker.settings()).decode())
     child = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, cwd=ROOT)
@@ -82,9 +82,9 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
     child.kill()
     await child.communicate()
     async with asyncio.timeout(60):
-        while (said := await retained()).online:  # noqa: ASYNC110 (the condition is the broker's)
+        while (output := await retained()).online:  # noqa: ASYNC110 (the condition is the broker's)
             await asyncio.sleep(0.05)
-    assert said.reason == "lost"
+    assert output.reason == "lost"
 
 
 _DYING = """

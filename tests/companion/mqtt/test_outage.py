@@ -66,7 +66,7 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
 
 async def test_stopping_at_any_moment_loses_no_event(broker: Broker, tmp_path: Path) -> None:
     """The service is cancelled while it connects, subscribes, spools, publishes; what it said is delivered or on disk."""
-    told = 0
+    reported = 0
     consumer = Consumer(broker, 10**9)
     async with asyncio.TaskGroup() as group:
         consuming = group.create_task(consumer.run())
@@ -74,10 +74,10 @@ async def test_stopping_at_any_moment_loses_no_event(broker: Broker, tmp_path: P
         for k in range(14):
             async with running(broker.settings(), tmp_path / "spool", session=f"s{k}") as rig:
                 for _ in range(5):
-                    rig.part.tell(event(rig.clock.now(), f"number {told}"))
-                    told += 1
+                    rig.part.tell(event(rig.clock.now(), f"number {reported}"))
+                    reported += 1
                 await asyncio.sleep(0.0025 * k)
         async with running(broker.settings(), tmp_path / "spool", session="last"):
-            await until(lambda: len(consumer.numbers) == told)
+            await until(lambda: len(consumer.numbers) == reported)
         consuming.cancel()
-    assert consumer.numbers == list(range(told))
+    assert consumer.numbers == list(range(reported))

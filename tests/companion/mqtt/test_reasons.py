@@ -84,7 +84,9 @@ async def wordy() -> AsyncIterator[tuple[WordyBroker, MqttSettings]]:
     ("code", "said"),
     [(0x8E, "same client id"), (0x8B, "shuts down"), (0x97, "quota"), (0x98, "administrator"), (0x99, "format invalid")],
 )
-async def test_the_reason_of_the_broker_is_told(code: int, said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_reason_of_the_broker_is_reported(
+    code: int, said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     async with wordy() as (broker, settings), running(settings, tmp_path / "spool") as rig:
         await until(lambda: len(broker.statuses) == 1)
         broker.clients[0][1].write(bytes([0xE0, 2, code, 0]))
@@ -92,9 +94,9 @@ async def test_the_reason_of_the_broker_is_told(code: int, said: str, tmp_path: 
         await until(lambda: len(broker.statuses) == 2)
         assert rig.count("connection_failures") == 1
         assert {name for name, _ in broker.clients} == {client_id("drone")}
-    told = [line for line in caplog.messages if "the broker ended the connection" in line]
-    assert len(told) == 1
-    assert said in told[0].lower()
+    reported = [line for line in caplog.messages if "the broker ended the connection" in line]
+    assert len(reported) == 1
+    assert said in reported[0].lower()
 
 
 async def test_the_status_follows_a_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,13 +64,13 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
 
         async def wait(kind: type[M]) -> M:
             async for message in received_at:
-                said = decode(message.topic.removeprefix(TREE), message.payload)
-                if isinstance(said, EventMessage):
-                    events.append(said.text)
-                if isinstance(said, OperatorNotice):
-                    runs.append(said.run)
-                if isinstance(said, kind):
-                    return said
+                output = decode(message.topic.removeprefix(TREE), message.payload)
+                if isinstance(output, EventMessage):
+                    events.append(output.text)
+                if isinstance(output, OperatorNotice):
+                    runs.append(output.run)
+                if isinstance(output, kind):
+                    return output
             raise AssertionError
 
         async def ask(**fields: object) -> CommandReply:

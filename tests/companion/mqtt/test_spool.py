@@ -122,16 +122,16 @@ def test_a_lost_or_damaged_mark_means_copies_not_losses(tmp_path: Path) -> None:
 
 def test_the_oldest_go_first_and_are_counted(tmp_path: Path) -> None:
     spool = Spool(tmp_path, 4096)
-    told = 1000
-    for n in range(told):
+    reported = 1000
+    for n in range(reported):
         spool.append([body(n)])
     on_disk = sum(f.stat().st_size for f in tmp_path.glob("events-*.log"))
     assert on_disk == spool.size_bytes <= 4096
     assert len(list(tmp_path.glob("events-*.log"))) <= FILES
     assert spool.dropped > 0
     kept = everything(spool)
-    assert kept == [body(n) for n in range(told - len(kept), told)]
-    assert len(kept) + spool.dropped == told
+    assert kept == [body(n) for n in range(reported - len(kept), reported)]
+    assert len(kept) + spool.dropped == reported
     spool.close()
 
 

@@ -152,6 +152,7 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
     assert sockets == [], "a connection that failed half-way is still tended"
 
 
+@pytest.mark.hazard("H11")
 async def test_a_broker_that_hangs_and_wakes_up(broker: Broker, tmp_path: Path) -> None:
     consumer = Consumer(broker, 20)
     async with asyncio.TaskGroup() as group:

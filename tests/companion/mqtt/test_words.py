@@ -121,16 +121,16 @@ def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
 
 
 def test_a_frame_reads_back_as_what_was_seen() -> None:
-    said = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, True))))
-    assert isinstance(said, messages.SightingMessage)
-    assert (said.at_ns, said.measured_at_ns, said.sequence, said.verdict, said.chosen) == (
+    output = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, True))))
+    assert isinstance(output, messages.SightingMessage)
+    assert (output.at_ns, output.measured_at_ns, output.sequence, output.verdict, output.chosen) == (
         NOW + 5_000_000, NOW - 30_000_000, 7, "fused", "ellipse",
     )  # fmt: skip
-    assert said.selected is not None
-    assert said.selected.d_body_pad_level_m == (1.0, 2.0, 3.0)
-    assert (said.selected.yaw_rad, said.selected.yaw_ambiguous, said.selected.confidence) == (0.5, True, 0.9)
-    assert said.selected.cov[::5] == (0.1, 0.2, 0.3, 0.4)
-    assert said.methods["arrow"] is None
+    assert output.selected is not None
+    assert output.selected.d_body_pad_level_m == (1.0, 2.0, 3.0)
+    assert (output.selected.yaw_rad, output.selected.yaw_ambiguous, output.selected.confidence) == (0.5, True, 0.9)
+    assert output.selected.cov[::5] == (0.1, 0.2, 0.3, 0.4)
+    assert output.methods["arrow"] is None
     nothing = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, False))))
     assert isinstance(nothing, messages.SightingMessage)
     assert nothing.selected is None
@@ -139,20 +139,20 @@ def test_a_frame_reads_back_as_what_was_seen() -> None:
 LEAN = Lean(np.array([0.5, -0.25]), np.array([1.0, 2.0]), np.array([0.1, 0.2, 0.3]), 0.4)
 
 
-def test_a_lean_is_told_as_the_tilt_that_is_flown() -> None:
-    said = encode.state(SESSION, decision(NOW, command=LEAN), None).order
-    assert said is not None
-    assert (said.kind, said.lean_level_m_s2, said.v_level_m_s) == ("lean", (1.5, 1.75), (0.1, 0.2, 0.3))
+def test_a_commanded_tilt_is_reported_as_flown() -> None:
+    output = encode.state(SESSION, decision(NOW, command=LEAN), None).order
+    assert output is not None
+    assert (output.kind, output.lean_level_m_s2, output.v_level_m_s) == ("lean", (1.5, 1.75), (0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize(("given", "kind"), [(Hover(), "hover"), (Land(), "land"), (TakeOff(), "takeoff")])
 def test_what_was_ordered_has_a_name(given: Hover | Land | TakeOff, kind: str) -> None:
-    said = encode.state(SESSION, decision(NOW, command=given), status(MonoNs(NOW - 250_000_000)))
-    assert said.order is not None
-    assert said.order.kind == kind
-    assert said.vehicle is not None
-    assert said.vehicle.age_s == pytest.approx(0.25)
-    assert decode("state", messages.encode(said)) == said
+    output = encode.state(SESSION, decision(NOW, command=given), status(MonoNs(NOW - 250_000_000)))
+    assert output.order is not None
+    assert output.order.kind == kind
+    assert output.vehicle is not None
+    assert output.vehicle.age_s == pytest.approx(0.25)
+    assert decode("state", messages.encode(output)) == output
     silent = encode.state(SESSION, replace(decision(NOW), command=None, belief=None), None)
     assert (silent.order, silent.belief, silent.vehicle) == (None, None, None)
 
@@ -177,13 +177,13 @@ def test_health_reads_back() -> None:
         clock.t += 100_000_000
         health.beat("Frame")
         health.delay("vision", 0.004)
-    said = encode.health(SESSION, health.snapshot())
-    assert decode("health", messages.encode(said)) == said
-    assert not said.all_up
-    assert said.parts["camera"].last_error == "unplugged"
-    assert said.flows["Frame"].rate_hz == pytest.approx(10.0)
-    assert said.stages["vision"].p99_s == 0.004
-    assert (said.frames, said.inputs, said.counters) == ({"fused": 1}, {"Imu": {"too_old": 1}}, {"mqtt": {"sent": 3.0}})
+    output = encode.health(SESSION, health.snapshot())
+    assert decode("health", messages.encode(output)) == output
+    assert not output.all_up
+    assert output.parts["camera"].last_error == "unplugged"
+    assert output.flows["Frame"].rate_hz == pytest.approx(10.0)
+    assert output.stages["vision"].p99_s == 0.004
+    assert (output.frames, output.inputs, output.counters) == ({"fused": 1}, {"Imu": {"too_old": 1}}, {"mqtt": {"sent": 3.0}})
     clock.t += 10_000_000_000
     later = health.snapshot().flows["Frame"]
     assert later.age_s == pytest.approx(10.0)
@@ -191,7 +191,7 @@ def test_health_reads_back() -> None:
     assert later.rate_hz < 1.0
 
 
-def test_changes_are_told_once() -> None:
+def test_changes_are_reported_once() -> None:
     changes = Changes()
     assert [h.text for h in changes.decision(decision(NOW, "approach"))] == ["approach"]
     assert changes.decision(decision(NOW, "approach")) == []
@@ -210,10 +210,10 @@ def test_changes_are_told_once() -> None:
 
 def test_the_pad_is_lost_after_a_second_without_it_not_after_one_frame() -> None:
     changes = Changes()
-    told = []
+    reported = []
     for k, found in enumerate([False, True, False, True] + [False] * 40 + [True]):
-        told += [(k, h.text) for h in changes.frame(seen(MonoNs(NOW + k * 33_000_000), found))]
-    assert told == [(1, "pad in sight"), (34, "pad out of sight"), (44, "pad in sight")]
+        reported += [(k, h.text) for h in changes.frame(seen(MonoNs(NOW + k * 33_000_000), found))]
+    assert reported == [(1, "pad in sight"), (34, "pad out of sight"), (44, "pad in sight")]
 
 
 def test_topics_are_one_subtree_a_drone() -> None:
@@ -259,12 +259,12 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
 def test_certificates_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     junk = tmp_path / "junk.pem"
     junk.write_text("nothing")
-    for changes, said in (
+    for changes, output in (
         ({"ca_file": str(junk)}, r"mqtt\.ca_file: .*junk\.pem"),
         ({"ca_file": str(tmp_path / "none")}, "No such file"),
         ({"certificate_file": str(junk), "key_file": str(junk)}, r"mqtt\.certificate_file, key_file: .*junk\.pem"),
     ):
-        with pytest.raises(BadInput, match=said):
+        with pytest.raises(BadInput, match=output):
             tls_context(MqttSettings(transport="tls", **changes))  # type: ignore[arg-type]
     assert tls_context(MqttSettings(transport="tcp")) is None
 
@@ -283,13 +283,13 @@ def test_the_schema_is_printed_and_the_examples_of_the_page_are_good(capsys: pyt
     examples = [json.loads(block) for block in blocks if "$schema" not in block]
     commands = [e for e in examples if "command" in e and "expires_ns" in e]
     reports = [e for e in examples if "latitude_deg" in e]
-    said = [e for e in examples if e not in commands and e not in reports]
+    output = [e for e in examples if e not in commands and e not in reports]
     for example in commands:
         msgspec.convert(example, messages.Command)
     for example in reports:
         msgspec.convert(example, messages.ShipReport)
     assert reports
-    assert len(said) >= len(PUBLISHED)
-    fitting = [{leaf for leaf in PUBLISHED if decode(leaf, json.dumps(e).encode()) is not None} for e in said]
+    assert len(output) >= len(PUBLISHED)
+    fitting = [{leaf for leaf in PUBLISHED if decode(leaf, json.dumps(e).encode()) is not None} for e in output]
     assert all(len(leaves) == 1 for leaves in fitting), fitting
     assert set.union(*fitting) == set(PUBLISHED)

@@ -204,6 +204,7 @@ def test_an_idle_hand_may_be_taken_by_another_person_and_a_moving_one_may_not() 
     assert bridge.cycle() == Hover()
 
 
+@pytest.mark.hazard("H6")
 @pytest.mark.parametrize("how", ["silence", "lost"])
 def test_a_lost_hand_is_a_hold_and_never_the_last_stick(how: str) -> None:
     bridge = bridge_in(ControlSituation.GUIDED)
@@ -255,7 +256,8 @@ def test_a_take_off_is_sent_once_and_again_if_the_link_did_not_take_it() -> None
     assert bridge.cycle() is GUIDED, "not a second later, unexpectedly"
 
 
-def test_an_emergency_cuts_until_the_vehicle_says_so_and_only_reset_leaves_it() -> None:
+@pytest.mark.hazard("H4")
+def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it() -> None:
     bridge = bridge_in(ControlSituation.MANUAL)
     assert bridge.order(OperatorOrder.EMERGENCY, OTHER) is None
     assert bridge.cycle() == CutMotors()
@@ -280,6 +282,7 @@ EVENTS = st.lists(
 )
 
 
+@pytest.mark.hazard("H6")
 @settings(max_examples=150)
 @given(EVENTS)
 def test_whatever_people_do_nothing_commands_without_its_order(events: list[tuple[object, object]]) -> None:

@@ -55,6 +55,7 @@ def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
 
 
+@pytest.mark.hazard("H7")
 @settings(max_examples=40)
 @given(
     st.sampled_from([(), L_SHAPE]),
@@ -83,6 +84,7 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
         assert within(back, p, 12.0, corners, 2.0) == pytest.approx(back)
 
 
+@pytest.mark.hazard("H7")
 @given(
     st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
     st.tuples(st.floats(-80, 80), st.floats(-80, 80)),
@@ -123,7 +125,7 @@ def test_no_limit_ever_makes_it_descend_or_fly_faster(
 
 
 @pytest.mark.parametrize("command", [Hover(), Land(), Land(persistent=True), TakeOff()])
-def test_only_velocities_and_leans_are_limited(command: Command) -> None:
+def test_only_velocities_and_tilts_are_limited(command: Command) -> None:
     far = place((500.0, 0.0), baro_m=200.0, charge=0.01)
     assert limited(command, LimitOptions(fence="start"), far, None, NOW, manual=True) == (command, ())
 
@@ -160,6 +162,7 @@ def test_the_fence_around_a_ship_sails_with_it() -> None:
     assert limited(flown((-1.0, 0.0, 0.0)), options, place(), unknown, NOW, manual=False)[1] == ()
 
 
+@pytest.mark.hazard("H7", "H10")
 def test_heights_and_battery() -> None:
     options = LimitOptions(height_max_m=20.0, manual_height_min_m=0.5)
     up, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=19.5), None, NOW, manual=False)
@@ -232,7 +235,7 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
     assert pilot.operator.hand == sender, "the hand stays with the person"
 
 
-def test_a_fence_that_holds_guidance_back_ends_the_landing_and_says_so() -> None:
+def test_a_fence_that_holds_guidance_back_ends_the_landing_and_reports_it() -> None:
     """The pad lies outside: guidance flies at the fence for `fence_ends_s`, then the drone holds; a person may begin again."""
     pilot = make_pilot(msgspec.structs.replace(load("sim"), limits=LimitOptions(fence="start", fence_radius_m=5.0)))
     orders: list[HandledOrder] = []
@@ -240,13 +243,13 @@ def test_a_fence_that_holds_guidance_back_ends_the_landing_and_says_so() -> None
     pilot.on_sample(Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
     pilot.on_sample(VehicleStatus(at(NOW), True, "flying", 0.9, False, True))
     pilot.operator._place = place((4.9, 0.0))
-    now, said = NOW, list[str]()
+    now, output = NOW, list[str]()
     for _ in range(250):
         now = after(now, 0.02)
         pilot.operator.tick(now)
         chosen = pilot.operator.choose(now, Hover() if pilot.paused else flown((1.0, 0.0, 0.0)))
-        said += [chosen.limit] if not said or said[-1] != chosen.limit else []
-    assert said == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
+        output += [chosen.limit] if not output or output[-1] != chosen.limit else []
+    assert output == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
     assert chosen.command == Hover()
     assert [(o.sender.source, o.order) for o in orders] == [(OrderSource.LIMITS, OperatorOrder.HOLD)]
     assert pilot.operator.take(OperatorOrder.BEGIN, OrderSender(OrderSource.MQTT), now).accepted

@@ -35,6 +35,7 @@ def operating(pilot: Pilot, recording: Callable[[bool], str | None] | None = Non
     return PilotOperator(pilot, OrderSender(OrderSource.MQTT), StillClock(), recording)
 
 
+@pytest.mark.hazard("H6")
 def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
     pilot = flying()
     operator = operating(pilot)
@@ -75,6 +76,7 @@ def test_recording_is_switched_where_there_is_a_recorder(on: bool) -> None:
     assert switched == [on]
 
 
+@pytest.mark.hazard("H9")
 def test_every_order_is_reported_with_its_answer() -> None:
     pilot, reported = flying(), list[HandledOrder]()
     pilot.operator.on_order = reported.append

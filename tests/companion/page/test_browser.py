@@ -162,7 +162,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
 
 
 @pytest.mark.timeout(500)
-async def test_a_lost_connection_is_told_and_comes_back(tmp_path: Path) -> None:
+async def test_a_lost_connection_is_reported_and_comes_back(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
         await one.shows("link", "live")
         await one.press("begin")

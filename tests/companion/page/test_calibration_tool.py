@@ -66,13 +66,13 @@ async def test_a_person_is_led_to_a_camera_file(
         assert "more than the 250 markers" in (await asked(browser, "begin", columns=25, rows=25))["text"]
         assert (await asked(browser, "begin"))["active"]
         assert "under way already" in (await asked(other, "begin"))["text"]
-        told = await browser.read("calibration")
-        assert not told["board_seen"]
+        reported = await browser.read("calibration")
+        assert not reported["board_seen"]
         for px in images:
-            service.px, before = px, told["images"]
-            while told["active"] and told["images"] < before + 4:
-                told = await browser.read("calibration")
-        assert (told["text"], told["grade"], told["lacks"]) == ("complete", "good", [])
+            service.px, before = px, reported["images"]
+            while reported["active"] and reported["images"] < before + 4:
+                reported = await browser.read("calibration")
+        assert (reported["text"], reported["grade"], reported["lacks"]) == ("complete", "good", [])
         assert (await asked(browser, "save"))["text"].startswith("saved beside the settings")
         found = Camera.from_mapping(tomllib.loads((tmp_path / make.NAME).read_text()), "camera")
         assert abs(found.fx / TRUE.fx - 1) < 0.004
@@ -89,10 +89,10 @@ async def test_a_take_off_ends_a_calibration_and_garbage_its_connection(tmp_path
         await service.lands()
         assert (await asked(browser, "begin"))["active"]
         service.flying = True
-        told = await browser.read("calibration")
-        while told["active"]:
-            told = await browser.read("calibration")
-        assert (told["text"], told["file"]) == (make.TOOK_OFF, "")
+        reported = await browser.read("calibration")
+        while reported["active"]:
+            reported = await browser.read("calibration")
+        assert (reported["text"], reported["file"]) == (make.TOOK_OFF, "")
         for more in ({"columns": 1}, {"square_mm": 0}, {"board": "../x"}, {"action": "install"}, {"path": "/etc/x"}):
             async with browsing(service) as garbage:
                 await garbage.read("welcome")

@@ -139,6 +139,7 @@ async def test_a_browser_that_has_the_hand_and_goes_leads_to_a_hold(tmp_path: Pa
         assert service.orders[-1].detail == "(its page closed)"
 
 
+@pytest.mark.hazard("H11")
 async def test_losing_every_page_changes_nothing_of_a_landing_under_way(tmp_path: Path) -> None:
     async with serving(tmp_path) as service:
         async with browsing(service) as browser, browsing(service) as other:
@@ -163,6 +164,7 @@ async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_pa
             pass
 
 
+@pytest.mark.hazard("H9")
 async def test_an_event_says_what_a_person_can_do_about_it(tmp_path: Path) -> None:
     async with serving(tmp_path) as service, browsing(service) as browser:
         await browser.read("welcome")
@@ -188,7 +190,8 @@ async def refused_with(service: PageService, token: str) -> None:
         assert [message["kind"] for message in browser.messages] == ["refused"]
 
 
-async def test_without_the_token_nothing_is_told_and_nothing_is_obeyed(tmp_path: Path) -> None:
+@pytest.mark.hazard("H8")
+async def test_without_the_token_nothing_is_reported_and_nothing_is_obeyed(tmp_path: Path) -> None:
     async with serving(tmp_path) as service:
         tokens = ("", "another-token-of-sixteen", TOKEN[:-1], TOKEN + "x")
         await asyncio.gather(*(refused_with(service, token) for token in tokens))
@@ -289,7 +292,7 @@ async def test_no_more_browsers_than_the_settings_allow(tmp_path: Path) -> None:
         assert (await browser.order("hold"))["accepted"]
 
 
-async def test_a_silent_connection_is_asked_for_its_token_in_time(tmp_path: Path) -> None:
+async def test_a_silent_connection_must_send_its_token_in_time(tmp_path: Path) -> None:
     limits = ConnectionLimits(connection_s=0.3)
     async with serving(tmp_path, limits) as service, aiohttp.ClientSession() as session:
         socket = await session.ws_connect(f"{service.address}/live", origin=service.address)

@@ -57,7 +57,7 @@ def test_the_outline_lies_where_the_filter_expects_the_pad_whatever_the_attitude
     assert disc.mean(axis=0) == pytest.approx(centre, abs=3.0)
 
 
-def test_a_frame_that_was_not_compared_says_nothing_of_the_mount() -> None:
+def test_a_frame_that_was_not_compared_reports_nothing_of_the_mount() -> None:
     assert camera_lean(seen(AT, found=True), believed(np.array([0.0, 0.0, 3.0]))) is None
     assert camera_lean(seen(AT, found=False), believed(np.array([0.0, 0.0, 3.0]))) is None
     assert camera_lean(seen(AT, found=True), None) is None

@@ -77,9 +77,9 @@ async def test_a_text_is_checked_and_saved_with_the_one_before_kept(tmp_path: Pa
         assert shown["text"] == masked(RIG)
         assert "rate_hz" in shown["in_force"]
         edited = shown["text"].replace("20.0", "30.0")
-        told = await checked(browser, edited)
-        assert told["faults"] == []
-        assert {"path": "guidance.rate_hz", "before": "50.0", "after": "30.0"} in told["changes"]
+        reported = await checked(browser, edited)
+        assert reported["faults"] == []
+        assert {"path": "guidance.rate_hz", "before": "50.0", "after": "30.0"} in reported["changes"]
         answer = await saved(browser, edited, shown["revision"])
         assert answer["saved"], answer
         assert path.read_text() == FASTER, "secrets are as they were"
@@ -108,7 +108,7 @@ async def test_nothing_is_checked_in_flight_or_saved_while_armed_or_without_the_
         assert path.read_text() == RIG
 
 
-async def test_where_the_service_may_not_write_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_where_the_service_may_not_write_it_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = rig(tmp_path)
 
     def read_only(**_: Any) -> None:
@@ -134,12 +134,12 @@ async def test_where_the_service_may_not_write_it_says_so(tmp_path: Path, monkey
         shipped.save("", "")
 
 
-async def test_garbage_is_told_and_what_is_no_message_ends_its_connection(tmp_path: Path) -> None:
+async def test_garbage_is_reported_and_what_is_no_message_ends_its_connection(tmp_path: Path) -> None:
     path = rig(tmp_path)
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as other:
         await service.lands()
-        told = await checked(other, 'a = \n"')
-        assert (told["faults"][0]["path"], told["faults"][0]["line"]) == ("", 1)
+        reported = await checked(other, 'a = \n"')
+        assert (reported["faults"][0]["path"], reported["faults"][0]["line"]) == ("", 1)
         for text in ("", "\0", "[" * 5000, "x = " + "9" * 9000, "vehicle = 1", "é" * 5_000):
             assert (await checked(other, text))["faults"], text[:20]
         for message in (
@@ -166,7 +166,7 @@ async def test_garbage_is_told_and_what_is_no_message_ends_its_connection(tmp_pa
         assert path.read_text() == RIG
 
 
-def test_every_fault_is_told_with_its_line() -> None:
+def test_every_fault_is_reported_with_its_line() -> None:
     text = RIG.replace("20.0", "-1").replace("[pad]", "[pad]\ncolour = 1").replace('"ardrone"', '"ardrone"\nmodel = "9"')
     found = draft(text + "[recorder]\nframe = 1\n").faults
     assert [(fault.path, fault.line) for fault in found] == [

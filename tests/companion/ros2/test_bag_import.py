@@ -63,9 +63,9 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     path = tmp_path / "flight.bag"
     write_ros1(path)
     path = path.rename(tmp_path / "no-ending")
-    told: list[str] = []
+    reported: list[str] = []
     assert kind_of(path) is FileKind.ROS_BAG
-    found = list(bag_import.read(path, told.append))
+    found = list(bag_import.read(path, reported.append))
     imus = [one for one in found if isinstance(one, Imu)]
     assert len(imus) == 199, "the first was measured before the bag began"
     assert imus[0].w_body.tolist() == [0.1, -0.2, -0.3]
@@ -77,15 +77,15 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     assert [one.range_m for one in found if isinstance(one, Range)] == pytest.approx([3.0 - n / 10 for n in range(1, 20)])
     frames = [one for one in found if isinstance(one, Frame)]
     assert [one.px[0, 0].tolist() for one in frames] == [[255, 0, 10 * n] for n in range(1, 20)]
-    assert any("/front/range" in text for text in told)
+    assert any("/front/range" in text for text in reported)
 
 
-def test_headers_of_another_clock_are_told_and_not_believed(tmp_path: Path) -> None:
+def test_headers_of_another_clock_are_reported_and_not_accepted(tmp_path: Path) -> None:
     write_ros1(tmp_path / "a.bag", late_s=400.0)
-    told: list[str] = []
-    found = list(bag_import.read(tmp_path / "a.bag", told.append))
+    reported: list[str] = []
+    found = list(bag_import.read(tmp_path / "a.bag", reported.append))
     assert all(one.stamp.measured_at == one.stamp.received_at for one in found)
-    assert any("another clock" in text for text in told)
+    assert any("another clock" in text for text in reported)
 
 
 def test_our_own_bag_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_our_own_bag_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("n", range(12))
-def test_a_damaged_bag_is_refused_or_told(n: int, tmp_path: Path) -> None:
+def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     write_ros1(path, seconds=1)
     whole = list(bag_import.read(path, lambda text: None))
@@ -119,11 +119,11 @@ def test_a_damaged_bag_is_refused_or_told(n: int, tmp_path: Path) -> None:
     at = int(rng.integers(13, len(data) - 300))
     data[at : at + 200] = b"" if n % 3 == 0 else rng.bytes(200) if n % 3 == 1 else b"\xff" * 200
     path.write_bytes(data)
-    told: list[str] = []
+    reported: list[str] = []
     found: list[object] = []
     try:
-        found = list(bag_import.read(path, told.append))
+        found = list(bag_import.read(path, reported.append))
     except BadInput as why:
-        told.append(str(why))
-    assert told or len(found) == len(whole)
-    assert all("\n" not in text for text in told)
+        reported.append(str(why))
+    assert reported or len(found) == len(whole)
+    assert all("\n" not in text for text in reported)

@@ -30,9 +30,9 @@ def published(path: Path) -> dict[str, list[Any]]:
 
     store, out = get_typestore(Stores.ROS2_JAZZY), defaultdict(list)
     for line in path.read_text().splitlines():
-        said = json.loads(line)
-        assert (said["durability"] == "TRANSIENT_LOCAL") is (said["topic"] == "/tf_static")
-        out[said["topic"]].append(store.deserialize_cdr(bytes.fromhex(said["cdr"]), said["kind"]))
+        output = json.loads(line)
+        assert (output["durability"] == "TRANSIENT_LOCAL") is (output["topic"] == "/tf_static")
+        out[output["topic"]].append(store.deserialize_cdr(bytes.fromhex(output["cdr"]), output["kind"]))
     return out
 
 
@@ -63,12 +63,12 @@ async def test_a_flight_is_published_while_it_is_flown_and_again_after_the_servi
             await again.fly(0.5)
             await until(lambda: file.read_bytes().count(b"/tf_static") > before)
         bridge.terminate()
-        _, said = await asyncio.to_thread(bridge.communicate, timeout=30)
+        _, output = await asyncio.to_thread(bridge.communicate, timeout=30)
     assert bridge.returncode == 143
-    assert "connected to 'drone'" in said
-    assert "trying again" in said
-    assert "this ROS has no diagnostic_msgs/msg/DiagnosticArray; the topic is left out" in said
-    assert re.search(r"[1-9]\d+ messages on \d+ topics; 0 of the service not understood", said)
+    assert "connected to 'drone'" in output
+    assert "trying again" in output
+    assert "this ROS has no diagnostic_msgs/msg/DiagnosticArray; the topic is left out" in output
+    assert re.search(r"[1-9]\d+ messages on \d+ topics; 0 of the service not understood", output)
     topics = published(file)
     wanted = {"/imu/data", "/tf", "/tf_static", "/velocity", "/range", "/camera/image_raw/compressed", "/camera/camera_info"}
     assert wanted | {"/detection/pad_pose", "/dead_reckoning/pad_pose", "/cmd_vel", "/phase"} <= set(topics)
@@ -88,12 +88,12 @@ async def test_a_wrong_token_ends_it_and_nobody_there_is_waited_for(tmp_path: Pa
     async with serving(token_file=str(token)) as service:
         address = service.address
         with started(address, tmp_path / "published") as bridge:
-            _, said = await asyncio.to_thread(bridge.communicate, timeout=60)
-        assert (bridge.returncode, "the token is missing or wrong (--token-file)" in said) == (2, True)
+            _, output = await asyncio.to_thread(bridge.communicate, timeout=60)
+        assert (bridge.returncode, "the token is missing or wrong (--token-file)" in output) == (2, True)
     with started(address, tmp_path / "published", "--seconds", "2.5") as bridge:
-        _, said = await asyncio.to_thread(bridge.communicate, timeout=60)
+        _, output = await asyncio.to_thread(bridge.communicate, timeout=60)
     assert bridge.returncode == 1
-    assert said.count("trying again") == 1, "said once"
+    assert output.count("trying again") == 1, "said once"
 
 
 @pytest.mark.parametrize(
@@ -107,6 +107,6 @@ async def test_a_wrong_token_ends_it_and_nobody_there_is_waited_for(tmp_path: Pa
 )
 def test_what_is_wrong_is_one_line(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["ros2", *words]) == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert says in output
+    assert output.count("\n") == 1

@@ -15,7 +15,7 @@ def test_without_the_library_one_line_says_how_to_get_it(
 ) -> None:
     monkeypatch.setattr(typestore, "find_spec", lambda name: None)
     assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "decklander[ros2]" in said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert "decklander[ros2]" in printed
     assert not (tmp_path / "bag").exists()

@@ -99,6 +99,7 @@ def test_commands_of_others_are_not_the_drones_words() -> None:
     assert model.drones["deck"].malformed == 1
 
 
+@pytest.mark.hazard("H9")
 def test_a_drone_that_falls_silent_does_not_look_alive() -> None:
     model = full()
     text = "\n".join(screen(model, 20.0, 150, 45, colour=False))
@@ -175,16 +176,16 @@ def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.Captu
     assert capsys.readouterr().err == f"decklander: {said}\n"
 
 
-def test_plain_tcp_to_a_port_with_tls_says_so_and_fails(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plain_tcp_to_a_port_with_tls_reports_it_and_fails(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["watch", "--host", "localhost", "--port", str(broker.port), "--plain-tcp", "--seconds", "0.7"]
     assert cli.main(words) == 1
-    said = capsys.readouterr().err
-    assert said.startswith(f"connecting to broker localhost:{broker.port} (plain TCP) ...\n")
-    assert f"decklander: no answer from broker localhost:{broker.port} (plain TCP) within 0.7 s" in said
-    assert "a broker that expects TLS does not answer plain TCP" in said
+    output = capsys.readouterr().err
+    assert output.startswith(f"connecting to broker localhost:{broker.port} (plain TCP) ...\n")
+    assert f"decklander: no answer from broker localhost:{broker.port} (plain TCP) within 0.7 s" in output
+    assert "a broker that expects TLS does not answer plain TCP" in output
 
 
-def test_a_broker_without_drones_is_said_to_be_silent(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broker_without_drones_is_reported_to_be_silent(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["watch", "--host", "localhost", "--port", str(broker.port), "--user", "ground", "--seconds", "1.5"]
     words += ["--password-file", str(broker.folder / "ground.password"), "--ca-file", str(broker.certificates / "ca.crt")]
     assert cli.main(words) == 0

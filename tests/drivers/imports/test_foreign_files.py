@@ -31,10 +31,10 @@ PARAMETERS = {
 def heard(read: Callable[[Path, Tell], Iterable[Sample]], path: Path, data: bytes) -> tuple[list[Sample], str]:
     """Return the samples of a file with these bytes, and what was told of it."""
     path.write_bytes(data)
-    told: list[str] = []
-    samples = list(read(path, told.append))
+    reported: list[str] = []
+    samples = list(read(path, reported.append))
     assert [s.stamp.received_at for s in samples] == sorted(s.stamp.received_at for s in samples)
-    return samples, "; ".join(told)
+    return samples, "; ".join(reported)
 
 
 def heights(samples: Iterable[Sample]) -> tuple[list[float], list[float]]:
@@ -46,21 +46,21 @@ def heights(samples: Iterable[Sample]) -> tuple[list[float], list[float]]:
 def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ahead(
     write: Callable[[list[made.Row]], bytes], tmp_path: Path
 ) -> None:
-    samples, told = heard(dataflash.read, tmp_path / "log", write(made.flight(TIMES, HEIGHTS, forward_m=8.0)))
+    samples, reported = heard(dataflash.read, tmp_path / "log", write(made.flight(TIMES, HEIGHTS, forward_m=8.0)))
     at, found = heights(samples)
     assert found == pytest.approx(HEIGHTS, abs=0.011)
     assert np.diff(at) == pytest.approx(0.1)
     assert sum(isinstance(s, Imu) for s in samples) == 50
-    assert told == ""
+    assert reported == ""
     assert dataflash.read_history(tmp_path / "log").parameters["GUID_TIMEOUT"] == pytest.approx(0.2)
 
 
 def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
     rows = made.flight(TIMES, HEIGHTS)
     rows += [("RFND", (at + 3000, 1, 7.0, 2 if n % 5 else 4, 25)) for n, at in enumerate(TIMES)]
-    samples, told = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
     assert heights(samples)[1] == pytest.approx(HEIGHTS, abs=0.011)
-    assert "2 rangefinders look down" in told
+    assert "2 rangefinders look down" in reported
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
         ([t + 60_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 64.9, ""),
     ],
 )
-def test_a_log_whose_clock_steps_goes_on_and_says_so(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
-    samples, told = heard(dataflash.read, tmp_path / "log", made.dataflash(made.flight(times, HEIGHTS)))
+def test_a_log_whose_clock_steps_goes_on_and_reports_it(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(made.flight(times, HEIGHTS)))
     at, found = heights(samples)
     assert all(np.diff(found) < 0), "it falls all the time"
     assert all(np.diff(at) > 0)
     assert at[-1] - at[0] == pytest.approx(lasts_s, abs=0.35)
-    assert said in told
+    assert said in reported
     assert dataflash.read_history(tmp_path / "log").history.lasted_s <= lasts_s + 0.1
 
 
@@ -92,35 +92,37 @@ def test_any_stamps_make_a_time_that_begins_at_zero(stamps: list[int]) -> None:
 
 
 def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_down(tmp_path: Path) -> None:
-    samples, told = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, retained_us=BEGAN - 10_000_000))
+    samples, reported = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, retained_us=BEGAN - 10_000_000))
     at, found = heights(samples)
     assert found == pytest.approx(HEIGHTS, abs=1e-5)
     assert (at[0], at[-1]) == pytest.approx((0.0, 4.9))
     assert not any(isinstance(s, VehicleStatus) for s in samples)
-    assert told == ""
+    assert reported == ""
     assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_foreign_bytes_in_a_px4_log_are_left_out_and_told(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_foreign_bytes_in_a_px4_log_are_left_out_and_reported(
+    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     foreign = np.random.default_rng(seed).bytes(50 + 90 * seed)
-    samples, told = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
+    samples, reported = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
     assert sum(isinstance(s, Attitude) for s in samples) >= 49
-    assert "damaged" in told
+    assert "damaged" in reported
     assert capsys.readouterr().out == ""
 
 
 def test_a_telemetry_log_gives_samples_and_parameters(tmp_path: Path) -> None:
     data = made.telemetry_log()
-    samples, told = heard(tlog.read, tmp_path / "log", data)
+    samples, reported = heard(tlog.read, tmp_path / "log", data)
     at, found = heights(samples)
     assert found == pytest.approx([5.0 - 0.04 * n for n in range(50)])
     assert np.diff(at) == pytest.approx(0.05, abs=0.002)
-    assert told == ""
+    assert reported == ""
     assert tlog.read_history(tmp_path / "log").parameters == {"GUID_TIMEOUT": pytest.approx(0.2)}
-    cut, told = heard(tlog.read, tmp_path / "log", data[:900] + b"\x12\x34" * 30 + data[960:])
+    cut, reported = heard(tlog.read, tmp_path / "log", data[:900] + b"\x12\x34" * 30 + data[960:])
     assert len(cut) > 60
-    assert "damaged" in told
+    assert "damaged" in reported
 
 
 def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
@@ -148,10 +150,10 @@ CAPTURE = [1_000_000_000 + 5000 * n for n in range(300)]
 )
 def test_a_capture_of_navdata_lasts_as_long_as_it_did(times: list[int], said: str, tmp_path: Path) -> None:
     data = b"".join(made.navdata(n + 1, t) for n, t in enumerate(times))
-    samples, told = heard(ardrone_capture.samples, tmp_path / "navdata", data)
+    samples, reported = heard(ardrone_capture.samples, tmp_path / "navdata", data)
     assert samples[-1].stamp.measured_at * 1e-9 == pytest.approx(1.5, abs=0.05)
-    assert (told == "") == (said == "")
-    assert said in told
+    assert (reported == "") == (said == "")
+    assert said in reported
 
 
 def test_wrong_checksums_are_counted_in_words(tmp_path: Path) -> None:
@@ -160,9 +162,9 @@ def test_wrong_checksums_are_counted_in_words(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="40 datagrams are refused: their checksum is wrong"):
         ardrone_capture.samples(path)
     mixed = b"".join(made.navdata(n + 1, 5000 * n, right_sum=n % 4 > 0) for n in range(40))
-    samples, told = heard(ardrone_capture.samples, path, mixed)
+    samples, reported = heard(ardrone_capture.samples, path, mixed)
     assert samples
-    assert "10 datagrams are refused" in told
+    assert "10 datagrams are refused" in reported
 
 
 NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,5423.41,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(60))
@@ -218,9 +220,9 @@ def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: s
 def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
     path.write_bytes(data)
     for read in READERS[kind]:
-        told: list[str] = []
+        reported: list[str] = []
         try:
-            found = read(path, told.append)
+            found = read(path, reported.append)
         except BadInput:
             continue
         if isinstance(found, list):
@@ -238,9 +240,9 @@ def _images(folder: Path, names: Iterable[str]) -> None:
 
 def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
     """Return the instants of a folder's frames, the grey of each over ten, and what was told."""
-    told: list[str] = []
-    frames = list(image_folder.frames(folder, tell=told.append))
-    return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(told)
+    reported: list[str] = []
+    frames = list(image_folder.frames(folder, tell=reported.append))
+    return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(reported)
 
 
 @pytest.mark.parametrize("name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png"])
@@ -248,10 +250,10 @@ def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None
     at = [1_700_000_000.0 + 0.25 * n for n in range(5)]
     _images(tmp_path / "f", [name.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s) for s in at])
     assert kind_of(tmp_path / "f") is FileKind.IMAGES
-    seconds, greys, told = _at_s(tmp_path / "f")
+    seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.25 * n for n in range(5)], abs=1e-6)
     assert greys == [0, 1, 2, 3, 4]
-    assert told == ""
+    assert reported == ""
 
 
 @pytest.mark.parametrize(("head", "row"), [
@@ -259,7 +261,7 @@ def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None
     ("# timestamp filename", "{s:.2f} rgb/{name}"),
     ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"),
 ])  # fmt: skip
-def test_a_table_tells_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
+def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
     names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
     _images(tmp_path / "f", names)
     lines = [
@@ -267,10 +269,10 @@ def test_a_table_tells_the_times_of_images(head: str, row: str, tmp_path: Path) 
         *(row.format(s=7.5 + 0.5 * n, ms=7500.0 + 500 * n, ns=7.5e9 + 5e8 * n, name=name) for n, name in enumerate(names)),
     ]
     (tmp_path / "f" / "times.csv").write_text("\r\n".join(lines[:-1]) + "\n")
-    seconds, greys, told = _at_s(tmp_path / "f")
+    seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.0, 0.5, 1.0, 1.5])
     assert greys == [0, 1, 2, 3]
-    assert "1 of 5 images have no time" in told
+    assert "1 of 5 images have no time" in reported
 
 
 def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -> None:
@@ -279,7 +281,7 @@ def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -
         list(image_folder.frames(tmp_path / "counted"))
     _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
     (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    seconds, _, told = _at_s(tmp_path / "f")
+    seconds, _, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.0, 2.0, 4.0])
-    assert "the time of the one before" in told
-    assert "4_1700000004.png" in told
+    assert "the time of the one before" in reported
+    assert "4_1700000004.png" in reported

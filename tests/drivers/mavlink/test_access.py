@@ -33,7 +33,7 @@ def test_whoever_signs_may_command() -> None:
     assert level(Access(NamedSenders()), A, STATION, signed=True) is AccessLevel.OPERATOR
 
 
-def test_whoever_is_heard_where_the_autopilot_is_may_command() -> None:
+def test_whoever_is_received_where_the_autopilot_is_may_command() -> None:
     access = Access(NamedSenders(), autopilot=(A, AUTOPILOT))
     assert level(access, A, STATION) is AccessLevel.OPERATOR
     assert level(access, B, STATION) is AccessLevel.UNKNOWN
@@ -72,7 +72,7 @@ def test_a_ship_is_listened_to_and_may_not_command() -> None:
     assert level(Access(NamedSenders(reporters=frozenset({17}))), CABLE, SHIP) is AccessLevel.PEER
 
 
-def test_a_stranger_that_stays_is_told_of_once_with_the_cure(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unknown_peer_that_stays_is_reported_once_with_the_cure(caplog: pytest.LogCaptureFixture) -> None:
     access = Access(NamedSenders())
     with caplog.at_level(logging.WARNING):
         for n in range(100):

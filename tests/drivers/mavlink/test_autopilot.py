@@ -41,7 +41,7 @@ def drain(autopilot: Autopilot) -> list[Sample]:
 
 
 @pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
-async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack) -> None:
+async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: Stack) -> None:
     fake = MiniatureAutopilot(
         stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0])
     )
@@ -120,7 +120,7 @@ def fake_request(fake: MiniatureAutopilot) -> Any:
     return TimeSyncV2(0, fake.boot_ns)
 
 
-async def test_silence_is_said_and_everything_is_asked_for_again() -> None:
+async def test_silence_is_reported_and_everything_is_requested_again() -> None:
     fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
     async with flown(fake, parameters=("PLND_LAG",)) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
@@ -139,7 +139,7 @@ async def test_silence_is_said_and_everything_is_asked_for_again() -> None:
         assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
 
 
-async def test_a_reboot_is_noticed_and_streams_are_asked_for_again() -> None:
+async def test_a_reboot_is_noticed_and_streams_are_requested_again() -> None:
     fake = MiniatureAutopilot()
     async with flown(fake) as autopilot:
         await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
@@ -213,7 +213,7 @@ async def told(autopilot: Autopilot, taken: Callable[[str | None], bool]) -> flo
     return asyncio.get_running_loop().time() - began
 
 
-async def test_who_takes_the_vehicle_is_told_at_once_and_so_is_that_it_was_given_back() -> None:
+async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_given_back() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
     async with flown(fake, prestream_s=0.1) as autopilot, asyncio.timeout(30):
         while fake.mode != "offboard" or autopilot.condition.mode != "offboard":

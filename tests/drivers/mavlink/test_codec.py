@@ -84,7 +84,7 @@ def test_lost_messages_are_counted_by_source_and_repeats_are_not() -> None:
     assert codec.counters.lost == 3
 
 
-def test_an_unknown_message_is_counted_and_believed_only_between_frames() -> None:
+def test_an_unknown_message_is_counted_and_accepted_only_between_frames() -> None:
     frame = bytearray(stream(1)[0])
     frame[7:10] = (60_000).to_bytes(3, "little")
     codec = Codec(1, 1)
@@ -94,7 +94,7 @@ def test_an_unknown_message_is_counted_and_believed_only_between_frames() -> Non
     assert len(codec.feed(bytes(frame[:-2]) + stream(1)[0] + b"\0")) == 1
 
 
-def test_mavlink_1_is_heard_and_mavlink_2_is_spoken() -> None:
+def test_mavlink_1_is_received_and_mavlink_2_is_spoken() -> None:
     old = attitude(5).pack(mav.MAVLink(None, srcSystem=1, srcComponent=1), force_mavlink1=True)
     codec = Codec(1, 1)
     assert times(codec.feed(old)) == [5]
@@ -124,7 +124,7 @@ def test_the_signature_is_the_published_one() -> None:
     assert data[-6:] == hashlib.sha256(KEY.secret + data[:-6]).digest()[:6]
 
 
-def test_signed_traffic_is_heard_and_anything_else_is_refused() -> None:
+def test_signed_traffic_is_received_and_anything_else_is_refused() -> None:
     sender, receiver = Codec(1, 1, signing=signing()), Codec(2, 1, signing=signing(link_id=4))
     good = sender.pack(attitude(1))
     assert times(receiver.feed(good)) == [1]

@@ -39,7 +39,7 @@ def test_a_defined_message_crosses_the_wire_field_by_field() -> None:
     assert data[10:30].hex() == "0500000000010000" + "0000c03f" + "000010c0" + "00004840", "uint64 first, then the floats"
 
 
-def test_timesync_has_targets_and_hears_those_without() -> None:
+def test_timesync_has_targets_and_receives_those_without() -> None:
     assert TimeSyncV2.crc_extra == 34
     data = Codec(1, 1).pack(TimeSyncV2(5, -6, 7, 191))
     (got,) = Codec(1, 1).feed(data)

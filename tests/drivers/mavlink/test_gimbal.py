@@ -185,7 +185,7 @@ def test_it_takes_control_points_down_and_does_so_again_when_the_gimbal_has_left
     assert pointer.counts == {"pointed": 1, "left": 1}
 
 
-def test_a_refusal_is_counted_and_asked_again_later(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_refusal_is_counted_and_requested_again_later(caplog: pytest.LogCaptureFixture) -> None:
     pointer = GimbalPointer(1)
     for n, t in enumerate((0.0, 10.0)):
         assert asked(pointer, t, None) is not None

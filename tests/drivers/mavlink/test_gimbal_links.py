@@ -67,14 +67,14 @@ def test_only_reports_of_the_vehicle_s_own_gimbal_from_one_place_count() -> None
     assert gimbal.counted()["reports"] == 3
 
 
-def test_a_gimbal_that_the_autopilot_drives_is_told_by_its_number_and_an_old_autopilot_gives_none() -> None:
+def test_a_gimbal_that_the_autopilot_drives_is_reported_by_its_number_and_an_old_autopilot_gives_none() -> None:
     first, second = (Gimbal(GimbalOptions(n), SystemClock()) for n in (1, 2))
     for number, who in ((0, [True, False]), (1, [True, False]), (2, [False, True])):
         assert [taken(g, report(number), 1, float(number)) for g in (first, second)] == who
     assert not taken(first, report(1), 154, 3.0)
 
 
-def test_the_autopilot_is_asked_when_its_other_streams_are_settled_and_a_gimbal_at_once() -> None:
+def test_the_autopilot_is_queried_when_its_other_streams_are_settled_and_a_gimbal_at_once() -> None:
     now = MonoNs(100 * NS_PER_S)
     for device, target in ((1, (1, 1)), (154, (1, 154))):
         busy = Gimbal(GimbalOptions(device), SystemClock()).due(cast(Autopilot, autopilot(settled=False)), now)
@@ -85,7 +85,7 @@ def test_the_autopilot_is_asked_when_its_other_streams_are_settled_and_a_gimbal_
         assert len(busy) == (device > 6)
 
 
-def test_a_manager_that_tells_of_itself_is_the_one_that_is_commanded_and_answers() -> None:
+def test_a_manager_that_reports_of_itself_is_the_one_that_is_commanded_and_answers() -> None:
     gimbal, to = Gimbal(GimbalOptions(154, point_down=True), SystemClock()), cast(Autopilot, autopilot())
     gimbal.on_message(to, received(mav.MAVLink_gimbal_manager_status_message(0, 0, 171, 0, 0, 0, 0), 171, 0.0))
     gimbal.on_message(to, received(mav.MAVLink_gimbal_manager_status_message(0, 0, 154, 0, 0, 0, 0), 154, 0.0))

@@ -173,7 +173,7 @@ def test_status_follows_mode_motors_and_ground() -> None:
 
 
 @pytest.mark.parametrize("stack", [Stack.PX4, Stack.ARDUPILOT])
-def test_an_armed_px4_flies_only_when_it_says_so_or_says_nothing_for_long(stack: Stack) -> None:
+def test_an_armed_px4_flies_only_when_it_reports_it_or_reports_nothing_for_long(stack: Stack) -> None:
     """It is active as soon as it is armed, ArduPilot as soon as it flies."""
     s = sampler(stack)
     armed, apm = mav.MAVLink_heartbeat_message(2, 12 if stack is Stack.PX4 else 3, 0x81, 6 << 16, 4, 3), stack is Stack.ARDUPILOT
@@ -214,7 +214,7 @@ def follow_target(**changed: Any) -> Message:
     return mav.MAVLink_follow_target_message(**{**fields, **changed})
 
 
-def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_says_so() -> None:
+def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_reports_it() -> None:
     fix, report = sampler().vessel(follow_target(), NOW)
     assert isinstance(fix, GeoFix)
     assert (fix.whose, fix.sigma_m, fix.place.height_m) == ("vessel", 6.0, 12.5)
@@ -228,7 +228,7 @@ def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_says_so()
     assert s.refused == {"FOLLOW_TARGET": 3}
 
 
-def test_a_ship_s_report_that_comes_10_s_late_says_so_for_minutes() -> None:
+def test_a_ship_s_report_that_comes_10_s_late_reports_it_for_minutes() -> None:
     s = sampler()
     for n in range(30):
         s.vessel(follow_target(timestamp=1000 * n), MonoNs(NOW + n * 10**9))
@@ -267,7 +267,7 @@ def test_what_is_not_finite_is_refused_and_counted() -> None:
     ],
     ids=lambda message: str(message.get_type()),
 )
-def test_what_no_sensor_can_measure_is_refused_before_its_stamp_is_believed(message: Any) -> None:
+def test_what_no_sensor_can_measure_is_refused_before_its_stamp_is_accepted(message: Any) -> None:
     s = sampler(Stack.PX4)
     assert s.samples(message, NOW) == []
     assert s.refused.total() == 1

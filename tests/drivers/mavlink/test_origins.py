@@ -95,7 +95,7 @@ def test_one_that_boots_is_the_same_one(gap_s: float) -> None:
     assert "HEARTBEAT" in kinds([one for one in out if one[0] >= 3.0 + gap_s])
 
 
-def test_one_that_takes_the_others_place_is_believed_late() -> None:
+def test_one_that_takes_the_others_place_is_accepted_late() -> None:
     """The followed one of two autopilots is switched off; the other one is no reboot of it."""
     origins = Origins()
     wire = Craft(100.0, ends_s=5.0).messages(20.0) + Craft(700.0, landed=True, begins_s=1.0).messages(20.0)

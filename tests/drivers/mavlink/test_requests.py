@@ -35,7 +35,7 @@ def test_one_stream_at_a_time_since_the_answer_does_not_say_which() -> None:
     assert streams.refused == {"LOCAL_POSITION_NED": 2}
 
 
-def test_where_the_quaternion_is_refused_the_angles_are_asked_for() -> None:
+def test_where_the_quaternion_is_refused_the_angles_are_requested() -> None:
     streams = Streams({"ATTITUDE_QUATERNION": 100.0, "RAW_IMU": 50.0})
     streams.due(at(0), TARGET)
     streams.on_message(ack(4), at(0.1))
@@ -60,7 +60,7 @@ def test_an_unanswered_request_is_repeated_and_then_given_up() -> None:
     assert len(streams.due(at(9), TARGET)) == 1
 
 
-def test_a_stream_that_falls_silent_is_asked_for_again() -> None:
+def test_a_stream_that_falls_silent_is_requested_again() -> None:
     streams = Streams({"RAW_IMU": 100.0})
     streams.due(at(0), TARGET)
     streams.on_message(ack(), at(0.1))
@@ -130,7 +130,7 @@ def test_what_does_not_fit_an_integer_is_refused(value: float, kind: int) -> Non
         wire_value(Stack.PX4, value, kind)
 
 
-def test_requests_are_bounded_in_rate_whatever_is_asked_for() -> None:
+def test_requests_are_bounded_in_rate_whatever_is_requested() -> None:
     limit, sent = RateLimit(20.0, 100), 0
     for tick in range(250):  # 10 s
         while limit.allows(at(0.04 * tick)):

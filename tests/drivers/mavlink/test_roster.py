@@ -39,6 +39,7 @@ def names(roster: Roster, bound: Bound | None, seconds: float) -> dict[str, bool
     return {one.name: one.blocks for one in roster.conflicts(bound, OURS, at(seconds))}
 
 
+@pytest.mark.hazard("H8")
 @pytest.mark.parametrize("flying", [(), (1, 7)])
 def test_of_two_that_fly_or_stand_nobody_is_commanded(flying: tuple[int, ...]) -> None:
     roster = roster_of()
@@ -52,7 +53,7 @@ def test_of_two_that_fly_or_stand_nobody_is_commanded(flying: tuple[int, ...]) -
     assert names(roster, SEVEN, 9.0) == {}, "the others are gone"
 
 
-def test_the_first_that_flies_is_meant_and_not_the_first_that_is_heard() -> None:
+def test_the_first_that_flies_is_meant_and_not_the_first_that_is_received() -> None:
     roster = roster_of()
     assert roster.chosen(7, None, at(0.0)), "one that is heard is listened to"
     heard(roster, 2.0, 1)
@@ -107,6 +108,7 @@ def test_others_are_no_autopilots() -> None:
     assert names(roster, SEVEN, 0.5) == {}
 
 
+@pytest.mark.hazard("H8")
 def test_two_of_one_id_are_named_and_nobody_is_commanded() -> None:
     roster = roster_of(system_id=7)
     (conflict,) = roster.conflicts(replace(SEVEN, several=True), OURS, at(0.0))

@@ -69,7 +69,7 @@ def test_a_setpoint_says_in_north_and_east_what_was_meant_in_forward_and_right(y
 
 
 @pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
-def test_a_lean_is_a_velocity_with_its_acceleration_fed_forward_and_no_trim(yaw_deg: int) -> None:
+def test_a_tilt_is_a_velocity_with_its_acceleration_fed_forward_and_no_trim(yaw_deg: int) -> None:
     """The autopilot cancels the wind by itself: sent the trim as well, it would cancel it twice."""
     yaw = math.radians(yaw_deg)
     lean = Lean(np.array([0.6, -0.4]), np.array([9.0, 7.0]), np.array([0.5, -0.25, 0.125]), 0.3)
@@ -123,13 +123,13 @@ def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:
     assert flight.streamer.hand is Hand.OURS
 
 
-def test_px4_hears_setpoints_before_it_is_asked_for_offboard() -> None:
+def test_px4_receives_setpoints_before_the_request_for_offboard() -> None:
     flight = Flight(Stack.PX4, "auto.loiter")
     assert modes(flight.periods(1.9, GO)) == []
     assert modes(flight.periods(0.3, GO)) == [(6, 0)]
 
 
-def test_a_mode_that_does_not_come_is_asked_for_a_few_times_and_then_left() -> None:
+def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> None:
     flight = Flight(Stack.ARDUPILOT, request_tries=3)
     assert len(modes(flight.periods(8.0, GO))) == 3
     assert flight.streamer.hand is Hand.RELEASED
@@ -316,7 +316,7 @@ def test_a_hover_over_a_moving_deck_goes_along_for_a_while() -> None:
     assert v[-1] == (0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_landing_by_velocity_stops_sinking_when_it_is_not_asked_for_again() -> None:
+def test_a_landing_by_velocity_stops_descending_when_it_is_not_requested_again() -> None:
     """It sank for ever: 3,000 setpoints in 120 s."""
     flight = over_a_deck()
     sinking = velocities(flight.periods(1.0, Land()))
@@ -355,7 +355,7 @@ def test_a_landing_by_velocity_is_bounded_by_time_and_by_height(seconds: float, 
     assert velocities(flight.periods(0.2, GO))[-1][2] == pytest.approx(0.125), "a go-around is flown"
 
 
-def test_a_landing_by_mode_is_called_off_when_it_is_not_asked_for_again() -> None:
+def test_a_landing_by_mode_is_called_off_when_it_is_not_requested_again() -> None:
     flight = over_a_deck(Stack.ARDUPILOT)
     assert modes(flight.periods(0.3, Land())) == [(9, 0)]
     flight.told("land")
@@ -457,7 +457,7 @@ def test_motors_stop_by_force_once_the_deck_was_felt_and_the_stream_outlives_the
     assert flight.periods(1.0) == []
 
 
-def test_motors_stop_by_force_only_by_setting_and_only_while_guidance_says_so() -> None:
+def test_motors_stop_by_force_only_by_setting_and_only_while_guidance_reports_it() -> None:
     gentle = Flight(Stack.PX4, "offboard", disarm_on_contact=False)
     gentle.periods(0.2, GO)
     assert set(stops(gentle.periods(1.0, ON_DECK))) == {(0.0, 0.0)}
@@ -479,7 +479,7 @@ def test_a_go_around_takes_back_a_vehicle_whose_motors_did_not_stop() -> None:
     assert stops(sent) == []
 
 
-def test_a_vehicle_that_stands_after_a_landing_is_asked_to_disarm_and_never_left_armed_in_a_hold() -> None:
+def test_a_vehicle_that_stands_after_a_landing_is_commanded_to_disarm_and_never_left_armed_in_a_hold() -> None:
     flight = Flight(Stack.PX4, "offboard")
     flight.periods(0.2, GO)
     flight.told("offboard")

@@ -122,7 +122,7 @@ def test_a_hover_is_a_command_and_stands_over_what_lies_below() -> None:
     assert flight.streamer.stale_periods == 0
 
 
-def test_a_mode_is_asked_for_again_after_a_second_five_times_and_then_left() -> None:
+def test_a_mode_is_requested_again_after_a_second_five_times_and_then_left() -> None:
     flight, asked = Flight(), []
     for t in range(0, 4999, 250):
         flight.take(GO, t)
@@ -138,7 +138,7 @@ def test_a_mode_is_asked_for_again_after_a_second_five_times_and_then_left() -> 
     assert flight.streamer.hand is Hand.OURS
 
 
-def test_px4_streams_for_two_seconds_first_and_anew_after_a_pause() -> None:
+def test_px4_streams_for_two_seconds_first_and_again_after_a_pause() -> None:
     flight, asked = Flight(Stack.PX4, "auto.loiter"), []
     for t in (0, 500, 1000, 1500, 1999.999, 2000):
         flight.take(GO, t)
@@ -197,14 +197,14 @@ def sinking(t: float = 0, **options: object) -> Flight:
 DOWN, LEVEL = (1.0, 0.5, 0.4, 0.0), (1.0, 0.5, 0.0, 0.0)
 
 
-def test_a_landing_by_velocity_sinks_while_it_is_asked_for_then_holds_then_ends() -> None:
+def test_a_landing_by_velocity_sinks_while_it_is_requested_then_holds_then_ends() -> None:
     flight = sinking()
     said_at = [flight.sends(t) for t in (0, 500, 500.001, 600, 3000, 3000.001, 6000, 6000.001)]
     assert said_at == [([v], []) for v in (DOWN, DOWN, LEVEL, LEVEL, LEVEL, STILL, STILL)] + [([STILL], [LOITER])]
     assert (flight.streamer.landings_called_off, flight.streamer.hand) == (1, Hand.HOLDING)
 
 
-def test_a_landing_asked_for_again_goes_on_and_is_counted_anew() -> None:
+def test_a_landing_requested_again_goes_on_and_is_counted_again() -> None:
     flight = sinking()
     assert flight.sends(600)[0] == [LEVEL]
     flight.take(Land(), 700)
@@ -265,7 +265,7 @@ def test_a_landing_by_velocity_ends_by_its_depth(down_m: float, v: tuple[float, 
     assert flight.sends(100)[0] == [v]
 
 
-def test_without_a_height_the_depth_says_nothing() -> None:
+def test_without_a_height_the_depth_reports_nothing() -> None:
     flight = Flight(Stack.PX4, "offboard")
     flight.take(GO, 0)
     flight.told("offboard")
@@ -285,7 +285,7 @@ def test_the_velocity_that_is_carried_is_a_mean_over_a_second() -> None:
     assert late.sends(2000)[0][0] == pytest.approx((1.5, 0.75, 0.4, 0.0))
 
 
-def test_a_landing_by_mode_is_asked_for_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:
+def test_a_landing_by_mode_is_requested_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:
     flight = ours()
     for t in (100, 600, 1099, 1100):
         flight.take(Land(), t)
@@ -349,7 +349,7 @@ def test_a_take_off_is_tried_for_fifteen_seconds() -> None:
     assert all(m.command != mav.MAV_CMD_COMPONENT_ARM_DISARM for m in flight.streamer.period(ms(20_100))), "a landing ends it"
 
 
-def test_arming_and_taking_off_carry_nothing_else_and_are_asked_for_again_though_one_try_is_allowed() -> None:
+def test_arming_and_taking_off_carry_nothing_else_and_are_requested_again_though_one_try_is_allowed() -> None:
     flight = Flight(mode="guided", request_tries=1)
     flight.told("guided", flying=False, armed=False)
     flight.take(TakeOff(), 0)
@@ -365,7 +365,7 @@ def test_arming_and_taking_off_carry_nothing_else_and_are_asked_for_again_though
     assert [getattr(up, f"param{n}") for n in range(1, 8)] == [0, 0, 0, 0, 0, 0, 3.0]
 
 
-def test_without_a_heading_no_mode_is_asked_for_either() -> None:
+def test_without_a_heading_no_mode_is_requested_either() -> None:
     flight = Flight()
     flight.take(GO, 0)
     assert flight.sends(0, blind=True) == ([], [])

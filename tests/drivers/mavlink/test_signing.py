@@ -97,7 +97,7 @@ def signed(wall_s: float, count: int = 3, system: int = 1) -> list[bytes]:
     return [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)) for _ in range(count)]
 
 
-def test_what_was_heard_before_a_restart_cannot_be_played_again_after_it(tmp_path: Path) -> None:
+def test_what_was_received_before_a_restart_cannot_be_played_again_after_it(tmp_path: Path) -> None:
     path, now_s = tmp_path / "times", EPOCH_S + 5000.0
     captured = signed(now_s)
     before = SigningTimes(path, lambda: now_s)
@@ -108,7 +108,7 @@ def test_what_was_heard_before_a_restart_cannot_be_played_again_after_it(tmp_pat
     assert crossing(after, signed(now_s + 40.0)) == 3
 
 
-def test_without_a_file_nothing_older_than_a_minute_is_believed(tmp_path: Path) -> None:
+def test_without_a_file_nothing_older_than_a_minute_is_accepted(tmp_path: Path) -> None:
     now_s = EPOCH_S + 5000.0
     for times in (SigningTimes(None, lambda: now_s), SigningTimes(tmp_path / "none yet", lambda: now_s)):
         assert crossing(times, signed(now_s - 61.0)) == 0
@@ -133,7 +133,7 @@ def test_it_is_written_rarely_whole_and_never_by_the_flight_itself(tmp_path: Pat
     "content",
     [b"", b"not a number", b"{}", b'{"time": 1, "streams": [[1]]}', b"[" * 100_000, b"1e999", b"null", b"99999999999999999"],
 )
-def test_a_file_that_cannot_be_used_is_told_once_and_flown_on_without(
+def test_a_file_that_cannot_be_used_is_reported_once_and_flown_on_without(
     tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, now_s = tmp_path / "times", EPOCH_S + 5000.0
@@ -154,7 +154,7 @@ def test_the_minute_is_counted_from_now_though_nothing_was_sent_for_long() -> No
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
-def test_a_disk_that_takes_nothing_is_told_once_and_flown_on_without(
+def test_a_disk_that_takes_nothing_is_reported_once_and_flown_on_without(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(Path, "open", lambda *_: (_ for _ in ()).throw(OSError(number, "broken")))
@@ -170,7 +170,7 @@ def test_a_disk_that_takes_nothing_is_told_once_and_flown_on_without(
     assert crossing(times, signed(EPOCH_S + 5000.0)) == 3
 
 
-def test_a_wrong_name_is_told_before_the_flight(tmp_path: Path) -> None:
+def test_a_wrong_name_is_reported_before_the_flight(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(BadInput, match="signing times"):
         SigningTimes(tmp_path / "file/times")

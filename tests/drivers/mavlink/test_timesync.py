@@ -65,7 +65,7 @@ def test_slow_stray_and_impossible_answers_are_refused() -> None:
     assert sync.offset_ns(MonoNs(now)) == before
 
 
-def test_a_clock_set_anew_is_believed_after_three() -> None:
+def test_a_clock_set_again_is_accepted_after_three() -> None:
     sync = TimeSync()
     now = exchange(sync, 8, offset_ns=5 * S)
     now = exchange(sync, 8, offset_ns=-3 * S, at=now)
@@ -75,7 +75,7 @@ def test_a_clock_set_anew_is_believed_after_three() -> None:
     assert abs(found[0] + 3 * S) < 5 * MS
 
 
-def test_our_answers_carry_our_clock_and_go_to_who_asked() -> None:
+def test_our_answers_carry_our_clock_and_go_to_the_requester() -> None:
     us = (7, 191)
     answer = answer_to(TimeSyncV2(0, 777), MonoNs(4 * S), (7, 1), us)
     assert answer is not None
@@ -84,7 +84,7 @@ def test_our_answers_carry_our_clock_and_go_to_who_asked() -> None:
     assert answer_to(TimeSyncV2(0, 777, 7, 1), MonoNs(4 * S), (7, 1), us) is None
 
 
-def test_stamps_meet_the_truth_once_locked_and_never_lie_after_they_were_heard() -> None:
+def test_stamps_meet_the_truth_once_locked_and_never_lie_after_they_were_received() -> None:
     sync = TimeSync()
     offset = 5 * S + 123_456
     now = exchange(sync, 30, offset_ns=offset)

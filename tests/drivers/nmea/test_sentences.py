@@ -36,7 +36,7 @@ def degrees(fix: GeoFix) -> list[float]:
     return [math.degrees(fix.place.latitude_rad), math.degrees(fix.place.longitude_rad)]
 
 
-def test_rmc_tells_place_and_velocity() -> None:
+def test_rmc_reports_place_and_velocity() -> None:
     body = RMC[1:].partition("*")[0]
     fix, report = NmeaReader().samples(line(body), NOW)
     assert isinstance(fix, GeoFix)
@@ -48,7 +48,7 @@ def test_rmc_tells_place_and_velocity() -> None:
     assert report.cov_v_ned[2, 2] > 1e5, "nothing is said of the vertical"
 
 
-def test_gga_tells_the_height_and_how_good_it_is() -> None:
+def test_gga_reports_the_height_and_how_good_it_is() -> None:
     body = GGA[1:].partition("*")[0]
     (fix,) = NmeaReader().samples(line(body), NOW)
     assert degrees(fix) == pytest.approx([51.11632, -114.0383383], abs=1e-6)

@@ -84,12 +84,12 @@ def test_a_library_without_the_core_in_it_is_refused(tmp_path: Path) -> None:
 def test_the_command_line_says_the_cure_in_one_line(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "estimator", tmp_path / "estimator", ignore=shutil.ignore_patterns("*.so*", "__pycache__"))
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from companion.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", code, "simulate", "calm"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert said.returncode == 1
-    assert "make core" in said.stderr
-    assert len(said.stderr.splitlines()) == 1, said.stderr
+    assert output.returncode == 1
+    assert "make core" in output.stderr
+    assert len(output.stderr.splitlines()) == 1, output.stderr
 
 
 def test_without_a_compiler_the_build_names_both(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,7 +167,7 @@ def test_a_row_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams)
 
 
 @pytest.mark.parametrize("kind", range(4))
-def test_a_sensor_that_contradicts_for_a_second_is_believed_at_the_price_of_what_it_contradicts(kind: int) -> None:
+def test_a_sensor_that_contradicts_for_a_second_is_accepted_at_the_price_of_what_it_contradicts(kind: int) -> None:
     rng = np.random.default_rng(kind)
     oracle = belief(TILTED, x=0.3 * state() + _over_the_pad())
     refused = 0

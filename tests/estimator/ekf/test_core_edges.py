@@ -209,7 +209,7 @@ def test_a_height_over_a_pad_seen_in_the_first_instant_counts(event: Baro | Rang
 
 
 @pytest.mark.parametrize("lean_deg", [40.0, 60.0, 70.0])
-def test_a_beam_that_meets_the_deck_ahead_of_a_leaning_body_is_a_range(lean_deg: float) -> None:
+def test_a_beam_that_meets_the_deck_ahead_of_a_tilting_body_is_a_range(lean_deg: float) -> None:
     lean = math.radians(lean_deg)
     b = belief(rpy_matrix(0.0, lean, 0.0), x=under(2.0 * math.tan(lean)), P=diagonal(d=1e-4))
     _, verdict = agrees(b, Range(stamp(T), 2.0 / math.cos(lean), 0.05), params(deck_radius_m=0.5))
@@ -234,7 +234,7 @@ def test_no_time_changes_nothing_to_the_bit() -> None:
 
 
 @pytest.mark.parametrize(("ms", "widens"), [(1000, False), (1001, True)])
-def test_a_sensor_refused_since_the_first_instant_is_believed_after_a_second(ms: int, widens: bool) -> None:
+def test_a_sensor_refused_since_the_first_instant_is_accepted_after_a_second(ms: int, widens: bool) -> None:
     b = in_the_first_second(ms)
     aids = tuple([one._replace(refused=0) for one in b.aids])
     after, verdict = agrees(b._replace(aids=aids), Baro(stamp(ms * MS), 40.0, 0.1), TOOLS)

@@ -147,7 +147,7 @@ def test_the_sightings_above_are_fused_refused_reset_to_and_weighed_by_their_hea
 
 @given(st.integers(0, 2**31), st.sampled_from(ALL))
 @settings(max_examples=20, deadline=None)
-def test_a_pad_that_has_moved_is_believed_when_the_oracle_does(seed: int, chosen: FilterParams) -> None:
+def test_a_pad_that_has_moved_is_accepted_when_the_oracle_does(seed: int, chosen: FilterParams) -> None:
     rng = np.random.default_rng(seed)
     b = sighted_belief(seed)._replace(sighted=T - 20 * MS, agreed=int(rng.integers(0, 9)), rejections=RejectionStreak())
     moved, verdicts = look(rng, b, T), []

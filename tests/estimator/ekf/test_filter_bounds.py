@@ -79,7 +79,7 @@ def test_a_relative_heading_lies_within_half_a_turn() -> None:
     assert told(belief(TILTED, x=x)).yaw_rad == pytest.approx(0.8 + 3.0 - math.tau)
 
 
-def test_the_covariance_is_what_each_error_does_to_what_is_told() -> None:
+def test_the_covariance_is_what_each_error_does_to_what_is_reported() -> None:
     b = belief(TILTED, x=state())
 
     def leaving(i: int, by: float) -> F64:
@@ -124,7 +124,7 @@ def test_a_heading_never_known_is_none_and_could_be_any() -> None:
 # Whether there is anything to tell
 
 
-def test_nothing_is_told_of_a_pad_never_seen_or_not_for_half_a_minute() -> None:
+def test_no_message_reports_a_pad_never_seen_or_not_for_half_a_minute() -> None:
     for b in (None, belief(sighted=-1)):
         assert at(holding(b), NOW) is None
         assert forecast(holding(b), NOW, [0.0]) is None
@@ -215,7 +215,7 @@ def test_every_figure_for_the_records_is_the_one_it_is_called_by() -> None:
 
 
 @pytest.mark.parametrize("later_ms", [0, 50])
-def test_a_forecast_of_now_is_what_is_told_of_now(later_ms: int) -> None:
+def test_a_forecast_of_now_is_what_is_reported_now(later_ms: int) -> None:
     b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
     now = T + later_ms * MS
     ahead, found = forecast(holding(b), MonoNs(now), [0.0]), told(b, now)

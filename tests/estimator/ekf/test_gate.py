@@ -64,7 +64,7 @@ def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_show
     assert error_m(ekf, flight, 8.9) < 0.1
 
 
-def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
+def test_a_pad_that_has_moved_for_good_is_accepted_after_a_while() -> None:
     """The way back: what was refused again and again, always alike, becomes the belief, and says so by `consistent`."""
     flight = TruthFlight(CALM)
     jump = np.array([0.8, -0.5, 0.2])
@@ -135,7 +135,7 @@ def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
     assert error_m(ekf, flight, 2.0) < 0.25
 
 
-def test_the_deck_edge_is_gated_and_not_believed() -> None:
+def test_the_deck_edge_is_gated_and_not_accepted() -> None:
     flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
     ekf, beyond = start(), []
     for event in events(flight):
@@ -193,7 +193,7 @@ def test_first_imu_alone_levels_the_body() -> None:
     assert ekf.belief.t == EPOCH_NS + 190_000_000
 
 
-def test_an_offset_of_the_range_sensor_is_learned_and_not_believed() -> None:
+def test_an_offset_of_the_range_sensor_is_learned_and_not_accepted() -> None:
     """An AR.Drone's ultrasound sits 3.4 cm under what motion capture calls the drone."""
     flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
     ekf = start()

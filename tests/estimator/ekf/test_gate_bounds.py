@@ -21,7 +21,7 @@ OPTIONS = EkfOptions()
 
 @pytest.mark.parametrize("probability", [0.01, 1e-3, 1e-4])
 @pytest.mark.parametrize("dof", range(1, 10))
-def test_an_honest_measurement_exceeds_its_gate_as_often_as_said(probability: float, dof: int) -> None:
+def test_an_honest_measurement_exceeds_its_gate_as_often_as_claimed(probability: float, dof: int) -> None:
     assert gate.nis_max(probability, dof) == pytest.approx(chi2.isf(probability, dof), abs=6e-4)
 
 

@@ -46,7 +46,7 @@ def test_a_new_past_is_empty_and_answers_nothing() -> None:
 
 
 @pytest.mark.parametrize(("ahead", "too_new"), [(50 * MS, False), (50 * MS + 1, True)])
-def test_a_measurement_may_lie_a_little_ahead_of_everything_heard(ahead: int, too_new: bool) -> None:
+def test_a_measurement_may_lie_a_little_ahead_of_everything_received(ahead: int, too_new: bool) -> None:
     history, verdicts = after(baro(T), baro(T + ahead, T))
     assert (verdicts[1] is Verdict.TOO_NEW) is too_new
     assert (len(history.nodes), history.received_at) == (1 if too_new else 2, T)
@@ -107,7 +107,7 @@ def test_a_late_one_is_taken_into_the_belief_before_it() -> None:
     assert [node.after and node.after.sighted for node in history.nodes] == [None, -1, T + 5, T + 5]
 
 
-def test_a_sample_heard_in_the_first_instant_counts_as_heard() -> None:
+def test_a_sample_received_in_the_first_instant_counts_as_received() -> None:
     assert after(baro(0), baro(LEAP + 1))[1][1] is Verdict.TOO_NEW
 
 

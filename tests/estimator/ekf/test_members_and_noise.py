@@ -118,10 +118,10 @@ def test_motion_is_as_likely_as_bayes_has_it(v: tuple[float, float], prior: floa
     still, moving = (multivariate_normal(cov=cov + var * np.eye(2)).pdf(v) for var in (0.03**2, 1.0))
     rest = prior * still * math.exp(0.7)
     expected = (1.0 - prior) * moving / ((1.0 - prior) * moving + rest)
-    told = probability_of_motion(0.7, v, (0.004, 0.001, 0.006), prior)
-    assert told == pytest.approx(expected, rel=1e-9)
+    reported = probability_of_motion(0.7, v, (0.004, 0.001, 0.006), prior)
+    assert reported == pytest.approx(expected, rel=1e-9)
     if prior == 0.5:
-        assert probability_of_motion(0.7, v, (0.004, 0.001, 0.006)) == told
+        assert probability_of_motion(0.7, v, (0.004, 0.001, 0.006)) == reported
 
 
 def test_neither_rest_nor_motion_is_ever_certain() -> None:

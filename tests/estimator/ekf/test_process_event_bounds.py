@@ -78,7 +78,7 @@ def test_an_accelerometer_shows_which_way_is_down_and_points_the_world_ahead(siz
     np.testing.assert_allclose(b.f, size * R.T @ REST)
 
 
-def test_an_attitude_begins_as_it_is_told_and_levels_what_is_seen() -> None:
+def test_an_attitude_begins_as_it_is_reported_and_levels_what_is_seen() -> None:
     cov = np.diag([1e-4, 2e-4, 3e-3])
     b, verdict = folded(None, told(TILTED, cov=cov))
     assert verdict is Verdict.FUSED
@@ -119,7 +119,7 @@ def test_a_sample_carries_on_by_the_mean_of_it_and_the_one_before() -> None:
     np.testing.assert_allclose(after.w_smooth, [0.0, 0.0, 0.4 * (1.0 - math.exp(-0.02 / 0.03))], atol=1e-12)
 
 
-def test_a_low_pass_comes_nearer_and_does_not_begin_anew() -> None:
+def test_a_low_pass_comes_nearer_and_does_not_begin_again() -> None:
     b = moving()
     after, _ = folded(b, imu(T + 20 * MS, (1.0, 1.0, 1.0), np.add(b.f, 0.1)))
     share = 1.0 - math.exp(-0.02 / 0.03)
@@ -278,7 +278,7 @@ def _with_attitude_told(P: F64, R: F64) -> F64:
     return P
 
 
-def test_an_attitude_taken_outright_or_a_north_told_first_is_one_of_now() -> None:
+def test_an_attitude_taken_outright_or_a_north_reported_first_is_one_of_now() -> None:
     """The belief is brought to the sample's instant before it is compared: what it knows of places is of that instant."""
     P = correlated()
     P[0, 0] = 0.2
@@ -290,7 +290,7 @@ def test_an_attitude_taken_outright_or_a_north_told_first_is_one_of_now() -> Non
     assert ahead.t == T + 20 * MS
 
 
-def test_north_told_first_turns_every_direction_of_the_world_and_what_is_known_of_it() -> None:
+def test_north_reported_first_turns_every_direction_of_the_world_and_what_is_known_of_it() -> None:
     x = state()
     b = belief(TILTED, x=x, heading_is_given=False, ins_p=np.array([1.0, 2.0, 3.0]), ins_v=np.array([4.0, -5.0, 6.0]))
     R = rpy_matrix(-0.05, 0.1, 2.0)

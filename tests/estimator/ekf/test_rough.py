@@ -80,7 +80,7 @@ def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
     assert max(worst) < 0.25
 
 
-def test_a_pad_that_stands_is_not_said_to_move_because_the_attitude_errs() -> None:
+def test_a_pad_that_stands_is_not_reported_to_move_because_the_attitude_errs() -> None:
     scene = replace(QUICK, sea="calm", speed_m_s=0.0, attitude_bias_deg=3.0, outliers=0.0)
     s = fly(scene, since_s=7.0, from_s=6.0, forecasts=False)
     assert s.memory is not None
@@ -186,7 +186,7 @@ def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
     assert outcomes[0].verdict is Verdict.FUSED
 
 
-def test_a_heading_that_stays_turned_round_is_believed_in_the_end() -> None:
+def test_a_heading_that_stays_turned_round_is_accepted_in_the_end() -> None:
     scene = replace(QUICK, duration_s=14.0, gaps=0, outliers=0.0)
     voyage = Voyage(scene)
     received_at, _ = voyage_truth.events(voyage)

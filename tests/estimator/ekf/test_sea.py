@@ -110,13 +110,13 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
     flight = TruthFlight(QUICK)
     for event in events(flight):
         if event.stamp.received_at > ns(next_s) and next_s < 17.0:
-            told = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
-            assert told is not None
+            reported = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
+            assert reported is not None
             p, v, _ = flight.pad(next_s + np.array([1.0, 2.0, 3.0]))
             for probability in inside:
-                low, high = told.band("deck_height_m", probability)
+                low, high = reported.band("deck_height_m", probability)
                 inside[probability] += int(np.sum((low < flight.p0[2] - p[:, 2]) & (flight.p0[2] - p[:, 2] < high)))
-                low, high = told.band("rise_m_s", probability)
+                low, high = reported.band("rise_m_s", probability)
                 inside[probability] += int(np.sum((low < -v[:, 2]) & (-v[:, 2] < high)))
             total += 6
             next_s += 0.5
@@ -129,12 +129,12 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
 def test_forecast_grows_with_the_horizon_and_starts_at_the_belief() -> None:
     _, ekf, _ = run(replace(QUICK, duration_s=8.0))
     now = ns(7.9)
-    told, state = forecast(ekf, now, (0.0, 1.0, 3.0)), at(ekf, now)
-    assert told is not None
+    reported, state = forecast(ekf, now, (0.0, 1.0, 3.0)), at(ekf, now)
+    assert reported is not None
     assert state is not None
-    np.testing.assert_allclose(told.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
-    np.testing.assert_allclose(told.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
-    assert told.sigma_deck_height_m[0] < told.sigma_deck_height_m[1] < told.sigma_deck_height_m[2]
+    np.testing.assert_allclose(reported.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
+    np.testing.assert_allclose(reported.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
+    assert reported.sigma_deck_height_m[0] < reported.sigma_deck_height_m[1] < reported.sigma_deck_height_m[2]
     with pytest.raises(ValueError, match="horizons"):
         forecast(ekf, now, [-1.0])
 
@@ -183,7 +183,7 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
     assert np.trace(after.cov[:3, :3]) < np.trace(before.cov[:3, :3])
 
 
-def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
+def test_a_report_of_the_ship_gives_its_velocity_and_heading() -> None:
     s = replace(QUICK, sea=0, vessel_speed_m_s=1.2, velocity_hz=0.0, duration_s=6.0)
     flight, ekf, next_s = TruthFlight(s), start(), 1.0
     for event in events(flight):

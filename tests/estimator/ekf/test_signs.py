@@ -103,13 +103,15 @@ def test_a_rate_that_changes_while_a_stamp_may_err_is_noise_across_the_view(pose
     assert more[:3].min() >= 0.0
 
 
-def test_the_attitude_first_believed_errs_by_what_the_one_told_errs() -> None:
+def test_the_attitude_first_accepted_errs_by_what_the_one_reported_errs() -> None:
     """Told is true plus its constant error: together they are known at once, apart they are not."""
     ekf, _ = step(start(), Attitude(stamp(0.0), Rotation.from_rpy(0.1, -0.05, 1.0), np.eye(3) * 1e-4))
     assert ekf.belief is not None
     o, P = EkfOptions(), ekf.belief.P
-    told = P[ATT_ERR, ATT_ERR][:2, :2] + P[ATT_ERR, ATT_BIAS][:2] + P[ATT_BIAS, ATT_ERR][:, :2] + P[np.ix_(ATT_BIAS, ATT_BIAS)]
-    np.testing.assert_allclose(np.diag(told), o.sigma_initial_tilt_rad**2, rtol=0.2)
+    reported = (
+        P[ATT_ERR, ATT_ERR][:2, :2] + P[ATT_ERR, ATT_BIAS][:2] + P[ATT_BIAS, ATT_ERR][:, :2] + P[np.ix_(ATT_BIAS, ATT_BIAS)]
+    )
+    np.testing.assert_allclose(np.diag(reported), o.sigma_initial_tilt_rad**2, rtol=0.2)
     np.testing.assert_allclose(P[ATT_BIAS, ATT_BIAS], o.sigma_attitude_bias_rad**2)
 
 

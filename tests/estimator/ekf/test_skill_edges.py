@@ -55,8 +55,8 @@ def test_the_best_member_sets_the_scale_whichever_it_is(best: int) -> None:
 def test_forecasts_are_compared_issued_and_dropped_at_their_ages(ages_ns: tuple[int, ...], compared: int, issued: int) -> None:
     """The counts are of the pairs compared with a look and of the forecasts kept, the new one included."""
     rng = np.random.default_rng(len(ages_ns))
-    told = tuple([IssuedForecast(T - age, rng.normal(size=(3, 5, 2))) for age in ages_ns])
-    known = Skill(told, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), *rng.uniform(1.0, 2.0, (2, 3, 5, 2)))
+    reported = tuple([IssuedForecast(T - age, rng.normal(size=(3, 5, 2))) for age in ages_ns])
+    known = Skill(reported, rng.uniform(5.0, 9.0, 3), rng.normal(size=(3, 5, 2)), *rng.uniform(1.0, 2.0, (2, 3, 5, 2)))
     before = learned(t=T - 300 * MS)._replace(skill=known)
     y, var, noise = rng.normal(size=5), np.full(5, 1e-4), TOOLS
     after = flown.observe(before, T, y, var, noise, 2.0)

@@ -73,12 +73,12 @@ def test_a_place_is_fused_by_how_sure_each_side_is() -> None:
 
 
 @pytest.mark.parametrize(("var", "agreed"), [(0.0899, 11), (0.0901, 1)])
-def test_a_belief_that_was_lost_begins_to_count_anew(var: float, agreed: int) -> None:
+def test_a_belief_that_was_lost_begins_to_count_again(var: float, agreed: int) -> None:
     b = belief(x=under(), P=diagonal(d=var))
     assert fuse_sighting(b, sighting((0.1, 0.0, 2.0)), TOOLS)[0].agreed == agreed
 
 
-def test_the_first_sighting_is_the_place_whatever_was_believed() -> None:
+def test_the_first_sighting_is_the_place_whatever_was_accepted() -> None:
     x = state()
     x[CAMERA_DELAY] = 0.0
     b = belief(TILTED, x=x, sighted=-1, agreed=0, heading_known=False, nis_mean=1.3, rejections=RejectionStreak(3, T, T))
@@ -126,7 +126,7 @@ def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -
     assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.innovation, outcome.innovation_cov))
 
 
-def test_a_place_shown_often_enough_is_believed_and_begins_with_a_clean_record() -> None:
+def test_a_place_shown_often_enough_is_accepted_and_begins_with_a_clean_record() -> None:
     streak = RejectionStreak(4, T - 700 * MS, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
     b = belief(x=under(), P=diagonal(d=0.01), rejections=streak, nis_mean=9.0)
     after, outcome = fuse_sighting(b, sighting((3.0, 0.0, 2.0)), TOOLS)
@@ -191,7 +191,7 @@ def test_a_heading_that_agrees_is_held_for_longer_by_the_time_since_the_last() -
     assert fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.0, t=t), TOOLS)[0].heading_held_s == pytest.approx(3.3)
 
 
-def test_a_sighting_that_tells_no_heading_neither_agrees_with_it_nor_contradicts_it() -> None:
+def test_a_sighting_that_reports_no_heading_neither_agrees_with_it_nor_contradicts_it() -> None:
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=T - 100 * MS)
     after, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0)), TOOLS)
     assert outcome.verdict is Verdict.FUSED
@@ -256,7 +256,7 @@ def test_a_heading_never_known_cannot_be_contradicted() -> None:
     assert not after.heading_known
 
 
-def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> None:
+def test_a_heading_is_known_once_a_sighting_reports_it_without_an_either_or() -> None:
     turned = about_down(0.0)
     for seen, known in (
         (sighting((0.0, 0.0, 2.0), 0.0), True),
@@ -273,7 +273,7 @@ def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> N
 
 
 @pytest.mark.parametrize(("sigma", "used"), [(0.49, True), (0.51, False)])
-def test_an_either_or_heading_is_of_use_where_the_heading_is_believed_well_enough(sigma: float, used: bool) -> None:
+def test_an_either_or_heading_is_of_use_where_the_heading_is_accepted_well_enough(sigma: float, used: bool) -> None:
     for known in (True, False):
         b = belief(x=under(), P=diagonal(d=0.01, head=sigma**2), heading_known=known)
         _, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.1, ambiguous=True), TOOLS)

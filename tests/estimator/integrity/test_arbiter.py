@@ -50,16 +50,17 @@ def test_it_follows_a_swaying_deck_and_leaves_a_right_filter_alone() -> None:
     assert np.abs([a.v for a in state.axes] - np.array([0.5 * math.cos(20.0), -0.3, -0.52 * math.sin(26.0)])).max() < 0.4
 
 
-def test_a_filter_five_sigma_apart_is_told_after_half_a_second_and_overruled_after_two() -> None:
+@pytest.mark.hazard("H1")
+def test_a_filter_five_sigma_apart_is_reported_after_half_a_second_and_overruled_after_two() -> None:
     def away(t: float) -> tuple[float, float, float]:
         x, y, z = swaying(t)
         return x, y, z + max(0.0, t - 5.0)
 
     _, overruled = followed(20.0, away)
     assert overruled == [pytest.approx(7.8, abs=0.3)]
-    told, _ = followed(7.0, away)
-    assert told.apart(told.t)
-    assert not told.apart(told.t + 3_000 * MS), "once it is silent it says nothing"
+    reported, _ = followed(7.0, away)
+    assert reported.apart(reported.t)
+    assert not reported.apart(reported.t + 3_000 * MS), "once it is silent it says nothing"
     early, _ = followed(6.0, away)
     assert not early.apart(early.t)
 
@@ -90,7 +91,7 @@ def test_single_sightings_elsewhere_do_not_move_it_and_five_in_a_row_do() -> Non
     assert (state.n, state.misses, state.axes[0].p) == (1, 0, aside[0])
 
 
-def test_a_late_sighting_changes_nothing_and_a_pause_begins_anew() -> None:
+def test_a_late_sighting_changes_nothing_and_a_pause_begins_again() -> None:
     state, _ = followed(5.0, swaying)
     assert follow(state, place(1.0, swaying(1.0))) is state
     assert follow(state, place(6.0, swaying(6.0))).n == 1

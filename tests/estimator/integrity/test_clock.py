@@ -22,15 +22,15 @@ def run(kinds_and_times: list[tuple[str, float]]) -> list[Verdict | None]:
 
 
 def test_one_sample_an_hour_ahead_is_refused_and_poisons_nothing() -> None:
-    said = run([("Imu", 0.01 * i) for i in range(20)] + [("Imu", HOUR_S)] + [("Imu", 0.2 + 0.01 * i) for i in range(20)])
-    assert said[20] is Verdict.TOO_NEW
-    assert said[:20] == said[21:] == [None] * 20
+    output = run([("Imu", 0.01 * i) for i in range(20)] + [("Imu", HOUR_S)] + [("Imu", 0.2 + 0.01 * i) for i in range(20)])
+    assert output[20] is Verdict.TOO_NEW
+    assert output[:20] == output[21:] == [None] * 20
 
 
 def test_a_stream_that_alternates_between_now_and_an_hour_ahead_never_moves_the_time() -> None:
-    said = run([("Imu", 0.01 * i + (HOUR_S if i % 2 else 0.0)) for i in range(200)])
-    assert said[::2] == [None] * 100
-    assert set(said[1::2]) == {Verdict.TOO_NEW}
+    output = run([("Imu", 0.01 * i + (HOUR_S if i % 2 else 0.0)) for i in range(200)])
+    assert output[::2] == [None] * 100
+    assert set(output[1::2]) == {Verdict.TOO_NEW}
 
 
 def test_after_a_pause_two_streams_confirm_the_time_at_once_and_one_within_a_quarter_of_a_second() -> None:
@@ -40,9 +40,9 @@ def test_after_a_pause_two_streams_confirm_the_time_at_once_and_one_within_a_qua
     assert alone[12:] == [None] * 4
 
 
-def test_a_clock_that_was_led_astray_comes_back() -> None:
-    said = run([("Imu", 0.0)] + [("Imu", HOUR_S + 0.05 * i) for i in range(10)] + [("Imu", 1.0 + 0.05 * i) for i in range(10)])
-    assert said[-1] is None
+def test_a_clock_that_was_misled_comes_back() -> None:
+    output = run([("Imu", 0.0)] + [("Imu", HOUR_S + 0.05 * i) for i in range(10)] + [("Imu", 1.0 + 0.05 * i) for i in range(10)])
+    assert output[-1] is None
 
 
 def delays(values: list[float], keep_s: float = math.inf) -> list[Verdict | None]:
@@ -54,20 +54,20 @@ def delays(values: list[float], keep_s: float = math.inf) -> list[Verdict | None
 
 
 def test_a_delay_that_steps_is_refused_until_it_has_settled() -> None:
-    said = delays([0.09] * 60 + [0.39] * 400)
-    assert said[:60] == [None] * 60
-    assert said[60:360] == [Verdict.TOO_OLD] * 300
-    assert said[-1] is None
+    output = delays([0.09] * 60 + [0.39] * 400)
+    assert output[:60] == [None] * 60
+    assert output[60:360] == [Verdict.TOO_OLD] * 300
+    assert output[-1] is None
     assert delays([0.39] * 60 + [0.09])[-1] is Verdict.TOO_NEW
 
 
 def test_a_delay_that_has_held_gives_way_to_no_other() -> None:
-    said = delays([0.09] * 60 + [0.39] * 1_000, keep_s=3.0)
-    assert said[60:360] == [Verdict.TOO_OLD] * 300
-    assert set(said[360:]) == {None}, "two seconds are too short to be kept"
-    said = delays([0.09] * 120 + [0.39] * 1_000 + [0.09], keep_s=3.0)
-    assert said[120:-1] == [Verdict.TOO_OLD] * 1_000
-    assert said[-1] is None
+    output = delays([0.09] * 60 + [0.39] * 1_000, keep_s=3.0)
+    assert output[60:360] == [Verdict.TOO_OLD] * 300
+    assert set(output[360:]) == {None}, "two seconds are too short to be kept"
+    output = delays([0.09] * 120 + [0.39] * 1_000 + [0.09], keep_s=3.0)
+    assert output[120:-1] == [Verdict.TOO_OLD] * 1_000
+    assert output[-1] is None
 
 
 def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:
@@ -75,7 +75,7 @@ def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:
     assert set(delays([0.09 + 0.001 * i for i in range(300)])) == {None}
 
 
-def test_a_clock_that_stands_is_told_by_the_arrivals_and_one_that_goes_on_is_taken_at_once() -> None:
+def test_a_clock_that_stands_is_reported_by_the_arrivals_and_one_that_goes_on_is_taken_at_once() -> None:
     state, out = ClockWatch(), []
     times = [0.005 * i for i in range(200)]
     for t in times:

@@ -24,8 +24,8 @@ def arrive(state: ClockWatch, kind: str, t: int) -> tuple[ClockWatch, Verdict | 
     ],
 )
 def test_an_arrival_may_be_a_step_away_and_never_turns_the_time_back(t: int, verdict: Verdict | None, now: int) -> None:
-    state, said = arrive(NOW, "Imu", t)
-    assert (said, state.now, state.rival is None) == (verdict, now, verdict is None)
+    state, output = arrive(NOW, "Imu", t)
+    assert (output, state.now, state.rival is None) == (verdict, now, verdict is None)
 
 
 @pytest.mark.parametrize(
@@ -39,27 +39,27 @@ def test_an_arrival_may_be_a_step_away_and_never_turns_the_time_back(t: int, ver
     ],
 )
 def test_one_stream_confirms_a_time_by_five_over_a_fifth_of_a_second(after_ms: list[float], confirmed: bool) -> None:
-    state, said = NOW, None
+    state, output = NOW, None
     for ms in after_ms:
-        assert said is None or state.rival is not None
-        state, said = arrive(state, "Imu", 200 * S + round(ms * MS))
-    assert (said is None) is confirmed
+        assert output is None or state.rival is not None
+        state, output = arrive(state, "Imu", 200 * S + round(ms * MS))
+    assert (output is None) is confirmed
     assert state.now == (200 * S + 200 * MS if confirmed else 100 * S)
 
 
 def test_two_looks_of_one_stream_confirm_nothing_and_of_two_streams_they_do() -> None:
     state, _ = arrive(NOW, "Imu", 200 * S)
     assert arrive(state, "Imu", 200 * S)[1] is Verdict.TOO_NEW
-    confirmed, said = arrive(state, "Attitude", 200 * S - MS)
-    assert said is None
+    confirmed, output = arrive(state, "Attitude", 200 * S - MS)
+    assert output is None
     assert confirmed == ClockWatch(200 * S), "the newest of them is the time, and delays are learned again"
 
 
 @pytest.mark.parametrize(("by", "joins"), [(S, True), (S + 1, False), (-S, True), (-S - 1, False)])
 def test_what_lies_a_step_from_the_other_time_belongs_to_it(by: int, joins: bool) -> None:
     state, _ = arrive(NOW, "Imu", 200 * S)
-    state, said = arrive(state, "Attitude", 200 * S + by)
-    assert (said is None) is joins
+    state, output = arrive(state, "Attitude", 200 * S + by)
+    assert (output is None) is joins
     if not joins:
         assert state.rival is not None
         assert (state.rival.n, state.rival.first) == (1, 200 * S + by)
@@ -96,8 +96,8 @@ def test_the_first_delays_are_averaged_and_the_later_ones_move_the_median_by_two
 
 
 def test_seven_delays_make_no_habit_and_eight_do() -> None:
-    state, said = delay(settled(7), 400.0)
-    assert (said, state.delays["Imu"].median_s, state.delays["Imu"].n) == (None, 0.4, 1)
+    state, output = delay(settled(7), 400.0)
+    assert (output, state.delays["Imu"].median_s, state.delays["Imu"].n) == (None, 0.4, 1)
     assert delay(settled(8), 400.0)[1] is Verdict.TOO_OLD
 
 
@@ -108,12 +108,12 @@ def test_a_delay_may_be_a_step_from_the_median() -> None:
 
 
 def test_another_delay_is_the_streams_own_after_its_time_unbroken() -> None:
-    state, said = delay(settled(9), 400.0, 101 * S)
-    assert (said, state.off("Imu"), state.off("Baro")) == (Verdict.TOO_OLD, True, False)
-    state, said = delay(state, 400.0, 102 * S - 1)
-    assert said is Verdict.TOO_OLD
-    lasting, said = delay(state, 400.0, 102 * S)
-    assert (said, lasting.off("Imu"), lasting.delays["Imu"].median_s) == (None, False, 0.4)
+    state, output = delay(settled(9), 400.0, 101 * S)
+    assert (output, state.off("Imu"), state.off("Baro")) == (Verdict.TOO_OLD, True, False)
+    state, output = delay(state, 400.0, 102 * S - 1)
+    assert output is Verdict.TOO_OLD
+    lasting, output = delay(state, 400.0, 102 * S)
+    assert (output, lasting.off("Imu"), lasting.delays["Imu"].median_s) == (None, False, 0.4)
     broken, _ = delay(state, 125.0, 102 * S - 1)
     assert not broken.off("Imu")
     assert delay(broken, 400.0, 102 * S)[1] is Verdict.TOO_OLD
@@ -122,6 +122,6 @@ def test_another_delay_is_the_streams_own_after_its_time_unbroken() -> None:
 def test_each_stream_has_a_delay_of_its_own() -> None:
     state = settled(9)
     for _ in range(9):
-        state, said = delay(state, 400.0, kind="Baro")
-        assert said is None
+        state, output = delay(state, 400.0, kind="Baro")
+        assert output is None
     assert (state.delays["Imu"].median_s, state.delays["Baro"].median_s) == (0.125, 0.4)

@@ -58,11 +58,11 @@ def test_a_vehicle_flies_until_it_says_that_it_does_not() -> None:
 
 
 def test_a_reading_that_repeats_is_refused_in_flight_alone() -> None:
-    for flying, said in ((True, Verdict.FROZEN), (False, None)):
+    for flying, output in ((True, Verdict.FROZEN), (False, None)):
         guard = IntegrityGuard(flying=flying)
         for i in range(4):
             guard, verdict = admit_one(guard, Baro(stamp(T + i * S), 1.0, 0.5))
-        assert verdict is said
+        assert verdict is output
 
 
 def test_arrival_delay_and_reading_are_judged_in_turn() -> None:

@@ -54,7 +54,7 @@ def test_a_pad_seen_below_where_there_is_water_contradicts() -> None:
     assert watched(lambda t: 2.0, lambda t: 4.5).contradicted
 
 
-def test_beside_the_pad_a_range_says_nothing() -> None:
+def test_beside_the_pad_a_range_reports_nothing() -> None:
     state = watched(lambda t: 2.0, lambda t: 4.5, aside_m=1.5)
     assert not state.contradicted
     assert state.agreed_at < 0
@@ -66,7 +66,7 @@ def test_a_passing_difference_is_no_contradiction_and_agreement_ends_one() -> No
     assert watched(lambda t: 2.0, lambda t: 2.6 if t < 2.5 else 2.0, seconds=1.7).contradicted
 
 
-def test_a_sensor_that_hears_nothing_nearer_than_its_least_does_not_contradict_at_touchdown() -> None:
+def test_a_sensor_that_receives_nothing_nearer_than_its_least_does_not_contradict_at_touchdown() -> None:
     assert not watched(lambda t: max(0.1, 0.5 - 0.2 * (t - 1)), lambda t: max(0.2, 0.5 - 0.2 * (t - 1))).contradicted
 
 

@@ -115,7 +115,7 @@ def test_a_foot_on_the_edge_counts() -> None:
         (replace(OVER, d_level=(0.0, 0.0, 0.6)), 0.174, False),
     ],
 )
-def test_a_lean_or_a_height_beyond_the_sensor_says_nothing(state: HeightWatch, range_m: float, counts: bool) -> None:
+def test_a_tilt_or_a_height_beyond_the_sensor_reports_nothing(state: HeightWatch, range_m: float, counts: bool) -> None:
     assert speaks(state, range_m) is (False if counts else None)
 
 

@@ -82,9 +82,9 @@ def test_what_a_vehicle_may_do_is_let_through(event: Reading) -> None:
 )
 def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_alone(make, frozen_s: float) -> None:
     events = [make(0.005 * i) for i in range(round(frozen_s / 0.005) + 20)]
-    said = run(events)
-    assert said[: round(frozen_s / 0.005)] == [None] * round(frozen_s / 0.005)
-    assert said[-1] is Verdict.FROZEN
+    output = run(events)
+    assert output[: round(frozen_s / 0.005)] == [None] * round(frozen_s / 0.005)
+    assert output[-1] is Verdict.FROZEN
     assert set(run(events, flying=False)) == {None}
 
 
@@ -102,10 +102,10 @@ def test_a_spike_of_velocity_or_tilt_or_height_is_refused_and_a_lasting_step_is_
         (lambda t, roll: Attitude(at(t), Rotation.from_rpy(roll + 1e-3 * np.sin(t), 0, 1.0), np.eye(3)), 0.0, 1.4),
         (lambda t, h: Baro(at(t), h + 1e-3 * np.sin(t), 0.5), 0.0, 30.0),
     ):
-        said = run(stepping(make, low, high))
-        assert said[:50] == [None] * 50
-        assert said[50:74] == [Verdict.IMPOSSIBLE] * 24
-        assert said[-1] is None
+        output = run(stepping(make, low, high))
+        assert output[:50] == [None] * 50
+        assert output[50:74] == [Verdict.IMPOSSIBLE] * 24
+        assert output[-1] is None
 
 
 def test_a_turn_of_heading_is_no_step_of_tilt() -> None:
@@ -117,8 +117,8 @@ def test_nothing_of_a_real_flight_is_refused() -> None:
     """Real noise, real repeats: 41 s of an AR.Drone's IMU, velocity and ultrasound."""
     with (FLIGHT / "imu.csv").open() as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
-    said = run([imu(r["t_stamp_s"], (r["ax"], r["ay"], -r["az"]), (r["wx"], r["wy"], r["wz"])) for r in rows])
-    assert set(said) == {None}
+    output = run([imu(r["t_stamp_s"], (r["ax"], r["ay"], -r["az"]), (r["wx"], r["wy"], r["wz"])) for r in rows])
+    assert set(output) == {None}
     with (FLIGHT / "navdata.csv").open() as file:
         rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
     rows = [r for r in rows if r["motor1"] > 0 and r["altd_mm"] > 0]

@@ -127,7 +127,7 @@ def test_a_step_is_let_through_when_it_has_lasted_for_its_time_unbroken() -> Non
     assert broken[3:] == [None, Verdict.IMPOSSIBLE]
 
 
-def test_a_repeat_is_frozen_after_its_time_and_says_so_until_a_bit_changes() -> None:
+def test_a_repeat_is_frozen_after_its_time_and_reports_it_until_a_bit_changes() -> None:
     state, _ = watch(SensorWatch(), baro(T, 1.0), LIMITS, True)
     state, verdict = watch(state, baro(T + 2 * S, 1.0), LIMITS, True)
     assert (verdict, state.frozen) == (None, False)

@@ -37,7 +37,7 @@ def flown(gyro: Change, attitude: Change, until: float = 5.0, seen: bool = True,
         well_from: from when on both are well again, s.
     """
     rng, state, out, frames = np.random.default_rng(5), Inertial(), [], list[float]()
-    said = {}
+    output = {}
     for n in range(round(until / DT)):
         t = n * DT
         lies = BEGIN_S <= t < well_from
@@ -47,12 +47,12 @@ def flown(gyro: Change, attitude: Change, until: float = 5.0, seen: bool = True,
         roll, pitch, yaw = body(t).rpy_rad
         if lies:
             roll, pitch = attitude(np.array([roll, pitch]))
-        R = said[n] = Rotation.from_rpy(roll, pitch, yaw) @ Rotation.from_rotvec(0.002 * rng.standard_normal(3))
+        R = output[n] = Rotation.from_rpy(roll, pitch, yaw) @ Rotation.from_rotvec(0.002 * rng.standard_normal(3))
         state = inertial.levelled(state, Attitude(stamp, R, 1e-4 * np.eye(3)), True)
         frames += [t] if n % 3 == 0 else []
         while seen and frames and frames[0] <= t - LATE_S:
             at = frames.pop(0)
-            R_then = said[round(at / DT)]
+            R_then = output[round(at / DT)]
             tilted = Rotation.from_rotvec(0.006 * rng.standard_normal(3))
             R_pad = R_then @ body(at).inv @ deck(at) @ tilted
             state = inertial.pictured(state, round(at * 1e9), R_then.matrix, R_pad.matrix)

@@ -56,10 +56,11 @@ def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
     assert frozen_shares(seed, frozen=False, sway_rad=math.radians(sway_deg)) == 0.0
 
 
-def test_a_still_body_says_nothing() -> None:
+def test_a_still_body_reports_nothing() -> None:
     assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
 
 
+@pytest.mark.hazard("H12")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("axis_deg", [0.0, 90.0, 35.0])
 def test_a_mirrored_view_is_known_within_two_seconds_of_a_flight_that_sways(seed: int, axis_deg: float) -> None:

@@ -130,13 +130,13 @@ def test_cut_off_by_the_image_s_edge(camera: Camera, pad: Pad) -> None:
         assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)
 
 
-def test_without_the_arrow_the_heading_is_said_to_be_ambiguous(camera: Camera, pad: Pad) -> None:
+def test_without_the_arrow_the_heading_is_reported_to_be_ambiguous(camera: Camera, pad: Pad) -> None:
     seen = shown(camera, pad, 1.2)
     green = seen.px[tuple(np.rint(camera.project(seen.truth.points(np.array([[0.0, 0.18, 0.0]])))[0]).astype(int)[::-1])]
     tip = disc_of(0.06, (pad.markings.arrow_tip_m - 0.01, 0.0))
     hidden = covered(seen, camera, tip, (int(green[0]), int(green[1]), int(green[2])))
-    told, untold = (best_of(acquire(px, camera, pad, seen.R_level_body)) for px in (seen.px, hidden))
-    assert not told.yaw_ambiguous
+    reported, untold = (best_of(acquire(px, camera, pad, seen.R_level_body)) for px in (seen.px, hidden))
+    assert not reported.yaw_ambiguous
     assert untold.yaw_ambiguous
     assert keeps_claim(untold.pose, seen.truth, camera, pad, True)
 

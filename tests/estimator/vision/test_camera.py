@@ -51,9 +51,9 @@ def test_a_fisheye_of_160_degrees_finds_the_pad_and_an_uncertain_focal_length_sh
     assert np.allclose(rays, cv2.fisheye.undistortPoints(uv[:, None], lens.K, lens.distortion)[:, 0], atol=1e-9)
     assert np.allclose(lens.project(np.c_[rays, np.ones(len(rays))]), uv, atol=1e-9)
     view = Stage(lens, shipped_pad("thesis"), seed=3).view(2.0, lateral=0.8)
-    told = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), 1e-8 * np.eye(3))
+    reported = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), 1e-8 * np.eye(3))
     known, unknown = (
-        track(TrackerConfig(camera, shipped_pad("thesis")), TrackerMemory(), view.frame(), told)[0].selected
+        track(TrackerConfig(camera, shipped_pad("thesis")), TrackerMemory(), view.frame(), reported)[0].selected
         for camera in (lens, replace(lens, focal_sigma=0.01))
     )
     assert known is not None

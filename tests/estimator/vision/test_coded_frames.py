@@ -49,14 +49,14 @@ def test_the_covariance_has_what_the_codec_moved(camera: Camera, pad: Pad, heigh
     assert np.mean(coded) < 0.7 * np.mean(as_if_plain)
 
 
-def test_only_predicted_frames_are_doubted(camera: Camera, pad: Pad) -> None:
+def test_only_predicted_frames_are_downgraded(camera: Camera, pad: Pad) -> None:
     view = coded_views(camera, pad, 4.0, 2)[1]
     seen = [
         track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, view.px, coded=coded), None)[0]
         for coded in (False, True)
     ]
-    plain, doubted = (look.selected for look in seen)
+    plain, suspect = (look.selected for look in seen)
     assert plain is not None
-    assert doubted is not None
-    assert np.all(plain.d_body_pad_level == doubted.d_body_pad_level)
-    assert np.linalg.eigvalsh(doubted.cov[:3, :3] - plain.cov[:3, :3]).min() > 0.0
+    assert suspect is not None
+    assert np.all(plain.d_body_pad_level == suspect.d_body_pad_level)
+    assert np.linalg.eigvalsh(suspect.cov[:3, :3] - plain.cov[:3, :3]).min() > 0.0

@@ -76,8 +76,8 @@ def test_the_covariance_holds_over_many_frames(camera: Camera, pad: Pad) -> None
         z = float(rng.uniform(0.9, 2.2))
         at = (0.15 + rng.uniform(-0.1, 0.1) * z, rng.uniform(-0.1, 0.1) * z, z)
         scene = PadPlacement(at, rng.uniform(-3, 3), *rng.normal(0, 0.05, 2), *rng.normal(0, sigma_deck, 2))
-        told = Rotation.from_rpy(scene.roll_rad, scene.pitch_rad, 0.0) @ Rotation.from_rotvec(rng.normal(0, sigma_tilt, 3))
-        attitude = Attitude(STAMP, told, np.eye(3) * sigma_tilt**2)
+        reported = Rotation.from_rpy(scene.roll_rad, scene.pitch_rad, 0.0) @ Rotation.from_rotvec(rng.normal(0, sigma_tilt, 3))
+        attitude = Attitude(STAMP, reported, np.eye(3) * sigma_tilt**2)
         frame = image(scene, camera, pad, samples=3, blur_px=0.6, noise=2.0, seed=i)
         seen = detect(frame, attitude, camera, pad, SIMULATOR, sigma_deck_rad=sigma_deck)
         for name, values in nees.items():
@@ -143,7 +143,7 @@ def test_the_edge_of_a_shadow_across_the_h_moves_little(camera: Camera, pad: Pad
         assert abs(math.degrees(yaw)) < 0.2
 
 
-def test_a_image_of_another_size_is_refused(camera: Camera, pad: Pad) -> None:
+def test_an_image_of_another_size_is_refused(camera: Camera, pad: Pad) -> None:
     with pytest.raises(ValueError, match="320x180 px, the camera's are 640x360"):
         detect(Frame(STAMP, 0, np.zeros((180, 320, 3), np.uint8)), None, camera, pad, SIMULATOR)
 
@@ -303,7 +303,7 @@ def test_an_ambiguous_heading_follows_the_sure_one(yaw: float, flipped: bool) ->
     assert abs(math.remainder(both.sighting.yaw_rad - yaw, math.tau)) < 1e-6
 
 
-def test_a_heading_nobody_tells_stays_unknown() -> None:
+def test_a_heading_nobody_reports_stays_unknown() -> None:
     fused = fuse([cue("ellipse", 0.01, yaw=None), cue("registration", 0.005, yaw=None)])
     assert fused is not None
     assert fused.sighting.yaw_rad is None

@@ -21,7 +21,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import paint_at
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.regions import depth_in, outlines_of, rectangles_of
-from estimator.vision.register.doubts import cells_log_odds
+from estimator.vision.register.ambiguity import cells_log_odds
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.camera import Renderer

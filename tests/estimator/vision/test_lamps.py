@@ -69,7 +69,7 @@ def test_lamps_that_tell_no_heading_or_are_in_millimetres_are_refused_by_path_an
         Pad.from_mapping(file_with(lamps), "mine.toml")
 
 
-def test_lamps_make_up_for_paint_that_tells_too_little_and_then_the_paint_is_not_looked_for():
+def test_lamps_make_up_for_paint_with_too_little_support_and_then_the_paint_is_not_looked_for():
     data = file_with(lamps_at(SHAPE))
     disc = Pad.from_mapping({**data, "regions": data["regions"][:1]})
     often = {"least_support": 5.0, "chance": 0.02, "drawing": disc.fingerprint}
@@ -149,7 +149,7 @@ def test_even_rings_of_lights_like_those_of_other_pads_are_not_this_pad():
 
 
 @pytest.mark.parametrize("height_m", [1.0, 4.0, 10.0, 18.0])
-def test_lamps_are_told_apart_although_the_pad_is_expected_farther_off_than_they_are_from_each_other(height_m: float):
+def test_lamps_are_distinguished_although_the_pad_is_expected_farther_off_than_they_are_from_each_other(height_m: float):
     scene = night_scene(np.random.default_rng([31, 0, 4]), CAMERA, LIT, height_m, "lamps")
     for way in np.arange(6) * math.tau / 6:
         off_m = 12.0 * height_m / CAMERA.fx * np.array([math.cos(way), math.sin(way), 0.0])

@@ -52,7 +52,7 @@ def test_a_letter_is_not_seen_on_decks_and_sea_without_one(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("h", 0.004), ("h", 0.02), ("x", 0.02)])
-def test_a_letter_that_is_followed_is_at_its_place_or_doubted(name: str, sigma: float) -> None:
+def test_a_letter_that_is_followed_is_at_its_place_or_rejected(name: str, sigma: float) -> None:
     """Half of the fits beside a distant letter used to take the bare deck for one of another size, at a confidence of 1."""
     pad = shipped_pad(name)
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))

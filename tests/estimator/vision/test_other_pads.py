@@ -104,7 +104,7 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
         assert min(off, math.pi - off if seen.found.yaw_ambiguous else off) < 0.02
 
 
-def test_a_triangle_tells_the_heading_that_its_h_does_not() -> None:
+def test_a_triangle_shows_the_heading_that_its_h_does_not() -> None:
     """Registration that starts half a turn off finds the apex on the other side."""
     pad, exposure = shipped_pad("faa_triangle"), shot(1.5, (0.05, -0.05))
     px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(6))

@@ -111,14 +111,14 @@ def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
 def test_without_an_attitude_level_is_assumed_and_priced(camera: Camera) -> None:
     scene = PadPlacement((0.15, 0.0, 4.0))
     points = np.array([[0, 0, 0], [0.3, 0, 0.0]])
-    told = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude())))
+    reported = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude())))
     assumed = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(None)))
-    assert told is not None
+    assert reported is not None
     assert assumed is not None
-    assert np.allclose(told.d_body_pad_level, assumed.d_body_pad_level, atol=1e-9)
+    assert np.allclose(reported.d_body_pad_level, assumed.d_body_pad_level, atol=1e-9)
     # 4 m below a lever of the unknown tilt.
     assert math.sqrt(assumed.cov[1, 1]) == pytest.approx(4.0 * SIGMA_LEVEL_ASSUMED_RAD, rel=0.02)
-    assert math.sqrt(told.cov[1, 1]) < 0.03
+    assert math.sqrt(reported.cov[1, 1]) < 0.03
 
 
 def test_rays_that_miss_the_deck_give_nothing() -> None:

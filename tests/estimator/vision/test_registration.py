@@ -182,7 +182,7 @@ def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> No
         assert found.inliers < 0.9
 
 
-def test_half_of_the_distant_pad_hidden_is_said(camera: Camera, pad: Pad) -> None:
+def test_half_of_the_distant_pad_hidden_is_in_the_covariance(camera: Camera, pad: Pad) -> None:
     """All paints are found together where edges merge. Half a disc looks like a smaller one, and the covariance includes it."""
     stage = Stage(camera, pad)
     for height_m in (10.0, 14.0):
@@ -257,7 +257,7 @@ def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
     assert max(nees) < 60.0
 
 
-def test_the_arrow_tells_the_heading(camera: Camera, pad: Pad) -> None:
+def test_the_arrow_shows_the_heading(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad)
     for height_m in (1.0, 5.0, 10.0):
         view = stage.view(height_m, lateral=0.02)

@@ -69,7 +69,7 @@ def test_the_noise_of_pixels_on_an_edge_is_their_own(camera: Camera, pad: Pad, n
 
 
 @pytest.mark.parametrize("name", ["asphalt", "edge of the deck", "sea"])
-def test_what_lies_around_a_pad_does_not_have_it_doubted(camera: Camera, pad: Pad, name: str) -> None:
+def test_what_lies_around_a_pad_does_not_have_it_rejected(camera: Camera, pad: Pad, name: str) -> None:
     """A doubted registration says half a metre at 10 m, and no heading."""
     sigmas, known = [], 0
     for k in range(10):

@@ -94,7 +94,7 @@ def test_the_patch_is_the_drawing_where_the_pad_is() -> None:
     assert patch_of(Pyramid(px), CAMERA, pad, pose_of(PadPlacement((5.0, 0.0, 2.0)))) is None
 
 
-def test_it_can_only_lower_a_confidence_and_is_asked_of_a_search_alone() -> None:
+def test_it_can_only_lower_a_confidence_and_is_used_in_a_search_alone() -> None:
     pad = shipped_pad("thesis")
     frame, attitude = Frame(STAMP, 0, image(PLACE, CAMERA, pad, blur_px=0.6, noise=1.5).px), PLACE.attitude()
 

@@ -18,7 +18,7 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sightin
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.believed import expected
+from estimator.vision.expectation import expected
 from estimator.vision.options import TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, drawn, drawn_lamps, rehearse, track
@@ -95,7 +95,7 @@ def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerM
     ("age_s", "consistent", "alerts", "sigma_m"),
     [(1.1, True, (), 0.02), (0.0, False, (), 0.02), (0.0, False, (IntegrityAlert.RANGE,), 0.02), (0.0, True, (), 0.4)],
 )
-def test_a_belief_that_is_old_or_doubted_or_blunt_excludes_no_place(
+def test_an_estimate_that_is_old_inconsistent_or_inaccurate_excludes_no_place(
     age_s: float, consistent: bool, alerts: tuple[IntegrityAlert, ...], sigma_m: float
 ) -> None:
     view = stage().view(3.0)
@@ -104,8 +104,8 @@ def test_a_belief_that_is_old_or_doubted_or_blunt_excludes_no_place(
     seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), of)
     assert right(seen.selected, view)
     assert seen.elsewhere is None
-    told = replace(sharp, cov=belief(view).cov, consistent=False, alerts=(IntegrityAlert.ELSEWHERE,))
-    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), told)
+    reported = replace(sharp, cov=belief(view).cov, consistent=False, alerts=(IntegrityAlert.ELSEWHERE,))
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), reported)
     assert right(seen.elsewhere, view), "another pad in view makes the belief no worse"
 
 
@@ -133,8 +133,8 @@ def two_pads(height_m: float, hidden: float) -> tuple[Shown, np.ndarray, Relativ
     cov = np.diag([0.02**2] * 3 + [0.01] * 3 + [0.02**2])
     at = STAMP.measured_at
     of = RelativeState(at, "ekf", d, np.zeros(3), -math.atan2(arrow[1], arrow[0]), cov, at, True)
-    told = Attitude(STAMP, seen.R_level_body, 1e-5 * np.eye(3))
-    return replace_px(seen, px), seen.R_level_body @ (mount.R @ other + mount.t), of, told
+    reported = Attitude(STAMP, seen.R_level_body, 1e-5 * np.eye(3))
+    return replace_px(seen, px), seen.R_level_body @ (mount.R @ other + mount.t), of, reported
 
 
 def replace_px(seen: Shown, px: np.ndarray) -> Shown:
@@ -144,8 +144,8 @@ def replace_px(seen: Shown, px: np.ndarray) -> Shown:
 @pytest.mark.parametrize("method", ["fused", "registration"])
 @pytest.mark.parametrize("hidden", [0.6, 1.0])
 def test_another_pad_never_takes_the_place_of_one_that_is_hidden(method: TrackerMethod, hidden: float) -> None:
-    seen, other, of, told = two_pads(3.0, hidden)
-    found, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), told, of)
+    seen, other, of, reported = two_pads(3.0, hidden)
+    found, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), reported, of)
     if found.selected is not None and found.selected.confidence >= 0.2:
         assert hidden < 1.0
         assert np.linalg.norm(found.selected.d_body_pad_level - of.d_body_pad_level) < 0.1
@@ -153,7 +153,7 @@ def test_another_pad_never_takes_the_place_of_one_that_is_hidden(method: Tracker
         assert found.elsewhere is not None
         assert np.linalg.norm(found.elsewhere.d_body_pad_level - other) < 0.1
         assert found.elsewhere.confidence > 0.5
-    alone, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), told)
+    alone, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), reported)
     assert alone.elsewhere is None
     assert alone.selected is not None
     assert np.linalg.norm(alone.selected.d_body_pad_level - other) < 0.1, "without a belief the one in full view is the pad"
@@ -166,12 +166,12 @@ def test_a_near_track_does_not_settle_on_the_next_edge(name: str) -> None:
     seen_from, rng, sure = Stage(CAMERA, shipped_pad(name), seed=11), np.random.default_rng(4), 0
     for _ in range(5):
         view = seen_from.view(0.5)
-        told = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * math.radians(1.0) ** 2)
+        reported = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * math.radians(1.0) ** 2)
         for _ in range(5):
             off_m = rng.normal(0.0, 0.03, 3)
-            believed = belief(view, (off_m[0], off_m[1], off_m[2]), 0.03)
-            believed = replace(believed, yaw_rad=view.yaw_rad + rng.normal(0.0, 0.02))
-            found = track(config, TrackerMemory(), view.frame(), told, believed)[0].selected
+            estimate = belief(view, (off_m[0], off_m[1], off_m[2]), 0.03)
+            estimate = replace(estimate, yaw_rad=view.yaw_rad + rng.normal(0.0, 0.02))
+            found = track(config, TrackerMemory(), view.frame(), reported, estimate)[0].selected
             if found is not None and found.confidence >= 0.5:
                 sure += 1
                 assert np.linalg.norm(found.d_body_pad_level - view.d_body_pad_level) < 3e-3
@@ -187,14 +187,14 @@ def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> N
     assert seen.selected is None or seen.selected.confidence < 0.2
 
 
-def test_a_bare_green_disc_is_doubted_although_the_ellipse_is_sure_of_it() -> None:
+def test_a_bare_green_disc_is_rejected_although_the_ellipse_is_sure_of_it() -> None:
     seen = shown(CAMERA, None, 3.0, decals=(Decal("green_disc", (0.1, -0.1), 0.78, 0.3, "deck"),))
     frame = Frame(STAMP, 0, seen.px)
-    told = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))
-    alone, _ = track(tracker("thesis"), TrackerMemory(), frame, told)
+    reported = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))
+    alone, _ = track(tracker("thesis"), TrackerMemory(), frame, reported)
     assert alone.selected is not None
     assert alone.selected.confidence > 0.5
-    together, _ = track(tracker(), TrackerMemory(), frame, told)
+    together, _ = track(tracker(), TrackerMemory(), frame, reported)
     assert together.selected is None or together.selected.confidence < 0.2
 
 
@@ -286,5 +286,5 @@ print("estimator.vision.lamp_sighting" in sys.modules)
 
 @pytest.mark.parametrize(("pad", "loaded"), [("lit", "True"), ("thesis", "False")])
 def test_what_sees_lamps_is_loaded_before_the_first_frame_of_a_lit_pad_alone(pad: str, loaded: str) -> None:
-    said = subprocess.run([sys.executable, "-c", LOADED, pad], capture_output=True, text=True, check=True)
-    assert said.stdout.split() == [loaded]
+    output = subprocess.run([sys.executable, "-c", LOADED, pad], capture_output=True, text=True, check=True)
+    assert output.stdout.split() == [loaded]

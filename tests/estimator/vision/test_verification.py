@@ -72,7 +72,7 @@ def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, l
     assert other["orange_place"] > plain["orange_place"] - 0.15
 
 
-def test_the_arrow_tells_half_a_turn(camera: Camera, pad: Pad) -> None:
+def test_the_arrow_resolves_half_a_turn(camera: Camera, pad: Pad) -> None:
     for height in (0.7, 2.0, 8.0):
         seen = shown(camera, pad, height)
         right, wrong = (at(seen.px, camera, pad, p).arrow_support for p in (seen.truth, seen.truth.turned(math.pi)))

@@ -89,15 +89,15 @@ async def test_p264_is_refused_with_the_setting_that_helps() -> None:
         await frames(drone, 2)
         ids = server.drone.state.config.ids
         server.drone.state.config.set("video:video_codec", "64", ids)
-        said = await until_down(drone, "video")
-        assert "P264" in said
-        assert "video:video_codec to 32 (UVLC)" in said
+        output = await until_down(drone, "video")
+        assert "P264" in output
+        assert "video:video_codec to 32 (UVLC)" in output
         assert drone.counters.video_refused["inter_picture"] >= 1
         server.drone.state.config.set("video:video_codec", "32", ids)
         assert (await frames(drone, 3))[-1].px.shape == (144, 176, 3), "it goes on by itself"
 
 
-def test_a_setting_that_asks_for_p264_is_refused() -> None:
+def test_a_setting_that_requests_p264_is_refused() -> None:
     with pytest.raises(ValueError, match=r"video:video_codec=64 is not decoded \(64 is P264\): leave it out, or use 32"):
         ArDroneOptions(model="1.0", further_configuration="video:video_codec=64")
 
@@ -107,9 +107,9 @@ async def test_the_other_generation_is_named_with_the_setting_that_helps(caplog:
     async with first_drone() as server, open_ardrone(options_for(server, model="2.0"), SystemClock()) as drone:
         await until(lambda: drone.counters.model_mismatches > 0)
         await until_down(drone, "video")
-    said = [record.getMessage() for record in caplog.records if "firmware" in record.getMessage()]
-    assert said
-    assert 'firmware 1.7.4, that of an AR.Drone 1.0, and vehicle.model is "2.0": set vehicle.model = "1.0"' in said[0]
+    output = [record.getMessage() for record in caplog.records if "firmware" in record.getMessage()]
+    assert output
+    assert 'firmware 1.7.4, that of an AR.Drone 1.0, and vehicle.model is "2.0": set vehicle.model = "1.0"' in output[0]
 
 
 def test_pictures_scatter_in_their_arrival_and_never_overtake_one_another() -> None:

@@ -26,7 +26,7 @@ NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, 
 
 
 async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_client() -> None:
-    told: list[dict[str, Any]] = []
+    reported: list[dict[str, Any]] = []
     # A driver that sets the drone up again misses what happens meanwhile: on a busy machine an answer may take its time.
     options = ArDroneOptions(host="127.0.0.1", config_timeout_s=30.0)
     too_short = msgspec.structs.replace(NEAR, duration_limit_s=2.5)
@@ -36,8 +36,8 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
         first, done, changes = server.world, asyncio.Event(), [False]
 
         def tell(**what: Any) -> None:
-            told.append(what)
-            if len(told) == 3:
+            reported.append(what)
+            if len(reported) == 3:
                 done.set()
 
         async with (
@@ -56,7 +56,7 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
                     if sample.flying != changes[-1]:
                         changes.append(sample.flying)
                         flying_since = CLOCK.now() if sample.flying else None
-                    if told and flying_since is not None and seconds_between(flying_since, CLOCK.now()) > 0.5:
+                    if reported and flying_since is not None and seconds_between(flying_since, CLOCK.now()) > 0.5:
                         drone.command(Land())
 
             pilot = group.create_task(fly())
@@ -66,9 +66,9 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
                 await asyncio.sleep(0.01)
             pilot.cancel()
             flights.cancel()
-    assert [flight["seed"] for flight in told] == [1, 2, 3]
-    assert [flight["ended"] for flight in told] == ["time is up", "landed", "landed"]
-    assert all(flight["surface"] in ("pad", "deck") and flight["on_pad"] for flight in told[1:])
+    assert [flight["seed"] for flight in reported] == [1, 2, 3]
+    assert [flight["ended"] for flight in reported] == ["time is up", "landed", "landed"]
+    assert all(flight["surface"] in ("pad", "deck") and flight["on_pad"] for flight in reported[1:])
     assert changes == [False, True, False, True, False, True, False], "on the ground between two flights, and never in between"
     assert server.world is not first
 

@@ -21,7 +21,7 @@ def start(*arguments: str, **options: Any) -> AbstractContextManager[subprocess.
 
 
 @pytest.mark.parametrize("how", ["stdin closes", "SIGTERM"])
-def test_it_ends_when_told_and_leaves_the_whole_truth(how: str, tmp_path: Path) -> None:
+def test_it_ends_when_ordered_and_leaves_the_whole_truth(how: str, tmp_path: Path) -> None:
     truth = tmp_path / "truth.jsonl"
     with start("calm", "--truth", str(truth), *ANY, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
@@ -53,7 +53,7 @@ def test_it_ends_when_told_and_leaves_the_whole_truth(how: str, tmp_path: Path) 
 )
 def test_wrong_use_is_one_line(arguments: tuple[str, ...], code: int, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert serve.main(list(arguments)) == code
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert what in said.err
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert what in output.err
+    assert output.err.count("\n") == 1

@@ -58,7 +58,7 @@ def peer(server: ArDroneServer, stack: ExitStack) -> Peer:
     return peer
 
 
-async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
+async def test_bootstrap_reports_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
     for request in (b"\x01", b"\x01\x00\x00\x00"):
         peer.ask(request)
     first = await peer.on_message()
@@ -400,7 +400,7 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     assert (await watcher.frame()).header.frame_number >= 1
 
 
-async def test_truth_log_tells_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
+async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
     world, path = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl"
     began = SystemClock().now()
     async with serving(world, truth_path=path) as server:

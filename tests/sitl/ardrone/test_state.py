@@ -66,7 +66,7 @@ def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
     assert stick.progressive
 
 
-def test_smaller_sequence_numbers_are_ignored_and_one_starts_anew(pilot: Pilot) -> None:
+def test_smaller_sequence_numbers_are_ignored_and_one_starts_again(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.sequence = 99
     assert pilot.say(FLY) == [RefAction.TAKE_OFF]

@@ -67,12 +67,12 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
             assert kinds >= {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
             drone.command(Land())
             await reach(world, VehiclePhase.LANDED)
-        told = server.drone.state.counters
-        assert {name for name in told if name.startswith("config_")} <= {"config_set", "config_during_ack"}
+        reported = server.drone.state.counters
+        assert {name for name in reported if name.startswith("config_")} <= {"config_set", "config_during_ack"}
         # A key whose acknowledgement a busy machine brings late is sent again, and meets it.
-        assert told["config_during_ack"] <= told["config_set"] - drone.counters.config_acknowledged
+        assert reported["config_during_ack"] <= reported["config_set"] - drone.counters.config_acknowledged
         # 50 ms without a command, as a busy machine may have it; a stream that is too slow has it some ten times a second.
-        assert told["com_watchdog"] <= 3 + 2.0 * seconds_between(begun, clock.now())
+        assert reported["com_watchdog"] <= 3 + 2.0 * seconds_between(begun, clock.now())
 
 
 async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:

@@ -53,10 +53,10 @@ async def run(args: argparse.Namespace, parameters: dict[str, float]) -> None:
             pwm = [round(1000 + 1000 * m) for m in motors] + [1500] * 12
             await loop.sock_sendall(physics, struct.pack("<HHI16H", 18458, round(1 / STEP_S), frame, *pwm))
             async with asyncio.timeout(20):
-                said = json.loads(await loop.sock_recv(physics, 4096))
-            clock.advance(said["timestamp"] - t_s)
-            t_s = said["timestamp"]
-            motors = standin.step(state_of(said))
+                output = json.loads(await loop.sock_recv(physics, 4096))
+            clock.advance(output["timestamp"] - t_s)
+            t_s = output["timestamp"]
+            motors = standin.step(state_of(output))
             await clock.settle()
 
 

@@ -146,7 +146,7 @@ def test_in_the_air_it_never_disarms_however_the_copter_is_thrown_about() -> Non
     assert not any("disarming" in text for text in script.texts)
 
 
-def test_while_the_companion_is_heard_or_somebody_else_flies_it_does_nothing() -> None:
+def test_while_the_companion_is_received_or_somebody_else_flies_it_does_nothing() -> None:
     deck = Deck("moderate", Stack.ARDUPILOT, {"GUID_TIMEOUT": 1.0})
     aboard(deck)
     deck.up(1.0)

@@ -102,7 +102,7 @@ async def test_without_a_fault_the_relay_changes_nothing() -> None:
         assert carried["commands in"] == carried["commands out"] > 5
 
 
-async def test_late_samples_are_told_as_old() -> None:
+async def test_late_samples_are_reported_as_old() -> None:
     async with linked(NavdataStream(at_s=1.0, delay_s=0.4)) as it:
         await it.fly(0.6, begins=True)
         samples = await it.fly(0.5)
@@ -141,8 +141,8 @@ async def test_a_lost_link_is_noticed_and_comes_back() -> None:
 async def test_lost_commands_never_reach_the_autopilot() -> None:
     async with linked(CommandStream(at_s=1.0, dropped_fraction=1.0)) as it:
         await it.fly(0.1, begins=True)
-        heard = len(it.fake.messages)
+        received = len(it.fake.messages)
         it.driver.command(Velocity(np.array([0.4, 0.0, 0.2]), 0.0))
         await it.fly(0.5)
-        assert len(it.fake.messages) == heard
+        assert len(it.fake.messages) == received
         assert it.link.carried["commands in"] > it.link.carried["commands out"]

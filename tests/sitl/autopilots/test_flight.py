@@ -47,14 +47,14 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
     binary = program(tmp_path, f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"')
     kept = tmp_path / "kept"
     code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept), "--param", "LAND_SPEED=40")
-    told = json.loads(capsys.readouterr().out)
-    assert code == 0, (told, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
-    assert told["landed_on_pad"]
-    assert told["outcome"] == "landed"
-    assert told["touchdown"]["lateral_m"] < 0.15
-    assert told["touchdown"]["vertical_speed_m_s"] < 0.8
-    assert told["frames"]["fused"] > 100
-    assert told["touchdown"]["yaw_deg"] == pytest.approx(0.0, abs=5.0), "along the arrow, from 20 degrees off"
+    reported = json.loads(capsys.readouterr().out)
+    assert code == 0, (reported, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
+    assert reported["landed_on_pad"]
+    assert reported["outcome"] == "landed"
+    assert reported["touchdown"]["lateral_m"] < 0.15
+    assert reported["touchdown"]["vertical_speed_m_s"] < 0.8
+    assert reported["frames"]["fused"] > 100
+    assert reported["touchdown"]["yaw_deg"] == pytest.approx(0.0, abs=5.0), "along the arrow, from 20 degrees off"
     texts = (kept / "texts.txt").read_text()
     assert "Arm: Need Position Estimate" in texts, "asked again until it armed"
     assert "Decklander: down" in texts
@@ -70,12 +70,14 @@ def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFi
     assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
 
 
-def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program_that_ends_is_reported_with_its_last_words(
+    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert simulate(near, "--binary", program(tmp_path, "echo Vehicle model not found; exit 1")) == 1
-    said = capsys.readouterr().err
-    assert "ended with code 1" in said
-    assert "Vehicle model not found" in said
-    assert "docs/sitl.md" in said
+    printed = capsys.readouterr().err
+    assert "ended with code 1" in printed
+    assert "Vehicle model not found" in printed
+    assert "docs/sitl.md" in printed
 
 
 def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -95,12 +97,12 @@ def test_a_recorded_flight_holds_the_truth_and_replays_to_the_bit(
     kept, page = tmp_path / "flight.mcap", tmp_path / "report"
     words = ["--binary", "stand-in", "--perception", "model", "--record", str(kept), "--report", str(page), "--json"]
     assert simulate(near, "--seed", "2", *words) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     truths = [event for event in open_recording([kept]).events() if isinstance(event, TruthRecord)]
     assert max(b.at_ns - a.at_ns for a, b in itertools.pairwise(truths)) <= 24_000_000
     contact = truths[-1].touchdown
     assert contact is not None
-    assert contact.lateral_m == pytest.approx(told["touchdown"]["lateral_m"], abs=1e-4)
+    assert contact.lateral_m == pytest.approx(reported["touchdown"]["lateral_m"], abs=1e-4)
     assert truths[-1].phase == "landed"
     assert main(["replay", str(kept), "--json"]) == 0
     (ekf,) = (row for row in json.loads(capsys.readouterr().out)["against"]["the recording"] if row["path"] == "ekf")

@@ -99,7 +99,7 @@ def test_rubbish_is_no_truth() -> None:
     assert not source.truthful(at(1.0))
 
 
-def test_the_truth_is_asked_for_a_few_times() -> None:
+def test_the_truth_is_requested_a_few_times() -> None:
     source = PoseSource()
     asked = [m for n in range(400) for m in source.ask(Stack.ARDUPILOT, (1, 1), at(0.1 * n))]
     assert [m.param1 for m in asked] == [108, 108, 108]

@@ -50,7 +50,7 @@ async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_s
 
 
 @pytest.mark.timeout(600)
-async def test_it_does_not_descend_while_the_gimbal_tells_nothing(tmp_path: Path) -> None:
+async def test_it_does_not_descend_while_the_gimbal_reports_nothing(tmp_path: Path) -> None:
     landing = flight(tmp_path, limit_s=6.0, silent_at_s=1.0)
     end = await landing.fly()
     assert end.landing is None

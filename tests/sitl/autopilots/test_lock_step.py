@@ -112,7 +112,7 @@ async def test_a_stubborn_program_and_its_children_are_ended(tmp_path: Path, mon
     await until(lambda: not any(map(alive, numbers)))
 
 
-async def test_a_program_that_ends_says_why(tmp_path: Path) -> None:
+async def test_a_program_that_ends_is_reported_with_its_reason(tmp_path: Path) -> None:
     binary = script(tmp_path, "echo first; echo no such model >&2; exit 3")
     async with running([str(binary)], tmp_path) as program:
         with pytest.raises(Recoverable, match=r"code 3.*no such model"):

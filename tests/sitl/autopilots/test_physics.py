@@ -109,16 +109,16 @@ def test_packets_of_both_sizes_and_what_is_none() -> None:
         assert decode(bad) is None
 
 
-def test_the_answer_is_one_line_with_what_the_interface_asks_for() -> None:
+def test_the_answer_is_one_line_with_what_the_interface_requests() -> None:
     body = Body(on_the_pad(), 1, 0.0025)
     body.step(REST)
-    said = json.loads(encode(body.state()))
-    assert said["timestamp"] == pytest.approx(0.0025)
-    assert set(said) >= {"timestamp", "imu", "position", "quaternion", "velocity"}
-    assert said["imu"]["accel_body"][2] == pytest.approx(-9.8, abs=0.5)
+    output = json.loads(encode(body.state()))
+    assert output["timestamp"] == pytest.approx(0.0025)
+    assert set(output) >= {"timestamp", "imu", "position", "quaternion", "velocity"}
+    assert output["imu"]["accel_body"][2] == pytest.approx(-9.8, abs=0.5)
 
 
-def test_a_lost_answer_is_repeated_and_a_restart_begins_anew() -> None:
+def test_a_lost_answer_is_repeated_and_a_restart_begins_again() -> None:
     backend = JsonBackend(lambda step_s: Body(on_the_pad(), 1, step_s, CURVE))
     first = backend.on_packet(servo_packet(1, REST))
     assert backend.on_packet(servo_packet(1, REST)) == first
@@ -140,25 +140,25 @@ async def test_a_program_takes_off_hovers_and_lands_on_the_pad_in_lock_step() ->
     async with serve_json(backend, HOST, 0) as port:
         program = JsonClient(port)
         try:
-            said = await program.step(REST)
+            output = await program.step(REST)
             body = backend.body
             assert body is not None
             heights = []
-            while said["timestamp"] < 16.0 and (said["timestamp"] < 4.0 or body.landing() is None):
-                t = said["timestamp"]
+            while output["timestamp"] < 16.0 and (output["timestamp"] < 4.0 or body.landing() is None):
+                t = output["timestamp"]
                 climb = 1.5 if t < 8.0 else 1.5 - 0.5 * (t - 8.0)
                 target = body.p_pad_ned + np.array([0.0, 0.0, -climb])
                 motors = cascade.motors(
-                    np.array(said["position"]),
-                    np.array(said["velocity"]),
-                    Rotation.from_quat(said["quaternion"]),
-                    np.array(said["imu"]["gyro"]),
+                    np.array(output["position"]),
+                    np.array(output["velocity"]),
+                    Rotation.from_quat(output["quaternion"]),
+                    np.array(output["imu"]["gyro"]),
                     target,
                     body.v_pad_ned,
                 )
-                said = await program.step(motors)
+                output = await program.step(motors)
                 if 5.0 < t < 8.0:
-                    heights.append(body.p_pad_ned[2] - said["position"][2])
+                    heights.append(body.p_pad_ned[2] - output["position"][2])
         finally:
             program.close()
     assert np.mean(heights) == pytest.approx(1.5, abs=0.25)
@@ -203,7 +203,7 @@ def test_motors_rest_while_not_armed_or_not_a_number() -> None:
     assert motors_of(actuators((math.nan, 2.0, -1.0, 0.4))) == (0.0, 1.0, 0.0, pytest.approx(0.4))
 
 
-async def test_a_second_flight_beside_px4_s_simulator_is_told_so() -> None:
+async def test_a_second_flight_beside_px4_s_simulator_is_reported() -> None:
     backend = HilBackend(Body(on_the_pad(), 1, 0.004), seed=1)
     async with serve_hil(backend, HOST, 0) as port:
         with pytest.raises(SetupImpossible, match="another flight or simulator"):

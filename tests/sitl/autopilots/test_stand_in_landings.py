@@ -19,16 +19,17 @@ from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
 
 
-def test_what_is_said_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
+def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
     """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
     scenario = load("calm")
     given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
-    for said, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
-        _, settings = given.with_values([given.parse(text, "--set") for text in said], "--set")
+    for output, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
+        _, settings = given.with_values([given.parse(text, "--set") for text in output], "--set")
         flight = AutopilotFlight(scenario, 1, settings, AutopilotProgram("px4", None), tmp_path)
         assert flight.service_settings(14540).guidance.tries.heading == heading
 
 
+@pytest.mark.hazard("H3", "H4")
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("stack", ["px4", "arducopter"])
 async def test_it_lands_on_a_ship_under_way_and_stops_its_motors_at_once(
@@ -99,6 +100,7 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
     assert end.armed_after_contact_s < 1.0
 
 
+@pytest.mark.hazard("H5")
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("stack", "modes"), [("px4", ["offboard", "auto.loiter"]), ("arducopter", ["guided"])])
 async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(
@@ -159,6 +161,7 @@ async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     assert end.result.because.startswith("hovered without a service")
 
 
+@pytest.mark.hazard("H4", "H5")
 @pytest.mark.timeout(400)
 async def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_motors_turning(tmp_path: Path) -> None:
     killed = ServiceKilled(in_phase="press", for_s=2.0)

@@ -288,7 +288,7 @@ def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_le
         assert deck.height_m > 1.0
 
 
-def test_arducopter_follows_a_target_with_the_ship_only_where_it_is_told_that_it_moves() -> None:
+def test_arducopter_follows_a_target_with_the_ship_only_if_its_setting_says_that_it_moves() -> None:
     aside = {}
     for options in (0.0, 1.0):
         deck = Deck("calm", Stack.ARDUPILOT, {"PLND_OPTIONS": options}, 1.5)

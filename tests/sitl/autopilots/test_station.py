@@ -104,9 +104,9 @@ def test_where_the_landing_begins_at_rest_the_start_comes_up_to_a_vehicle_that_s
     for _ in range(600):
         d, v_rel = np.array([*(start - body), 0.0]), np.array([*(v_ship - v), 0.0])
         command_handler.view = OperatorView(d, np.array([*v_ship, 0.0]), v_rel, 0.0, 0.0, 4.0, rests=True)
-        said = command_handler.wait(0.1)
-        v = next((np.array([m.vx, m.vy]) for m in said if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
-        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(said):
+        output = command_handler.wait(0.1)
+        v = next((np.array([m.vx, m.vy]) for m in output if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
+        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(output):
             break
         start, body = start + 0.1 * v_ship, body + 0.1 * v
     assert ordered

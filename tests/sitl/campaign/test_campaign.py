@@ -85,9 +85,9 @@ def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> 
 
     tmp_path /= "full"
     child = drive(tmp_path, "200", stderr=subprocess.PIPE, preexec_fn=small)
-    _, said = child.communicate(timeout=60)
+    _, output = child.communicate(timeout=60)
     assert child.returncode == 1
-    assert "flights are kept, and the same command goes on from there" in said
+    assert "flights are kept, and the same command goes on from there" in output
     text = (tmp_path / FLIGHTS).read_bytes()
     assert text.endswith(b"\n")
     kept = list(flights_in(tmp_path / FLIGHTS))
@@ -171,10 +171,10 @@ def test_the_summary_does_not_depend_on_the_order(tmp_path: Path) -> None:
     flights = [flown(Job(seed)) for seed in seeds_of(20, 9)]
     one, two = tally(flights), tally(reversed([{**f, "cpu_s": 99.0} for f in flights]))
     assert one.hash == two.hash
-    said = one.summary("near", "pixels", 2.0)
-    assert (said["runs"], said["on_pad"], said["refused"], said["failed"], said["in_water"]) == (9, 9, 0, 0, 0)
-    assert said["lateral_median_m"] == pytest.approx(0.04, abs=0.011)
-    assert "9 flights of near (pixels): 9 on the pad (70.1 to 100.0 %)" in summary.in_words(said)
+    output = one.summary("near", "pixels", 2.0)
+    assert (output["runs"], output["on_pad"], output["refused"], output["failed"], output["in_water"]) == (9, 9, 0, 0, 0)
+    assert output["lateral_median_m"] == pytest.approx(0.04, abs=0.011)
+    assert "9 flights of near (pixels): 9 on the pad (70.1 to 100.0 %)" in summary.in_words(output)
     assert tally(flights[1:]).hash != one.hash
 
 
@@ -186,13 +186,13 @@ def test_a_campaign_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert cli.main(command) == 1, "time ran out"
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["seed"] for line in lines[:-1]] == [5, 6]
-    told = lines[-1]["summary"]
-    assert (told["runs"], told["failed"], told["on_pad"], told["lateral_median_m"]) == (2, 2, 0, None)
+    reported = lines[-1]["summary"]
+    assert (reported["runs"], reported["failed"], reported["on_pad"], reported["lateral_median_m"]) == (2, 2, 0, None)
     kept = json.loads((tmp_path / "out" / MANIFEST).read_text())
     assert kept["options"] == ["--set", "start.height_m=1.5"]
     assert cli.main(command) == 1
     again = capsys.readouterr()
-    assert json.loads(again.out.splitlines()[-1])["summary"]["hash"] == told["hash"]
+    assert json.loads(again.out.splitlines()[-1])["summary"]["hash"] == reported["hash"]
     assert "2 of 2 flights are there already; 0 flights to fly" in again.err
     assert cli.main(["simulate", str(near), "--seed", "6", *kept["options"], "--json"]) == 1
     alone = json.loads(capsys.readouterr().out)
@@ -233,20 +233,20 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     assert child.stderr is not None
     assert child.stderr.readline() == "50 flights to fly, by 1 process; results in c\n"
     child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=30)
+    _, output = child.communicate(timeout=30)
     assert child.returncode == 130
-    assert " flights are kept in c; the same command goes on from there" in said
+    assert " flights are kept in c; the same command goes on from there" in output
 
 
-def test_a_worker_that_is_born_after_its_campaign_says_nothing_and_an_error_of_ours_is_told() -> None:
+def test_a_worker_that_is_born_after_its_campaign_reports_nothing_and_an_error_of_ours_is_reported() -> None:
     source = "import sitl.campaign.unborn; raise {}"
-    for error, told in (("FileNotFoundError(2, 'no semaphore')", False), ("EOFError", False), ("ImportError('ours')", True)):
+    for error, reported in (("FileNotFoundError(2, 'no semaphore')", False), ("EOFError", False), ("ImportError('ours')", True)):
         ended = subprocess.run(
             [sys.executable, "-c", source.format(error)], capture_output=True, text=True, check=False, timeout=60
         )
         assert ended.returncode == 1
-        assert ("ImportError: ours" in ended.stderr) == told
-        assert bool(ended.stderr) == told
+        assert ("ImportError: ours" in ended.stderr) == reported
+        assert bool(ended.stderr) == reported
 
 
 def test_a_ctrl_c_while_the_server_of_the_workers_starts_is_for_the_campaign_alone() -> None:
@@ -263,17 +263,17 @@ print(blocked >> signal.SIGINT - 1 & 1, signal.SIGINT in signal.pthread_sigmask(
     assert (ended.stdout, ended.stderr) == ("1 False\n", "")
 
 
-def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:
+def test_the_session_keeps_before_it_reports(tmp_path: Path) -> None:
     class Workforce:
         def results(self, jobs):
             return map(flown, jobs)
 
     with closing(FolderStore(tmp_path, plan(), range(3))) as kept:
-        told = []
+        reported = []
         Session(Workforce(), kept).fly(
-            map(Job, range(3)), lambda f: told.append((f["seed"], f["seed"] in [k["seed"] for k in kept.flights()]))
+            map(Job, range(3)), lambda f: reported.append((f["seed"], f["seed"] in [k["seed"] for k in kept.flights()]))
         )
-        assert told == [(0, True), (1, True), (2, True)]
+        assert reported == [(0, True), (1, True), (2, True)]
         assert kept.wall_s() < 60.0
     assert store.manifest_of(tmp_path)["seeds"] == [[0, 3]]
     with closing(FolderStore(tmp_path, plan(), range(5))) as kept:

@@ -114,8 +114,8 @@ def test_no_scheduler_and_a_wrong_address(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sitl.campaign.workers._CONNECT_S", 1.0)
     assert cli.main(["campaign", "calm", "--runs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 1
-    said = capsys.readouterr().err
-    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in output
+    assert output.count("\n") == 1
     with pytest.raises(BadInput, match="write it as tcp://host:8786"):
         ClusterWorkers(plan(), code_version(), "carrier-pigeon://x", fake_fly)

@@ -52,18 +52,18 @@ def flight(seed: int, **over: Any) -> Flight:
     return {**own, "faults": [{"kind": "gyro sign", "at_s": 1.0}], "because": "", **over}
 
 
-def test_shares_and_worst_flights_are_counted_and_said() -> None:
+def test_shares_and_worst_flights_are_counted_and_reported() -> None:
     tally = FaultTally()
     for seed in range(20):
         tally.take(flight(seed))
     tally.take(flight(20, grade="failed", unsafe=["flew high"], contacts=[], outcome="gave up"))
     tally.take(flight(21, grade="refused rightly", highest_m=None, contacts=[]))
     tally.take(flight(22, grade="failed", contacts=[], highest_m=1.0))
-    said = tally.as_json()
-    assert said["counts"] == {"landed": 20, "refused": 1, "undecided": 1, "unsafe": 1, "error": 0}
-    assert [f["seed"] for f in said["worst"]["height"]] == [20, *range(19, 10, -1)]
-    assert [f["seed"] for f in said["worst"]["speed"]] == list(range(10))
-    assert [f["seed"] for f in said["worst"]["distance"]] == list(range(19, 9, -1))
+    output = tally.as_json()
+    assert output["counts"] == {"landed": 20, "refused": 1, "undecided": 1, "unsafe": 1, "error": 0}
+    assert [f["seed"] for f in output["worst"]["height"]] == [20, *range(19, 10, -1)]
+    assert [f["seed"] for f in output["worst"]["speed"]] == list(range(10))
+    assert [f["seed"] for f in output["worst"]["distance"]] == list(range(19, 9, -1))
     assert "20 landed (87.0 %), 1 refused (4.3 %)" in tally.in_words()
     assert "seed 20, unsafe: gyro sign from 1.0 s" in tally.in_words()
     assert [f["seed"] for f in tally.failing] == [20, 22]

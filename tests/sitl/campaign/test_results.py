@@ -189,9 +189,9 @@ def test_other_failed_flights_are_named_with_why_they_failed() -> None:
     assert [(one["seed"], one["because"]) for one in summary["failed_flights"]] == sorted(
         [(flights[2]["seed"], "gave up, though it should land"), (RAISES, raised["because"])]
     )
-    said = in_words(summary)
-    assert f"FAILED near seed {RAISES}: {raised['because']}" in said
-    assert "more that failed" not in said
+    output = in_words(summary)
+    assert f"FAILED near seed {RAISES}: {raised['because']}" in output
+    assert "more that failed" not in output
     many = tally({**flights[2], "seed": seed} for seed in range(2500))
     assert len(many.failed_flights) == 100
     assert "and 2490 more that failed" in in_words(many.summary("near", "truth", 1.0))
@@ -264,7 +264,7 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert cli.main(command) == 0
     assert capsys.readouterr().out == f"report: {tmp_path / 'now' / REPORT}\n"
     page = (tmp_path / "now" / REPORT).read_text()
-    for said in (
+    for output in (
         "60 of 90 on the pad",
         "landed beside the pad",
         "decklander simulate near --seed 5 --set wind.speed_m_s=8.0 --set sea.peak_period_s=4.0 --report flight-5",
@@ -274,7 +274,7 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
         "may be chance",
         tally(flights_in(tmp_path / "now" / "flights.jsonl")).hash,
     ):
-        assert said in page
+        assert output in page
     assert page.count("<svg") == 1 + 1 + 4 + 2 + 1
     assert "http" not in page.replace("http://www.w3.org", ""), "the page needs nothing else"
     worst = figures_of(flights_in(tmp_path / "now" / "flights.jsonl")).worst

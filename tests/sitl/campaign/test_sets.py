@@ -48,10 +48,10 @@ def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, cap
         ("held.toml", "hold", 2, 2)
     ]
     assert cli.main(command) == code
-    said = capsys.readouterr()
-    assert "4 of 4 flights are there already" in said.err
-    assert [line.split()[0] for line in said.out.splitlines()[:3]] == ["scenario", "near.toml", "held.toml"]
-    assert summary["hash"] in said.out
+    output = capsys.readouterr()
+    assert "4 of 4 flights are there already" in output.err
+    assert [line.split()[0] for line in output.out.splitlines()[:3]] == ["scenario", "near.toml", "held.toml"]
+    assert summary["hash"] in output.out
 
 
 def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(

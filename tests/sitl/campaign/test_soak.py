@@ -45,7 +45,7 @@ def test_what_is_flat_has_no_fault_and_warm_up_does_not_count() -> None:
     ("leak", "said"),
     [({"memory": 0.2}, "memory grew"), ({"descriptors": 0.1}, "descriptors grew"), ({"tasks": 0.1}, "tasks grew")],
 )
-def test_what_grows_is_said(leak: dict[str, float], said: str) -> None:
+def test_what_grows_is_reported(leak: dict[str, float], said: str) -> None:
     found = findings(made(40, **leak), 5.0)
     assert found is not None
     assert [fault.startswith(said) for fault in found.faults] == [True]
@@ -123,9 +123,9 @@ def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixtur
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
     assert cli.main(["campaign", "calm", "--soak", "--hours", "0.001", "--no-cpu", "--json"]) == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said["findings"] is None, "too short to measure growth"
-    assert said["flown_s"] >= 3.0
+    output = json.loads(capsys.readouterr().out)
+    assert output["findings"] is None, "too short to measure growth"
+    assert output["flown_s"] >= 3.0
     assert len(os.listdir("/proc/self/fd")) <= descriptors
 
 
@@ -151,18 +151,18 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
         out, _ = soak.communicate(timeout=60)
     assert soak.returncode == 143
     lines = [json.loads(line) for line in readings.read_text().splitlines()]
-    told = json.loads(out)
-    assert len(lines) == lines[-1]["flights"] == told["flights"] == len(told["outcomes"]) >= 1
-    assert told["classes"]["failed"] == told["flights"], "none of them came down in its time"
-    assert told["flight_faults"]
+    reported = json.loads(out)
+    assert len(lines) == lines[-1]["flights"] == reported["flights"] == len(reported["outcomes"]) >= 1
+    assert reported["classes"]["failed"] == reported["flights"], "none of them came down in its time"
+    assert reported["flight_faults"]
 
 
-def test_a_file_that_cannot_be_written_is_said_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_cannot_be_written_is_reported_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["campaign", "demo", "--soak", "--virtual", "--runs", "1", "--readings", "/dev/null/there"]) == 2
     assert "--readings: /dev/null/there" in capsys.readouterr().err
 
 
-def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_is_reported_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
     words = [
@@ -176,9 +176,9 @@ def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.Ca
         "/dev/full",
     ]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
-    said = capsys.readouterr()
-    assert json.loads(said.out)["flights"] == 2
-    assert said.err.count("--readings: /dev/full: No space left on device") == 1
+    output = capsys.readouterr()
+    assert json.loads(output.out)["flights"] == 2
+    assert output.err.count("--readings: /dev/full: No space left on device") == 1
 
 
 def test_flights_without_pictures_are_flown_and_graded_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -186,5 +186,5 @@ def test_flights_without_pictures_are_flown_and_graded_too(tmp_path: Path, capsy
     near.write_text(BRIEF)
     words = ["--virtual", "--runs", "1", "--no-faults", "--no-cpu", "--json", "--perception", "model"]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said["classes"]["failed"] == said["flights"] == 1, "its time ends before it comes down"
+    output = json.loads(capsys.readouterr().out)
+    assert output["classes"]["failed"] == output["flights"] == 1, "its time ends before it comes down"

@@ -139,7 +139,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(
     monkeypatch.setattr(Pilot, "detect", broken)
     words = ["--virtual", "--runs", "2", "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
-    said = capsys.readouterr().out
-    assert "FAULT: 2 of 2 flights failed" in said
-    assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in said
+    output = capsys.readouterr().out
+    assert "FAULT: 2 of 2 flights failed" in output
+    assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in output
     assert (tmp_path / "p.png").exists()

@@ -129,8 +129,8 @@ class CopterStandIn(StandIn):
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
-        told = m.frame == 12 and m.position_valid == 1 and m.distance > 0
-        if self.state is None or not self.parameter("PLND_ENABLED") or not told:
+        reported = m.frame == 12 and m.position_valid == 1 and m.distance > 0
+        if self.state is None or not self.parameter("PLND_ENABLED") or not reported:
             return
         seen = self.state.p_ned + self.state.R_ned_body @ np.array([m.x, m.y, m.z])
         if self._target is None or self.now_s - self._target[0] > _SEEN_S:

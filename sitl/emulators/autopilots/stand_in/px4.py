@@ -53,7 +53,7 @@ class Px4StandIn(StandIn):
         super().__init__(Stack.PX4, clock, {**DEFAULTS, **px4.PARAMETERS, **(parameters or {})}, "auto.loiter")
         self._cascade = Cascade(PX4_GAINS, Airframe(), 0.0, px4.STEP_S)
         self._place: F64 | None = None
-        """Where AUTO modes go or stay, (3,) m ned."""
+        """Target of AUTO modes, (3,) m ned."""
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._v_rest = np.zeros(3)
         self._checked_s = self._armed_s = self._climb_s = -math.inf

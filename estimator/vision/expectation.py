@@ -33,7 +33,7 @@ search.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BelievedPlace:
+class ExpectedPlace:
     """Expected and excluded places of the pad in the frame, by the filter's estimate."""
 
     state: RelativeState | None
@@ -41,7 +41,7 @@ class BelievedPlace:
     integrity: IntegrityOptions
 
     @staticmethod
-    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, alike_yaw_rad: float | None) -> BelievedPlace:
+    def of(belief: RelativeState | None, frame: Frame, tracker: TrackerConfig, alike_yaw_rad: float | None) -> ExpectedPlace:
         """Return what a belief says. That a pad is seen elsewhere makes it no less consistent here.
 
         Args:
@@ -51,8 +51,8 @@ class BelievedPlace:
             consistent = belief.consistent or belief.alerts == (IntegrityAlert.ELSEWHERE,)
             fresh = belief.age_s(frame.stamp.measured_at) <= _FRESH_S
             if consistent and fresh and near_enough(belief, sigma_of(belief), tracker.pad, alike_yaw_rad):
-                return BelievedPlace(belief, tracker.integrity)
-        return BelievedPlace(None, tracker.integrity)
+                return ExpectedPlace(belief, tracker.integrity)
+        return ExpectedPlace(None, tracker.integrity)
 
     def excludes(self, seen: Sighting) -> bool:
         """Return whether a pad in that place is not the tracked one."""

@@ -61,16 +61,16 @@ def test_the_delay_that_is_flown_with_stays_on_the_page_of_metrics() -> None:
     assert value(page, "decklander_response_longer_seconds") == 0.1
 
 
-def test_the_ground_station_hears_of_a_contradiction_only() -> None:
+def test_the_ground_station_learns_of_a_contradiction_only() -> None:
     class Nobody:
         def __getattr__(self, name: str) -> Any:
             raise AssertionError(name)
 
     component = Component(ComponentOptions(0.39, 0.5), Nobody(), None, healthy=lambda: None, clock=Clock())  # type: ignore[arg-type]
-    said: list[tuple[MavSeverity, str]] = []
-    component.texts.say = lambda severity, words, now: said.append((severity, words))  # type: ignore[method-assign,assignment]
+    output: list[tuple[MavSeverity, str]] = []
+    component.texts.say = lambda severity, words, now: output.append((severity, words))  # type: ignore[method-assign,assignment]
     for response in (ASSUMED, KNOWN, LATER):
         component.on_decision(decision(response))
-    (only,) = [one for one in said if "answers" in one[1] or "response" in one[1]]
+    (only,) = [one for one in output if "answers" in one[1] or "response" in one[1]]
     assert only[0] is MavSeverity.WARNING
     assert LATER.text in only[1]
