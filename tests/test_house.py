@@ -219,7 +219,7 @@ NO_OPENING = {
 }  # fmt: skip
 """First words of docstrings that make a reader start again: functions open with a verb, classes and values with a noun."""
 PROSE = re.compile(r"\b(told|heard|of which|of whom|be it|were it|astray|anew|strangers?|The same (of|for|where|in))\b")
-"""Words and constructions for which plain ones exist (CONTRIBUTING.md)."""
+"""Words and constructions for which plain ones exist (docs/conventions.md)."""
 LONGEST_OPENING = 27
 """Number of words in a docstring's first sentence."""
 

@@ -76,6 +76,7 @@ _BY_ALERT: dict[IntegrityAlert, str] = {
     _A.IMU_FROZEN: "Land by hand and reboot the autopilot: its sensor is dead.",
     _A.ATTITUDE_FROZEN: "Land by hand and reboot the autopilot: its attitude is dead.",
     _A.ATTITUDE: "Land by hand, and calibrate the autopilot's gyro and accelerometer: its attitude is wrong.",
+    _A.IMU_LATE: _CLOCK,
     _A.STAMPS: _CLOCK,
     _A.APART: "Wait: the filter starts again by itself; if it comes back, land by hand and calibrate accelerometer and gyro.",
     _A.ELSEWHERE: "Look whether there is a second pad; begin again to land on the one that is seen.",

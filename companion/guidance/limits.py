@@ -36,9 +36,11 @@ _COMMIT_SPEED = 1.5
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
 _LATER_TRY, _LATER_MOST = 0.25, 1.5
-"""Growth of the limits of place, speed and tilt with each go-around, and the largest growth."""
+"""Growth of the limits of place and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
+_LIFTS_S = 0.15
+"""Time to the contact in which a vehicle that goes around no longer touches the deck, at best, s."""
 ON_PAD = 1.4
 """Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
@@ -61,7 +63,7 @@ class InputQuality(Struct, frozen=True):
 def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
     """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
     looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
-    names = ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
+    names = ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
     return replace(limits, **{name: looser * getattr(limits, name) for name in names})
 
 
@@ -152,7 +154,9 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
-    speed = math.hypot(v[0], v[1]) if turns else None
+    # Where the ship brakes or turns hard, a touch in the climb is no worse than one that slides.
+    lifts = estimate.height_m > cone.feet_below_m + _LIFTS_S * cone.commit_rate_m_s
+    speed = math.hypot(v[0], v[1]) + SIGMAS_AHEAD * _sigma_m_s(estimate) if lifts else None
     return _first(
         [
             *(_at_contact(knowledge, limits, _COMMIT_SPEED) if turns else ()),
@@ -163,6 +167,11 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
+
+
+def _sigma_m_s(estimate: RelativeState) -> float:
+    """Return the larger 1-sigma of the speed along the deck, m/s."""
+    return math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))
 
 
 def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> list[Comparison]:

@@ -202,7 +202,7 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
         lifts = p.entered_height_m - o.cone.feet_below_m + begun_s * fastest < _LIFT_M
         return p, without_estimate(max(fastest if lifts else 0.0, o.tries.climb_m_s + rising), over_ground=over_ground)
     if estimate.height_m - o.cone.feet_below_m < _LIFT_M:
-        # Where it is over the deck, and with the deck: feet that are dragged along it before they leave it turn the vehicle over.
+        # It climbs at its place and moves with the deck: feet that are dragged before they leave the deck turn the vehicle over.
         here = np.array([*estimate.d_body_pad_level[:2], o.tries.safe_height_m])
         return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s)
     # Aside in proportion to the height, so that the pad stays in view.

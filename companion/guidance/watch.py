@@ -57,6 +57,8 @@ _MAY_STAY = (State.GO_AROUND, State.GATE, State.HOLD_BLIND)
 """States that no contact belongs to, in which one near the pad's centre is taken as the landing all the same."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
+_TOUCHES_M = 0.04
+"""Height of the feet up to which a push in a go-around is the deck and not the climb's own thrust, m."""
 _TILTS_FAR = 3.0
 """Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
 _FASTEST_M_S = 1.0
@@ -231,7 +233,9 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    if p.state in _MAY_STAY and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
+    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M)
+    may_stay = p.state in _MAY_STAY and not climbs
+    if may_stay and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
     # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
     press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.leans_far else 1.0)
@@ -280,6 +284,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
+    if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:

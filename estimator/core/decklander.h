@@ -77,6 +77,8 @@ enum {
     ISSUED_MAX = 9,
     /* The largest number of recent sightings whose innovations are compared with what the filter claimed. */
     EXCESSES_MAX = 24,
+    /* Numbers of each: the excess along north, east, down, and how likely the ship accelerates north, east and in heading. */
+    EXCESS_NUMBERS = 6,
 };
 
 /* Kinds of samples; the first KINDS are those of aiding. */
@@ -145,7 +147,7 @@ typedef struct {
 
 typedef struct {
     int64_t n, t[EXCESSES_MAX];
-    double values[3 * EXCESSES_MAX];
+    double values[EXCESS_NUMBERS * EXCESSES_MAX];
 } dl_innovation_excesses;
 
 typedef struct {
@@ -154,7 +156,8 @@ typedef struct {
 } dl_rejection_streak;
 
 typedef struct {
-    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, heading_known, heading_seen;
+    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, heading_known, heading_seen,
+        steered;
     double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
         f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
         wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s;

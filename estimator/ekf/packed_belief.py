@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.core import abi
-from estimator.core.abi import COLUMNS_MAX, EXCESSES_MAX
+from estimator.core.abi import COLUMNS_MAX, EXCESS_NUMBERS, EXCESSES_MAX
 from estimator.core.library import CORE
 from estimator.ekf.deck_motion_bank import PackedSea
 from estimator.ekf.outcome import Outcome
@@ -37,8 +37,8 @@ _NOTHING = CORE.ffi.new("dl_filter_step *", {"P_index": -1, "bank_index": -1})
 """The step before all events."""
 _NO_BANKS = CORE.room("dl_bank", 0)
 _NUMBERS = (
-    "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "ins_var_m2_s2", "jolt_var_m2_s2", "jolt_var_rad2",
-    "over_pad", "coast_s", "nis_mean", "heading_held_s",
+    "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "steered", "ins_var_m2_s2", "jolt_var_m2_s2",
+    "jolt_var_rad2", "over_pad", "coast_s", "nis_mean", "heading_held_s",
 )  # fmt: skip
 _FLAGS = ("heading_is_given", "heading_known")
 _MATRICES = ("R", "R_cov", "turned", "cov_levelled_by")
@@ -279,7 +279,7 @@ def _read(record: NDArray[Any], P: F64, sea: PackedSea) -> Belief:
         sea=sea.bank,
         rejections=RejectionStreak(**{name: _plain(streak[name]) for name in RejectionStreak._fields}),
         excesses=InnovationExcesses(
-            tuple(excesses["t"][:n].tolist()), tuple(map(tuple, excesses["values"].reshape(-1, 3)[:n].tolist()))
+            tuple(excesses["t"][:n].tolist()), tuple(map(tuple, excesses["values"].reshape(-1, EXCESS_NUMBERS)[:n].tolist()))
         ),
         aids=tuple([_read_aid(kind, aid) for kind, aid in enumerate(record["aids"])]),
     )

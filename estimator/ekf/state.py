@@ -146,8 +146,9 @@ class InnovationExcesses(NamedTuple):
 
     t: tuple[int, ...] = ()
     """Instants of the sightings, ns."""
-    values: tuple[tuple[float, float, float], ...] = ()
-    """Excess of each sighting along north, east, down, m^2 (`estimator/core/filter/deck_jolt.h`)."""
+    values: tuple[tuple[float, ...], ...] = ()
+    """Excess of each sighting along north, east, down, m^2, and how likely the ship accelerates north, east and in heading
+    (`estimator/core/filter/deck_jolt.h`)."""
 
 
 class Belief(NamedTuple):
@@ -220,6 +221,8 @@ class Belief(NamedTuple):
     """Time for which sightings have agreed with the heading minus the time for which they have contradicted it, s."""
     heading_seen: int
     """Instant of the newest sighting that measured a heading, ns; -1 if there is none."""
+    steered: int
+    """Instant of the newest sighting that showed a manoeuvre of the ship, ns; -1 if there is none."""
 
     def changed(self, **fields: Any) -> Belief:
         """Return the belief with these fields replaced: `_replace` in a third of its time, for what every sample does."""
@@ -271,5 +274,5 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         heading_is_given=False, ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
         sighted=-1, agreed=0, nis_mean=1.0, excesses=InnovationExcesses(), heading_known=False, heading_held_s=0.0,
-        heading_seen=-1,
+        heading_seen=-1, steered=-1,
     )  # fmt: skip

@@ -211,6 +211,8 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
             found.append(IntegrityAlert.VIEW_FROZEN)
         if guard.view.reversed:
             found.append(IntegrityAlert.VIEW_REVERSED)
+        if guard.view.late_s != 0.0:
+            found.append(IntegrityAlert.IMU_LATE)
     for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
         seen = guard.sensors.get(kind)
         if seen is not None and seen.frozen:

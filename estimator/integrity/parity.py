@@ -216,7 +216,7 @@ def curvature(points: tuple[Point, ...], axis: int, since: int, least: int) -> S
 
 
 def slope(points: tuple[Point, ...], axis: int, since: int, least: int) -> Slope | None:
-    """Return the acceleration that a velocity says; as `curvature`."""
+    """Return the acceleration from a velocity; otherwise as `curvature`."""
     return _fit(points, axis, since, least, 1)
 
 

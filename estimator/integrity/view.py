@@ -30,6 +30,18 @@ _AGAINST = -0.2
 """Correlation of view and rotation along one axis, below which the view moves against the body."""
 
 
+_LAGS_S = np.arange(-8, 9) * 0.02
+"""Delays of the attitude behind the image for which both are compared."""
+_LAG_FORGET_S = 3.0
+"""Time after which a rotation counts a third for the delay."""
+_LATE_S, _LAG_ALIKE, _LAG_BETTER = 0.06, 0.8, 0.05
+"""Least delay that makes an alert, least correlation with it, and how much better its square is than that without delay."""
+_LAG_TURNED_RAD = 0.03
+"""Root of the sum of squares of the rotations that show a delay."""
+_LAG_LASTS = 15
+"""Number of sightings in a row that show it."""
+
+
 Bearing = tuple[int, F64, F64, F64]
 """Instant, ns; unit vector to the pad in `body` and in `level`, (3,); the level frame's axes in `body`, (3, 3)."""
 
@@ -43,6 +55,12 @@ class ViewWatch(NamedTuple):
     """Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less."""
     reversed: bool = False
     """True if the pad moves in the image against the rotation of the body, along some axis."""
+    lags: F64 | None = None
+    """For each of `_LAGS_S` the sums of squares of view and rotation, and of their product, (17, 3) rad^2, older ones less."""
+    lags_shown: int = 0
+    """Number of sightings in a row that show a delay."""
+    late_s: float = 0.0
+    """By how much the attitude is late against the image, s; 0 while nothing shows that it is."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
@@ -57,7 +75,7 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     kept = [k for k in state.bearings if 0 <= t - k[0] <= span_ns]
     bearings = (*kept, (t, R_body_level.dot(level), level, R_body_level))
     if len(bearings) < _LEAST or t - bearings[0][0] < _LEAST_SPAN_S * 1e9:
-        return ViewWatch(bearings, False, state.moments, state.reversed)
+        return state._replace(bearings=bearings, frozen=False)
     at, seen, levels, axes = zip(*bearings, strict=True)
     expected, found = np.array(axes).dot(np.add.reduce(levels) / len(levels)), np.array(seen)
     turned = _spread(expected)
@@ -68,7 +86,41 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     if abs(np.diff(found - expected, axis=0)).max() < _JUMP_RAD:
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
         moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
-    return ViewWatch(bearings, still, moments, moments is not None and _is_reversed(moments))
+        state = _lagged(state, np.array(at, float) * 1e-9, expected, found)
+    return state._replace(
+        bearings=bearings, frozen=still, moments=moments, reversed=moments is not None and _is_reversed(moments)
+    )
+
+
+def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64) -> ViewWatch:
+    """Compare the view in the middle of half a second with the rotation at instants before and after.
+
+    The delay is where both agree best (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE
+    Trans. ASSP 24(4), 1976).
+
+    Args:
+        at: instants (n,), s.
+        expected: bearings (n, 3) that the rotation alone makes.
+        found: bearings (n, 3) in the image.
+    """
+    middle, mean = len(at) // 2, np.add.reduce(at) / len(at)
+    there = at[middle] + _LAGS_S
+    if there[0] < at[0] or there[-1] > at[-1]:
+        return state
+    along = (at - mean) / float((at - mean).dot(at - mean))
+    seen = found[middle, :2] - np.add.reduce(found[:, :2]) / len(at) - (at[middle] - mean) * along.dot(found[:, :2])
+    line = np.add.reduce(expected[:, :2]) / len(at) + np.outer(there - mean, along.dot(expected[:, :2]))
+    turned = np.stack([np.interp(there, at, expected[:, k]) for k in range(2)], axis=1) - line
+    sums = np.stack([np.full(len(there), float(seen.dot(seen))), (turned * turned).sum(axis=1), turned.dot(seen)], axis=1)
+    lags = sums + (0.0 if state.lags is None else math.exp((at[-2] - at[-1]) / _LAG_FORGET_S) * state.lags)
+    alike = lags[:, 2] / np.sqrt(np.maximum(lags[:, 0] * lags[:, 1], 1e-18))
+    best, none = int(np.argmax(alike)), len(_LAGS_S) // 2
+    late_s, better = float(_LAGS_S[best]), alike[best] * abs(alike[best]) - alike[none] * abs(alike[none])
+    shows = (
+        abs(late_s) > _LATE_S - 1e-9 and alike[best] > _LAG_ALIKE and better > _LAG_BETTER and lags[best, 0] > _LAG_TURNED_RAD**2
+    )
+    shown = state.lags_shown + 1 if shows else 0
+    return state._replace(lags=lags, lags_shown=shown, late_s=late_s if shown >= _LAG_LASTS else 0.0)
 
 
 def _off_line(at: F64) -> F64:

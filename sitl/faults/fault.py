@@ -1,7 +1,7 @@
 """A fault of a simulated flight: when it begins, and how long it lasts.
 
 A fault has a `kind`, exactly one beginning (`at_s`, `below_height_m`, `above_height_m`, `in_phase` or `per_minute`) and a
-duration `for_s`; without one it lasts for the rest of the flight.
+duration `for_s`; without one it lasts for the rest of the flight. The seed may put the beginning off (`drawn_within_s`).
 """
 
 from typing import Annotated
@@ -33,6 +33,9 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_f
     per_minute: (
         Annotated[float, number("average rate of a recurring fault, at times drawn by the seed", "per min", 0.01, 6000.0)] | None
     ) = None
+    drawn_within_s: (
+        Annotated[float, number("begins later by a time that the seed draws, up to this", "s", 0.001, 60.0)] | None
+    ) = None
     for_s: Annotated[float, number("duration; without it, the rest of the flight", "s", 0.001, 36000.0)] | None = None
 
     def __post_init__(self) -> None:
@@ -44,6 +47,8 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_f
             raise ValueError(f"in_phase must be one of {', '.join(PHASES)}, found {self.in_phase!r}")
         if self.per_minute is not None and self.for_s is None:
             raise ValueError("for_s must say how long the fault lasts each time")
+        if self.per_minute is not None and self.drawn_within_s is not None:
+            raise ValueError("drawn_within_s does not go with per_minute, whose times are drawn already")
         self.check()
 
     def check(self) -> None:

@@ -158,7 +158,7 @@ class ShipSpeed(ShipFault, frozen=True, tag="ship_speed"):
 class ShipTurn(ShipFault, frozen=True, tag="ship_turn"):
     """The vessel turns, heels outward and loses speed, as in `sitl.vessel.seakeeping`."""
 
-    rate_deg_s: Annotated[float, number("rate of turn, clockwise from above", "deg/s", -30.0, 30.0)]
+    rate_deg_s: Annotated[float, number("rate of turn, clockwise from above", "deg/s", -120.0, 120.0)]
     over_s: Annotated[float, number(_OVER, "s", 0.5, 300.0)] = 10.0
 
     def check(self) -> None:

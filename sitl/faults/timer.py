@@ -25,7 +25,7 @@ class FaultTimer:
         self._was_above = [False] * len(faults)
         self._rngs = [np.random.default_rng([seed, 0xFA17, i]) for i in range(len(faults))]
         self._due_s = [self._rest_s(i, fault) for i, fault in enumerate(faults)]
-        """Time at which each recurring fault begins next, s."""
+        """Time at which each recurring fault begins next, or one that is put off begins, s."""
         self._on: list[tuple[Fault, float]] = []
         self.active_kinds: frozenset[str] = frozenset()
         """The kinds of all that is active now."""
@@ -48,7 +48,7 @@ class FaultTimer:
             began = self._began[i]
             if fault.per_minute is not None and began is not None and not _lasts(fault, t_s - began):
                 self._began[i], self._due_s[i] = None, t_s + self._rest_s(i, fault)
-            if self._began[i] is None and self._begins(i, fault, t_s, height_m, phase):
+            if self._began[i] is None and self._begins_by_now(i, fault, t_s, height_m, phase):
                 self._began[i] = t_s
                 begun.append(fault)
         self._begun += [(fault, t_s) for fault in begun]
@@ -87,6 +87,14 @@ class FaultTimer:
     def _rest_s(self, i: int, fault: Fault) -> float:
         """Return the time until a recurring fault begins again: exponential, so that beginnings are a Poisson process."""
         return float(self._rngs[i].exponential(60.0 / fault.per_minute)) if fault.per_minute is not None else math.inf
+
+    def _begins_by_now(self, i: int, fault: Fault, t_s: float, height_m: float, phase: str | None) -> bool:
+        """Return whether a fault begins now, or was put off until now."""
+        if fault.drawn_within_s is None:
+            return self._begins(i, fault, t_s, height_m, phase)
+        if math.isinf(self._due_s[i]) and self._begins(i, fault, t_s, height_m, phase):
+            self._due_s[i] = t_s + float(self._rngs[i].uniform(0.0, fault.drawn_within_s))
+        return t_s >= self._due_s[i]
 
     def _begins(self, i: int, fault: Fault, t_s: float, height_m: float, phase: str | None) -> bool:
         if fault.at_s is not None:

@@ -326,7 +326,7 @@ def test_while_gains_change_the_arrived_and_the_commanded_tilt_lie_between_those
     assert made.axes is not None
     keep, tilt = math.exp(-T / RESPONSE.tilt.lag_s), share * 0.1 * (n_tilt_later - 1) + (1.0 - share) * 0.1 * (n_tilt - 1)
     assert made.axes[0].lag == pytest.approx(keep * axes[0].lag + (1.0 - keep) * tilt)
-    # The same has arrived by either delay, so that the predictions alone differ.
+    # The commands that have arrived are equal for both delays, so only the predictions differ.
     between = [0.3 if n <= k < n_later - 1 else 0.0 for k in range(len(memory.climbs))]
     before = flown(between, tuning=later, tuning_before=TuningChoice(), share=-T)[1].v_level[2]
     after = flown(between, tuning=later, tuning_before=TuningChoice(), share=1.0)[1].v_level[2]

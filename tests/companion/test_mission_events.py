@@ -385,9 +385,9 @@ def test_over_the_deck_with_a_sight_that_is_too_old_it_presses_on(
 @pytest.mark.parametrize(
     ("height_m", "off_m", "speed_m_s", "ago_s", "bounces", "pressed"),
     [
-        (0.1, 0.1, 0.0, 0.5, 0, True), (0.17, 0.1, 0.0, 0.5, 0, False), (0.1, 0.36, 0.0, 0.5, 0, False),
-        (0.1, 0.26, 1.0, 0.5, 0, False), (0.1, 0.24, 1.0, 0.5, 0, True), (0.1, 0.1, 0.0, 1.1, 0, False),
-        (0.1, 0.1, 0.0, 0.5, 4, False),
+        (0.08, 0.1, 0.0, 0.5, 0, True), (0.09, 0.1, 0.0, 0.5, 0, False), (0.08, 0.36, 0.0, 0.5, 0, False),
+        (0.08, 0.26, 1.0, 0.5, 0, False), (0.08, 0.24, 1.0, 0.5, 0, True), (0.08, 0.1, 0.0, 1.1, 0, False),
+        (0.08, 0.1, 0.0, 0.5, 4, False),
     ],
 )  # fmt: skip
 def test_a_contact_after_the_order_to_go_around_ends_in_the_press_where_it_is_on_the_pad(

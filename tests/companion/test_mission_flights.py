@@ -179,7 +179,7 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
     assert flight.progress.state is State.REFUSED
     assert flight.progress.fault is not None
     assert flight.progress.fault.cause is ReasonCause.RELATIVE_SPEED
-    assert "m/s against the deck (limit 0.0375 m/s)" in flight.progress.fault.text
+    assert "m/s against the deck (limit 0.03 m/s)" in flight.progress.fault.text
 
 
 def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_read() -> None:

@@ -221,6 +221,20 @@ def test_a_recurring_fault_begins_as_often_as_it_says_and_never_overlaps_itself(
         FlowBlind(per_minute=3.0)
 
 
+def test_a_beginning_is_put_off_by_a_time_that_the_seed_draws() -> None:
+    begun = []
+    for seed in range(20):
+        timer = FaultTimer((FlowBlind(at_s=1.0, drawn_within_s=0.5),), seed)
+        for tick in range(400):
+            timer.update(0.005 * tick, 3.0, None)
+        begun.append(timer.begun[0][1])
+    assert min(begun) >= 1.0
+    assert max(begun) <= 1.505
+    assert max(begun) - min(begun) > 0.3
+    with pytest.raises(ValueError, match="drawn_within_s does not go with per_minute"):
+        FlowBlind(per_minute=3.0, for_s=0.5, drawn_within_s=0.5)
+
+
 def test_frozen_frames_repeat_one_image_with_stamps_of_their_own() -> None:
     w = world(FramesFrozen(at_s=0.5, for_s=0.5))
     w.stick(Stick(roll=0.5, gaz=0.3, progressive=True))

@@ -114,7 +114,7 @@ class Solution:
 
     @property
     def distances_right_to(self) -> float:
-        """The share that distances are right to in 95 of 100 sets of views: Student's quantile for the number of views."""
+        """Relative error of distances that 95 of 100 sets of views stay below: Student's quantile for the number of views."""
         dof = max(1, len(self.fits) - 2)
         return _student(dof) * self.distance_sigma
 

@@ -14,6 +14,9 @@
 /* Fraction of a direction's energy that lies in waves too short for the learned oscillators; it enters as white acceleration. */
 static const double SHORT_FRACTION = 0.002;
 static const double YAW_DAMPING = 0.5;
+/* Time for which a ship that manoeuvres is assumed to go on after sightings showed it, s, and the densities of her accelerations
+ * meanwhile: 2 m/s^2 and 0.5 rad/s^2 for a tenth of a second. */
+static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PSD = 0.5 * 0.5 * 0.1;
 
 double seconds(int64_t since, int64_t until)
 {
@@ -228,6 +231,11 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
     const double coast = b->coast_s, force = o->psd_accel * T + o->psd_coast * coast, jolt = b->jolt_var_m2_s2;
     for (int i = 0; i < DL_N; i++) {
         AT(Q, i, i) = o->psd[i] * T;
+    }
+    if (b->steered >= 0 && seconds(b->steered, b->t_cov) < STEERS_S) {
+        AT(Q, DL_VESSEL_VEL, DL_VESSEL_VEL) += STEERS_PSD * T;
+        AT(Q, DL_VESSEL_VEL + 1, DL_VESSEL_VEL + 1) += STEERS_PSD * T;
+        AT(Q, DL_TURN_RATE, DL_TURN_RATE) += STEERS_TURN_PSD * T;
     }
     /* The whole jolt is assumed to have come at the beginning, which makes the position most uncertain. */
     for (int i = 0; i < 3; i++) {

@@ -153,6 +153,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
                                   comparison *second)
 {
     double back[9], innov_ned[3], cov[9], half[9], cov_ned[9], missing[3];
+    steering shown;
     camera_to_ned(b, back);
     rotated(back, first->seen.innov, innov_ned);
     for (int i = 0; i < 9; i++) {
@@ -160,18 +161,27 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
     }
     product(back, cov, half);
     product_by_transposed(half, back, cov_ned);
-    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned);
-    if (!jolt_missing(&b->excesses, missing)) {
+    jolt_steering(first->seen.m, first->seen.innov, first->S, first->seen.H, &shown);
+    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned, shown.likelihood);
+    const int missed = jolt_missing(&b->excesses, missing), manoeuvres = jolt_steered(&b->excesses, b->t, &shown);
+    if (!missed && !manoeuvres) {
         return first;
     }
     const double *before = c->P;
-    jolt_widen(b->x, missing, changeable(c));
+    double *P = changeable(c);
+    if (missed) {
+        missing[0] = shown.var[0] > 0.0 ? 0.0 : missing[0];
+        missing[1] = shown.var[1] > 0.0 ? 0.0 : missing[1];
+        jolt_widen(b->x, missing, P);
+    }
+    jolt_steer(shown.var, P);
     compare(o, b, c->P, s, 0, second);
     if (!second->ok) {
         c->P = before;
         return first;
     }
-    b->excesses.n = 0;
+    b->excesses.n = manoeuvres ? b->excesses.n : 0;
+    b->steered = manoeuvres ? b->t : b->steered;
     return second;
 }
 

@@ -16,6 +16,8 @@ static const double VIEW_FROM_M = 0.6;
 /* An estimate that leaps is another one, as when the pad is found again after a while. The observer would come after it for seconds
  * and fly there; corrections of a pad in view stay below half of this. */
 static const double LEAP_M = 0.5;
+/* A speed that leaps is that of a ship that brakes or turns, which nothing announces. What pushes the drone, its accelerometer feels. */
+static const double LEAP_M_S = 0.12;
 /* The tangent of a larger angle is never needed. */
 static const double ANGLE_MOST_RAD = 1.2;
 
@@ -58,14 +60,16 @@ static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, const
                          dl_law_axis after[2])
 {
     const int anew = leapt(in->dt, before->axes, z);
+    const int brakes = hypot(z[0].w - before->axes[0].w, z[1].w - before->axes[1].w) > LEAP_M_S;
     for (int i = 0; i < 2; i++) {
         if (!in->goes_on) {
             axis_begin(law->params.remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
             continue;
         }
         dl_law_axis was = before->axes[i];
-        if (anew) {
-            was.p = z[i].p - in->dt * z[i].w, was.w = z[i].w;
+        if (anew || brakes) {
+            was.p = anew ? z[i].p - in->dt * z[i].w : was.p;
+            was.w = z[i].w;
         }
         const int64_t now = law->gains.tilt_delay - 1, earlier = law->gains_before.tilt_delay - 1;
         const double arrived = law_between(in, was.under_way[now], was.under_way[earlier]);

@@ -7,7 +7,7 @@
 
 enum { SQUARE = CELL_PX };
 
-/* Up to so much change of the distance across a square, the plane is linear in it to a twentieth of a pixel. */
+/* Largest change of the distance across a square for which the plane is linear in it to a twentieth of a pixel. */
 static const float TILT_MOST = 0.02f;
 
 /* Inputs and results of the frame's division. */

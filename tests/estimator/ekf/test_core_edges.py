@@ -27,6 +27,8 @@ from estimator.ekf.state import (
     VEL,
     VEL_SCALE,
     VELOCITY,
+    VESSEL_EAST,
+    VESSEL_NORTH,
     VESSEL_VEL,
     WAVES,
     Belief,
@@ -67,7 +69,7 @@ def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: floa
     """Return the belief after a sighting that followed others of these ages and ratios, off down by this many sigmas."""
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
-    values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)),) for ratio in ratios)
+    values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)), 0.0, 0.0, 0.0) for ratio in ratios)
     x = under()
     x[SWAY_PER_HEAVE] = 0.3, -0.2
     b = belief(x=x, P=P, excesses=InnovationExcesses(tuple(T - age for age in ages_ns), values))
@@ -103,6 +105,19 @@ def test_the_median_ratio_that_widens_the_deck(ratio: float, widens: bool) -> No
 @pytest.mark.parametrize(("sigmas", "counted"), [(6.9, True), (7.1, False), (9.5, False)])
 def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted: bool) -> None:
     assert len(missed((60 * MS,), (1.0,), sigmas).excesses.t) == 1 + counted
+
+
+@pytest.mark.parametrize(("before", "steers"), [(6.0, True), (4.9, False), (-6.0, False)])
+def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(before: float, steers: bool) -> None:
+    P = diagonal(d=1e-4)
+    P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
+    excesses = InnovationExcesses((T - 33 * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
+    b = belief(x=under(), P=P, excesses=excesses)
+    after, _ = agrees(b, sighting((0.05, 0.0, 2.0)), TOOLS)
+    assert after.steered == (T if steers else -1)
+    assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers
+    assert bool(abs(after.x[VESSEL_NORTH]) > 0.1) is steers
+    assert after.P[VESSEL_EAST, VESSEL_EAST] < 1e-3, "the other axis shows nothing"
 
 
 def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:

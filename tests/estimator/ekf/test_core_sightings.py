@@ -65,7 +65,8 @@ def sighted_belief(seed: int) -> Belief:
     b = beginning(seed)
     n = int(rng.integers(0, 7))
     excesses = InnovationExcesses(
-        tuple(T - (n - k) * 60 * MS for k in range(n)), tuple((*(rng.uniform(-2.5, 6.5, 3) * 1e-3).tolist(),) for _ in range(n))
+        tuple(T - (n - k) * 60 * MS for k in range(n)),
+        tuple((*(rng.uniform(-2.5, 6.5, 3) * 1e-3).tolist(), *rng.normal(0.0, 6.0, 3).tolist()) for _ in range(n)),
     )
     streak = RejectionStreak(int(rng.integers(0, 6)), T - 800 * MS, T - 60 * MS, (*rng.normal(size=3).tolist(),), 1e-4)
     sea = learned_sea(seed, int(rng.integers(0, 4)), T)
@@ -73,6 +74,7 @@ def sighted_belief(seed: int) -> Belief:
         sea=sea, excesses=excesses, rejections=streak if streak.n else RejectionStreak(), agreed=int(rng.integers(0, 8)),
         heading_known=bool(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)),
         nis_mean=float(rng.uniform(0.5, 3.0)), heading_seen=int(rng.choice([-1, T - 100 * MS])),
+        steered=int(rng.choice([-1, T - 300 * MS, T - 600 * MS])),
         ins_var_m2_s2=float(rng.choice([0.0, 0.05])),
         levelled_by=None if rng.random() < 0.1 else b.R @ so3.exp(0.02 * rng.normal(size=3)),
         cov_levelled_by=np.diag(rng.choice([0.0, 1e-5, 1e-3, 0.1]) * rng.uniform(0.5, 2.0, 3)),

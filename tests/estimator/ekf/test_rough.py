@@ -68,7 +68,7 @@ def test_five_seconds_without_inertial_data_widen_the_belief(name: str) -> None:
 
 
 def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
-    """The vehicle's roll is told six degrees wrong for good; the filter starts in the air."""
+    """The reported roll is always six degrees wrong; the filter starts in the air."""
     worst = []
     for seed in (1, 2):
         scene = replace(QUICK, seed=seed, attitude_bias_deg=6.0, duration_s=14.0, gaps=0)

@@ -22,26 +22,30 @@ def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.
 
 
 def watched(
-    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0
+    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0, late_s: float = 0.0
 ) -> Iterator[ViewWatch]:
-    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`."""
+    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`, and the attitude is late."""
     rng = np.random.default_rng(seed)
     state = ViewWatch()
     phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)
+
+    def swaying(t: float) -> tuple[list[float], Rotation]:
+        sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
+        return sways, Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
+
     for i in range(n):
         t = i / 30
-        sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
-        R = Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
+        (sways, R), (_, reported) = swaying(t), swaying(t - late_s)
         # A body that tilts one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the tilt moves it.
         drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
         true = np.array([0.1 - drift_m * sways[1], drift_m * sways[0], height_m])
         if frozen:
             true = R.without_heading() @ np.array([0.1, 0.05, height_m])
         level = R.without_heading()
-        d = level @ (mirror @ (level.inv @ true)) + rng.normal(0, 0.0005 * height_m, 3)
+        d = reported.without_heading() @ (mirror @ (level.inv @ true)) + rng.normal(0, 0.0005 * height_m, 3)
         stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.09) * 1e9)), 0.001, "sim")
         sighting = Sighting(stamp, i, "registration", d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
-        state = watch(state, sighting, Attitude(stamp, R, 1e-5 * np.eye(3)), LIMITS)
+        state = watch(state, sighting, Attitude(stamp, reported, 1e-5 * np.eye(3)), LIMITS)
         yield state
 
 
@@ -77,3 +81,11 @@ def test_a_camera_mounted_the_other_way_round_is_known_and_a_right_one_is_never_
     for sway_deg in (0.05, 0.5, 3.0):
         for height_m in (0.3, 1.0, 8.0):
             assert not any(one.reversed for one in watched(2, False, math.radians(sway_deg), np.eye(3), height_m, 30.0))
+
+
+@pytest.mark.parametrize(("late_s", "known"), [(0.1, True), (-0.1, True), (0.03, False), (0.0, False)])
+def test_an_attitude_a_tenth_of_a_second_late_against_the_image_is_known_within_three_seconds(late_s: float, known: bool) -> None:
+    for seed in range(3):
+        found = [one.late_s for one in watched(seed, False, math.radians(3.0), np.eye(3), 3.0, 6.0, late_s)]
+        assert all((s != 0.0) is known for s in found[90:])
+        assert not known or abs(found[-1] - late_s) <= 0.021

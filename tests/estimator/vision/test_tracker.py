@@ -1,4 +1,4 @@
-"""The eyes as a flight uses them: found without being told where, followed where expected, never believed at the wrong place.
+"""The pad tracker in a flight: it finds the pad without a hint, follows it where expected, and is never sure of a wrong place.
 
 The drawn frame of a rehearsal is one in which the pad is found where it was drawn.
 """

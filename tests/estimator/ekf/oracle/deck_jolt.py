@@ -7,28 +7,92 @@ largest that their claimed variances let expect. If the median is positive, the 
 that the model does not have, and the covariance gains the median (covariance matching: Mehra, Approaches to adaptive filtering,
 IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting with little information on
 an axis neither adds to it nor scales it.
+
+A ship that brakes or turns hard shows sooner, by the generalised likelihood ratio of her acceleration (Willsky, Jones, 1976).
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import EXCESSES_MAX
-from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationExcesses, N
+from estimator.ekf.state import (
+    PAD_YAW,
+    POS_AXES,
+    POS_EAST,
+    POS_NORTH,
+    SWAY_PER_HEAVE,
+    TURN_RATE,
+    VESSEL_EAST,
+    VESSEL_NORTH,
+    WAVES,
+    InnovationExcesses,
+    N,
+)
 
 RATIO_MAX = 2.5
 """Squared innovation over its variance above which the covariance grows; the median of five honest ones is above this once in
 seventy times."""
-_RATIO_COUNTED = 49.0
-"""A sighting farther off than this is not counted: it is another pad or none, and the gate decides about it."""
+_RATIO_COUNTED, _COUNTED_M2 = 49.0, 0.18**2
+"""A sighting farther off than both is not counted: it is another pad or none, and the gate decides about it."""
 _MEMORY_NS = 350_000_000
 """Sightings older than this, against the newest, are not counted."""
 _NEEDED, _SPAN_NS = 3, 120_000_000
 """The median is of at least this many sightings that span at least so long."""
-_ACTED_S = 0.3
-"""Time for which the unknown acceleration is assumed to have acted, s."""
+_ACTED_S, _STEERED_S = 0.3, 0.15
+"""Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
+_RUN_NEEDED, _RUN_LIKELIHOOD = 2, 5.0
+"""So many sightings in a row that show the ship's acceleration to one side with such a likelihood ratio make a manoeuvre."""
+_STEERED_MOST = 0.25
+"""A place, m, or heading, rad, that is further off is not that of a ship that steers."""
+_STEERED = ((POS_NORTH, VESSEL_NORTH), (POS_EAST, VESSEL_EAST), (PAD_YAW, TURN_RATE))
 
 
-def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64) -> InnovationExcesses:
+class Steering(NamedTuple):
+    """The ship's accelerations north, east and in heading as a sighting shows them."""
+
+    likelihood: tuple[float, ...]
+    """The likelihood ratio of each, with its sign."""
+    var: tuple[float, ...]
+    """The variance, m^2 and rad^2, that each adds to the displacement."""
+
+
+def steering(innov: F64, S: F64, H: F64) -> Steering:
+    """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship."""
+    likelihood, var = [], []
+    for place, rate in _STEERED:
+        by = H[:, place] + 2.0 / _STEERED_S * H[:, rate]
+        weighed = np.linalg.solve(S, by)
+        square, along = float(by @ weighed), float(innov @ weighed)
+        counts = square > 0.0 and abs(along) < _STEERED_MOST * square
+        likelihood.append(along * abs(along) / square if counts else 0.0)
+        var.append(max(along * along / square - 1.0, 0.0) / square if counts else 0.0)
+    return Steering(tuple(likelihood), tuple(var))
+
+
+def steered(excesses: InnovationExcesses, t: int, newest: Steering) -> F64 | None:
+    """Return the (3,) variances on which the sighting at t and those before it agree; None if there is none."""
+    run = [values[3:] for values in excesses.values[-_RUN_NEEDED:]]
+    if len(run) < _RUN_NEEDED or excesses.t[-1] != t:
+        return None
+    agree = [
+        all(one[k] * newest.likelihood[k] > 0.0 and abs(one[k]) > _RUN_LIKELIHOOD for one in run) for k in range(len(_STEERED))
+    ]
+    var = np.where(agree, newest.var, 0.0)
+    return var if bool((var > 0.0).any()) else None
+
+
+def loosened(P: F64, var: F64) -> F64:
+    """Return the (N, N) covariance after accelerations of the ship that add `var` (3,), m^2 and rad^2, to the displacement."""
+    P = P.copy()
+    noise = np.array([[1.0, 1.5 / _STEERED_S], [1.5 / _STEERED_S, 3.0 / _STEERED_S**2]])
+    for states, added in zip(_STEERED, var.tolist(), strict=True):
+        P[np.ix_(states, states)] += added * noise
+    return P
+
+
+def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64, shown: Steering) -> InnovationExcesses:
     """Return the excesses after one more sighting.
 
     Args:
@@ -36,20 +100,21 @@ def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64)
         t: its instant, ns.
         innov_ned: (3,) m.
         cov_ned: (3, 3) m^2, its covariance as the filter claims it.
+        shown: the ship's accelerations by it.
     """
     squares, var = innov_ned * innov_ned, np.diagonal(cov_ned)
-    if (squares > _RATIO_COUNTED * var).any():
+    if (squares > np.maximum(_RATIO_COUNTED * var, _COUNTED_M2)).any():
         return excesses
     north, east, down = (squares - RATIO_MAX * var).tolist()
     first = max(sum(one < t - _MEMORY_NS for one in excesses.t), len(excesses.t) + 1 - EXCESSES_MAX)
-    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down)))
+    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down, *shown.likelihood)))
 
 
 def missing(excesses: InnovationExcesses) -> F64 | None:
     """Return the (3,) variance, m^2, by which the claimed one falls short along north, east, down; None if it does nowhere."""
     if len(excesses.t) < _NEEDED or excesses.t[-1] - excesses.t[0] < _SPAN_NS:
         return None
-    excess = np.array([_median(axis) for axis in zip(*excesses.values, strict=True)])
+    excess = np.array([_median(axis) for axis in zip(*(values[:3] for values in excesses.values), strict=True)])
     return None if float(excess.max()) <= 0.0 else np.asarray(np.maximum(excess, 0.0))
 
 

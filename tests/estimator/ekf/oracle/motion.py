@@ -51,6 +51,8 @@ _SHORT_FRACTION = 0.002
 """Fraction of a direction's energy that lies in waves too short for the learned oscillators. They have almost no energy
 above twice their own frequency, but a sea has. This fraction enters as white acceleration, which drives one oscillator of that
 energy."""
+_STEERS_S, _STEERS_PSD, _STEERS_TURN_PSD = 0.4, 0.4, 0.025
+"""Time for which a ship that manoeuvres is assumed to go on, s, and the densities of her accelerations meanwhile."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
 _DISPLACEMENTS, _RATES = (slice(_SEA.start + i, _SEA.stop, WAVES.shape[1]) for i in (0, 1))
 # These are indices into a flattened (N, N) matrix. Assignment by one index list takes a third of the time of assignment by two.
@@ -242,6 +244,13 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     Q[POS_HORIZONTAL, POS_DOWN] += coupling * heave_noise[0]
     Q[POS_DOWN, POS_HORIZONTAL] = Q[POS_HORIZONTAL, POS_DOWN]
     Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * heave_noise[0]
+
+    if b.steered >= 0 and (b.t_cov - b.steered) * 1e-9 < _STEERS_S:
+        Q[VESSEL_VEL, VESSEL_VEL] += _STEERS_PSD * T * np.eye(2)
+        Q[TURN_RATE, TURN_RATE] += _STEERS_TURN_PSD * T
+        Q[PAD_YAW, PAD_YAW] += _STEERS_TURN_PSD * T**3 / 3.0
+        Q[PAD_YAW, TURN_RATE] += 0.5 * T * T * _STEERS_TURN_PSD
+        Q[TURN_RATE, PAD_YAW] = Q[PAD_YAW, TURN_RATE]
 
     if b.jolt_var_m2_s2 > 0.0 or b.jolt_var_rad2 > 0.0:
         # The whole jolt is assumed to have come at the beginning, which makes the position most uncertain.

@@ -109,11 +109,18 @@ def _jolted(
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
-    excesses = deck_jolt.extended(b.excesses, b.t, back.dot(row.innov[:3]), cov_ned)
-    missing = deck_jolt.missing(excesses)
-    if missing is None:
+    shown = deck_jolt.steering(row.innov, fix.S, row.H)
+    excesses = deck_jolt.extended(b.excesses, b.t, back.dot(row.innov[:3]), cov_ned, shown)
+    missing, steered = deck_jolt.missing(excesses), deck_jolt.steered(excesses, b.t, shown)
+    if missing is None and steered is None:
         return b._replace(excesses=excesses), row, fix
-    wider = b._replace(P=deck_jolt.widened(b.P, b.x, missing), excesses=InnovationExcesses())
+    P = b.P
+    if missing is not None:
+        P = deck_jolt.widened(P, b.x, missing if steered is None else np.where(np.append(steered[:2], 0.0) > 0.0, 0.0, missing))
+    if steered is None:
+        wider = b._replace(P=P, excesses=InnovationExcesses())
+    else:
+        wider = b._replace(P=deck_jolt.loosened(P, steered), excesses=excesses, steered=b.t)
     row, again = _compared(wider, event, params)
     return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
 
