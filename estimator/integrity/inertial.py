@@ -442,9 +442,11 @@ def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
         return _along_down(newest, deck.value - usual.down), _PERSISTS_ALONE
     if off.side is None:
         return "", 1
-    size = math.hypot(off.side[0] - usual.ahead, off.side[1] - usual.aside)
-    # A multirotor is pushed along its vertical axis alone. An accelerometer without lateral force is not the faulty one.
-    lies = size > _ACCEL_SIDE_M_S2 and math.hypot(newest.f[0], newest.f[1]) > 0.6 * size
+    x, y = off.side[0] - usual.ahead, off.side[1] - usual.aside
+    size = math.hypot(x, y)
+    # A multirotor is pushed along its vertical axis alone: one that lies feels what is missing, with the opposite sign. Flow and
+    # sightings may stand on one deck, and what that does to both is not felt.
+    lies = size > _ACCEL_SIDE_M_S2 and -(x * newest.f[0] + y * newest.f[1]) > 0.6 * size * size
     return (f"is off by about {size:.1f} m/s^2 across the vertical" if lies else ""), _PERSISTS
 
 

@@ -10,8 +10,9 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import inertial
-from estimator.integrity.inertial import Inertial
+from estimator.integrity.inertial import Differences, Inertial, Usual
 from estimator.integrity.options import IntegrityOptions
+from estimator.integrity.parity import Bin, Vec3
 
 OPTIONS = IntegrityOptions()
 DT, BEGIN_S, LATE_S = 0.01, 2.0, 0.12
@@ -120,3 +121,16 @@ def test_an_attitude_that_is_well_again_counts_again_and_the_filter_starts_again
 def test_without_pictures_a_gyro_that_turns_against_the_attitude_is_the_one() -> None:
     found, after_s = named(flown(FAULTS["sign"], plain, seen=False))
     assert (found, after_s < 0.7) == ("gyro", True)
+
+
+def test_a_deck_that_moves_both_its_witnesses_accuses_no_accelerometer() -> None:
+    """Flow and sightings miss 2.2 m/s^2 ahead; an accelerometer that lies feels it the other way, and drag does not."""
+    off, none = Differences(None, None, (2.2, 0.0)), (0.0, 0.0, 0.0)
+
+    def accused(f: Vec3) -> bool:
+        newest = Bin(0, 0.1, none, none, none, none, none, f, (0.0, 0.0, 1.0), (1.0, 0.0))
+        return bool(inertial._accel_lies(off, Usual(n=20), newest)[0])
+
+    assert accused((-2.0, 0.4, -9.8))
+    assert not accused((0.1, 2.8, -9.8))
+    assert not accused((2.2, 0.0, -9.8))
