@@ -56,6 +56,9 @@ class _Operated:
     def abort(self) -> str | None:
         return self._refusal
 
+    def clear(self) -> str | None:
+        return self._refusal
+
     def steer_by(self, path: PathName) -> str | None:
         return self._refusal
 

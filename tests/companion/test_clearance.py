@@ -132,7 +132,7 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
 
 @pytest.mark.parametrize(("period_s", "rate_m_s"), [(7.0, 0.4), (9.0, 0.9), (12.0, 0.8)])
 def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(period_s: float, rate_m_s: float) -> None:
-    """WHAT: a swell whose rate has this deviation, watched for a minute; a slow one is assumed before."""
+    """A swell whose rate has this deviation, watched for a minute; a slow one is assumed before."""
     watch, w, dt = SwellWatch(), math.tau / period_s, 0.02
     assert watch.rad_s == pytest.approx(math.tau / 12.0)
     for i in range(3000):
@@ -143,8 +143,8 @@ def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(
     if 2.0 * rate_m_s <= CLIMB_M_S:
         assert watch.gained_m(CLIMB_M_S) == 0.0
     else:
-        a = math.acos(CLIMB_M_S / (2.0 * rate_m_s))
-        gained = 2.0 * (2.0 * rate_m_s * math.sin(a) - CLIMB_M_S * a) / w
+        angle = math.acos(CLIMB_M_S / (2.0 * rate_m_s))
+        gained = 2.0 * (2.0 * rate_m_s * math.sin(angle) - CLIMB_M_S * angle) / w
         assert watch.gained_m(CLIMB_M_S) == pytest.approx(gained, rel=0.2)
 
 

@@ -285,7 +285,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
-        found=found,
+        heard=found,
         id_conflicts=id_conflicts,
     )
 
