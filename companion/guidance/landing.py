@@ -219,7 +219,7 @@ class LandingGuidance:
         self._frames: Counter[Verdict] = Counter()
         self._on_pad: PadCheck | None = None
         self._thing: Reason | None = None
-        """What lies on the pad in the newest guidance cycle."""
+        """Objects on the pad in the newest guidance cycle."""
         self._overruled = False
         """The operator says that the pad is clear, in this flight."""
         self._vessel_track = VesselTrack(reports)

@@ -39,6 +39,8 @@ _LATER_TRY, _LATER_MOST = 0.25, 1.5
 """Growth of the limits of place and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
+_USUAL_SIGMA_M_S = 0.2
+"""1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
 _LIFTS_S = 0.15
 """Time to the contact in which a vehicle that goes around no longer touches the deck, at best, s."""
 ON_PAD = 1.4
@@ -156,7 +158,9 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     v = estimate.v_pad_level
     # Where the ship brakes or turns hard, a touch in the climb is no worse than one that slides.
     lifts = estimate.height_m > cone.feet_below_m + _LIFTS_S * cone.commit_rate_m_s
-    speed = math.hypot(v[0], v[1]) + SIGMAS_AHEAD * _sigma_m_s(estimate) if lifts else None
+    speed = math.hypot(v[0], v[1]) if lifts else None
+    if speed is not None and knowledge.deck is not None:
+        speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
     return _first(
         [
             *(_at_contact(knowledge, limits, _COMMIT_SPEED) if turns else ()),

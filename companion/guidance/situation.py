@@ -64,7 +64,7 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
     thing: Reason | None = None
-    """What lies on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
+    """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
 
     @property
     def place(self) -> VesselPosition | None:

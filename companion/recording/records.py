@@ -141,7 +141,7 @@ class FrameTimesRecord(Struct, frozen=True):
 
 
 class PadCheckRecord(Struct, frozen=True, omit_defaults=True):
-    """What is known of the pad's surface."""
+    """State of the pad's surface."""
 
     at_ns: Instant
     """Exposure of the newest frame that was read."""
@@ -185,7 +185,7 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     coded: bool = False
     """True if a codec predicted the frame from others before it came; left out if none did."""
     on_pad: PadCheckRecord | None = None
-    """What was known of things on the pad; left out before its surface was read."""
+    """Known things on the pad; left out before its surface was read."""
 
 
 class NamedNumber(Struct, frozen=True):

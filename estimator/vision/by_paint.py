@@ -58,7 +58,7 @@ class TrackerMemory:
     lit: bool = False
     """True if the pad was last seen by its lamps."""
     deck: DeckMemory | None = None
-    """What was seen to lie on the pad; None before its surface was read."""
+    """Things seen on the pad; None before its surface was read."""
 
 
 _CLOSE_PX = 1.0
@@ -79,8 +79,8 @@ _EXPECTED_SIGMAS = 3.0
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _SHOWS, _PLACE_M = 0.5, 0.08
-"""Share of a near pad's edges that agree with a registration by whose place the pad's surface is read, and the largest standard
-deviation of a predicted place, of the disc's radius, by which it is read where nothing is registered."""
+"""Limits for reading the pad's surface. First: share of the edges that agree with a registration. Second, without a
+registration: standard deviation of the predicted place, in radii of the disc."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
 """Radius of the disc, px, below which a pad that the estimate did not lead to is searched some pixels about its place.
 

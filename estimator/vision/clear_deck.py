@@ -1,4 +1,4 @@
-"""Find what lies on the pad: what the registered drawing does not explain by its paints and by light.
+"""Find the things that lie on the pad, as differences that neither its paints nor the light explain.
 
 Each frame is read in cells of the pad where the drawing knows the paint. The light of a cell is compared with the median of its
 paint in the same frame. Shade changes all channels by one factor, and the sky's blue in it changes blue against red. Water, haze
@@ -34,8 +34,8 @@ ACROSS = 48
 _PAINTS = 3
 """Paints that are compared: lettering, ring and arrowhead, and disc, in the order of `template`."""
 _PURE, _LEAK = 0.9, 0.03
-"""Least coverage of a cell by one paint, blurred as the frame is, at which the drawing knows it, and the most light of other
-paints in it, of its own."""
+"""Least coverage of a cell by one paint at which the drawing knows it, blurred as the frame is. Second: the most light of other
+paints in it, as a share of its own."""
 _CELL_PX_LEAST = 1.2
 """Width of a cell in the frame below which it is too far away."""
 _LEAST_CELLS = 10
@@ -47,7 +47,7 @@ _ENOUGH = 3.0
 _BRIGHT = 250
 """Value of a pixel from which on a channel is clipped."""
 _WHITE_MOST, _PURER = 2.0, 0.8
-"""Most white light that is added to a paint's own, of that, where the paint still shows, and the share of white in a paint's
+"""Most white light added to a paint, in its own light, where the paint still shows. Second: the share of white in a paint's
 median that may be such light."""
 _SKY_MOST = 0.3
 """Largest change of blue against red that shade makes, of the paint's light."""

@@ -167,7 +167,7 @@ class PadThing(Struct, frozen=True):
 
 
 class PadCheck(Struct, frozen=True):
-    """What is known of the pad's surface at an instant."""
+    """State of the pad's surface at an instant."""
 
     at: MonoNs
     """Exposure of the newest frame that was read."""
@@ -195,4 +195,4 @@ class Detection(Struct, frozen=True, eq=False):
     It is another pad, or the tracked one if the estimate is wrong; the guard decides.
     """
     on_pad: PadCheck | None = None
-    """What is known of things that lie on the pad; None before its surface was read."""
+    """Known things that lie on the pad; None before its surface was read."""

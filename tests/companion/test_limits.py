@@ -195,13 +195,23 @@ def test_feet_that_slide_come_to_stand_farther_on() -> None:
 
 @pytest.mark.hazard("H3")
 @pytest.mark.parametrize(
-    ("height_m", "speed_m_s", "ends"), [(0.2, 0.44, True), (0.2, 0.42, False), (0.11, 0.9, True), (0.1, 0.9, False)]
+    ("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.11, 0.9, True), (0.1, 0.9, False)]
 )
 def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
-    """Two sigma of the speed count, 0.02 m/s here."""
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
     found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen), LIMITS, CONE)
     assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
+
+
+def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
+    """Two sigma count beyond the usual one: a ship that brakes makes the speed unknown before it shows."""
+    for sigma_m_s, ends in ((0.2, False), (0.35, True)):
+        seen = estimate(NOW, (0.0, 0.0, 0.2), (0.2, 0.0, -0.4))
+        cov = seen.cov.copy()
+        cov[3, 3] = cov[4, 4] = sigma_m_s**2
+        seen = replace(seen, cov=cov)
+        found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, deck=tilted(0.0, 0.0)), LIMITS, CONE)
+        assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
 
 
 def test_a_tilt_that_is_hardly_known_shuts_no_gate() -> None:

@@ -51,7 +51,7 @@ class Loop:
     verdicts: list[Verdict] = field(default_factory=list)
     lowest_m: float = math.inf
     thing: PadThing | None = None
-    """What vision sees on the pad."""
+    """Vision reports things on the pad."""
 
     def __post_init__(self) -> None:
         self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance)

@@ -107,4 +107,4 @@ def test_a_sea_that_rises_faster_than_the_drone_climbs_does_not_reach_it_at_the_
     ending = fly("sea_state_5", scenario, 204, settings_for(scenario, None), "truth")
     assert ending.judged is not None
     assert ending.judged.contacts_outside_commit == 0
-    assert ending.outcome is FlightOutcome.LANDED
+    assert ending.outcome in (FlightOutcome.LANDED, FlightOutcome.REFUSED), "a deck that outruns the climb is refused"

@@ -1,5 +1,6 @@
 """Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.settings.load import shipped
+from companion.settings.load import SHIPPED, shipped
 from companion.settings.refusal import unit_of, walk
 from estimator.contracts.errors import BadInput
 from sitl.faults.kinds import KINDS
@@ -108,7 +109,8 @@ def test_every_shipped_fault_loads_and_says_what_is_right() -> None:
         assert scenario.faults, name
         assert scenario.because, name
         of_ship = "ship" in name or scenario.vessel.reports_hz > 0.0
-        assert of_ship or scenario.vessel == load("demo").vessel, "what the file does not say is the base's"
+        base = tomllib.loads((SHIPPED / "scenarios" / f"{name}.toml").read_text())["base"]
+        assert of_ship or scenario.vessel == load(Path(base).stem).vessel, "what the file does not say is the base's"
 
 
 def test_a_base_gives_what_is_not_reported_and_its_faults_come_first(tmp_path: Path) -> None:

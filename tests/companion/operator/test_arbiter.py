@@ -42,6 +42,9 @@ class Guidance:
         self.told.append("pause")
         self.paused = True
 
+    def overrule(self) -> None:
+        self.told.append("overrule")
+
     def abort(self) -> None:
         self.told.append("abort")
         self.outcome = self.outcome or FlightOutcome.ABORTED

@@ -1,4 +1,4 @@
-"""What lies on the pad is seen, and light is not."""
+"""Things on the pad are seen, and light is not."""
 
 import math
 
