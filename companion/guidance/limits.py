@@ -39,7 +39,7 @@ _LATER_TRY, _LATER_MOST = 0.25, 1.5
 """Growth of the limits of place and tilt with each go-around, and the largest growth."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
-_USUAL_SIGMA_M_S = 0.2
+_USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
 _LIFTS_S = 0.15
 """Time to the contact in which a vehicle that goes around no longer touches the deck, at best, s."""

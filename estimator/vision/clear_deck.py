@@ -1,13 +1,13 @@
-"""Find the things that lie on the pad, as differences that neither its paints nor the light explain.
+"""Detect things on the pad by colours that neither its paints nor light explain.
 
 Each frame is read in cells of the pad where the drawing knows the paint. The light of a cell is compared with the median of its
 paint in the same frame. Shade changes all channels by one factor, and the sky's blue in it changes blue against red. Water, haze
 and veiling light add some white, and the paint still shows. All of these are left out of the difference, and so is a slow plane
-over each paint. What is left is averaged on the pad for about a second: noise, glint and whatever moves over the pad fade, and
-what lies there stays. A patch that differs by far more than the paint differs from itself is something on the pad.
+over each paint. The rest is averaged on the pad for about a second: noise, glint and whatever moves over the pad fade, and
+things that lie there stay. A patch that differs by far more than the paint differs from itself is something on the pad.
 
 Something in the colour of the paint under it shows only where it hides other paint, and something grey on grey or white paint
-does not: it cannot be told from shade. A grey camera sees nothing here.
+does not: it looks like shade. A grey camera sees nothing here.
 """
 
 import math

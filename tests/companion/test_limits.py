@@ -205,7 +205,7 @@ def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s:
 
 def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
     """Two sigma count beyond the usual one: a ship that brakes makes the speed unknown before it shows."""
-    for sigma_m_s, ends in ((0.2, False), (0.35, True)):
+    for sigma_m_s, ends in ((0.15, False), (0.3, True)):
         seen = estimate(NOW, (0.0, 0.0, 0.2), (0.2, 0.0, -0.4))
         cov = seen.cov.copy()
         cov[3, 3] = cov[4, 4] = sigma_m_s**2
