@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from companion.settings.load import response_model
 from sitl.flight.one_flight import fly, settings_for
-from sitl.gym.imitation import Imitation
-from sitl.gym.training import TrainingOptions, TrainingWorlds
+from sitl.gym.imitation import AS_HANDED_OVER, Imitation
+from sitl.gym.training import TrainingWorlds
 from sitl.scenario.scenario import load
 
 
@@ -21,8 +21,7 @@ def main(minutes: float, file: Path) -> bool:
     scenario = load("weather_3")
     settings = settings_for(scenario, None)
     tilt = response_model(settings).tilt
-    wide = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -3.14), start_high=(2.5, 2.5, 8.0, 3.14))
-    worlds = [TrainingWorlds(load(name), 64, wide) for name in ("weather_2", "weather_3", "weather_4")]
+    worlds = [TrainingWorlds(load(name), 64, AS_HANDED_OVER) for name in ("weather_2", "weather_3", "weather_4")]
     student = Imitation(worlds, response_model(settings), seed=2)
     began = time.monotonic()
     for progress in student.rounds(2000, lambda: (time.monotonic() - began) / (60.0 * minutes)):

@@ -158,7 +158,7 @@ class FoundVehicle:
 
 def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
     """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
-    found = [*_heard_udp(seconds), *_heard_serial(seconds)]
+    found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
     with socket.socket() as probe:
         probe.settimeout(0.5)
         if probe.connect_ex(_ARDRONE) == 0:
@@ -168,7 +168,7 @@ def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
     return found
 
 
-def _heard_udp(seconds: float) -> Iterator[FoundVehicle]:
+def _vehicles_on_udp(seconds: float) -> Iterator[FoundVehicle]:
     with selectors.DefaultSelector() as selector:
         for port in _UDP_PORTS:
             listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -191,7 +191,7 @@ def _heard_udp(seconds: float) -> Iterator[FoundVehicle]:
             key.fileobj.close()  # type: ignore[union-attr]
 
 
-def _heard_serial(seconds: float) -> Iterator[FoundVehicle]:
+def _vehicles_on_serial(seconds: float) -> Iterator[FoundVehicle]:
     import serial
 
     ports = [path for pattern in _SERIAL for path in sorted(Path("/").glob(pattern.lstrip("/")))]

@@ -17,8 +17,8 @@ from companion.guidance.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import settings_for
-from sitl.gym.imitation import EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
-from sitl.gym.training import TrainingOptions, TrainingWorlds
+from sitl.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
+from sitl.gym.training import TrainingWorlds
 from sitl.scenario.scenario import load
 
 _FRESH = 1_000_000
@@ -69,9 +69,9 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"{' '.join(args.scenario)}: a policy is trained for one vehicle, and these have several")
     response = response_model(settings_for(scenarios[0], None))
     options = ImitationOptions()
-    # It begins wider and higher than the environment's own episodes, as a mission hands over the vehicle.
-    wide = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -np.pi), start_high=(2.5, 2.5, 8.0, np.pi))
-    worlds = [TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), wide, args.threads) for scenario in scenarios]
+    worlds = [
+        TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), AS_HANDED_OVER, args.threads) for scenario in scenarios
+    ]
     try:
         student = Imitation(worlds, response, args.seed, first, options=options)
     except ValueError as why:

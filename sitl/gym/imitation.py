@@ -20,12 +20,16 @@ from companion.guidance.policy import ACTIONS, ARRAYS, F32, OBSERVED, STEP_S, Po
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
 from companion.settings.response import Response
 from estimator.contracts.motion import G_M_S2
-from sitl.gym.training import DOWN_MAX_M_S, ENDS, YAW_RATE_MAX_RAD_S, TrainingWorlds
+from sitl.gym.training import DOWN_MAX_M_S, ENDS, YAW_RATE_MAX_RAD_S, TrainingOptions, TrainingWorlds
 
 Weights = dict[str, F32]
 F64 = NDArray[np.float64]
 
 _FLYING, _LANDED = (ENDS.index(name) for name in ("goes_on", "landed"))
+
+
+AS_HANDED_OVER = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -math.pi), start_high=(2.5, 2.5, 8.0, math.pi))
+"""Episodes that begin wider and higher than the environment's own, as a mission hands over the vehicle."""
 
 
 class TeacherOptions(Struct, frozen=True, kw_only=True):

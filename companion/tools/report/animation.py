@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from companion.recording.palette import OUTLINE, THREE, bgr
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.plots import steering_states
+from companion.tools.report.plots import steering_states, times
 from companion.tools.report.video import drawn_frames
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+from estimator.contracts.time import seconds_between
 
 U8 = NDArray[np.uint8]
 
@@ -44,16 +44,12 @@ def write_animation(log: FlightLog, path: Path) -> int:
     states = steering_states(log)
     if not states:
         raise BadInput(f"{path}: the recording holds no estimate to draw")
-    at_s = np.array([seconds_between(log.started, state.at) for state in states])
+    at_s = times(log, states)
     yaw_rad = np.array([math.nan if state.yaw_rad is None else state.yaw_rad for state in states])
     over_pad = body_over_pad(np.array([state.d_body_pad_level for state in states]), yaw_rad)
     scale = _FILM_WIDTH_PX / log.camera.width
-    images: list[U8] = []
-    due: MonoNs | None = None
-    for image, at in drawn_frames(log, scale):
-        if due is None or at >= due:
-            due = MonoNs(at + round(SPEED / RATE_HZ * NS_PER_S))
-            images.append(_sheet(log, image, seconds_between(log.started, at), at_s, over_pad))
+    frames = drawn_frames(log, scale, SPEED / RATE_HZ)
+    images = [_sheet(log, image, seconds_between(log.started, at), at_s, over_pad) for image, at in frames]
     if not images:
         raise BadInput(f"{path}: the recording holds no frames to draw; record with --record-frames jpeg or h264")
     try:

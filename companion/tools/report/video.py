@@ -18,10 +18,11 @@ from companion.recording.frame_video import VideoImage
 from companion.recording.timed_frames import CLOCK_HZ, TimedFrames, prepare
 from companion.tools.report.flight_log import FlightLog, FrameRecord
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
+from companion.tools.report.plots import steering_states
 from drivers.camera import images
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from estimator.vision.camera import Camera
 
 FILM_BYTES = 6_000_000
@@ -119,18 +120,22 @@ class FlightVideo:
         self.close()
 
 
-def drawn_frames(log: FlightLog, scale: float = 1.0) -> Iterator[tuple[NDArray[np.uint8], MonoNs]]:
-    """Yield every kept frame that can be decoded, with its overlay, and its exposure; sizes are those of `annotated_size`."""
+def drawn_frames(log: FlightLog, scale: float = 1.0, apart_s: float = 0.0) -> Iterator[tuple[NDArray[np.uint8], MonoNs]]:
+    """Yield the kept frames that can be decoded, with their overlays, and their exposures; sizes are those of `annotated_size`.
+
+    Args:
+        apart_s: least time between two of them.
+    """
     by_seq: dict[int, list[Sighting]] = {}
     for sighting in log.sightings:
         by_seq.setdefault(sighting.seq, []).append(sighting)
-    steered = log.steering or (log.estimates[0].path if log.estimates else None)
-    states = sorted((e for e in log.estimates if e.path == steered), key=lambda e: e.at)
+    states = steering_states(log)
     instants = np.array([e.at for e in states], dtype=np.int64)
+    due: MonoNs | None = None
     for frame in sorted(log.frames, key=lambda f: f.exposed_at):
-        image = _decode(frame)
-        if image is None:
+        if (due is not None and frame.exposed_at < due) or (image := _decode(frame)) is None:
             continue
+        due = MonoNs(frame.exposed_at + round(apart_s * NS_PER_S))
         overlay = Overlay(
             sightings=tuple(by_seq.get(frame.seq, ())),
             estimate=_nearest(states, instants, frame.exposed_at),
