@@ -213,7 +213,7 @@ typedef struct {
 /* What is the same for all worlds: the scenario, and the rules of the training. */
 typedef struct {
     int64_t harmonics, physics_steps, steps_max, velocity_actions, true_view, view_delay;
-    double step_s, acceleration_max_m_s2, velocity_max_m_s, velocity_gain, down_max_m_s, yaw_rate_max_rad_s,
+    double step_s, cos_course, sin_course, acceleration_max_m_s2, velocity_max_m_s, velocity_gain, down_max_m_s, yaw_rate_max_rad_s,
         start_low[4], start_high[4], pad_radius_m, vertical_max_m_s, lateral_max_m_s, reach_m, trim_keep, place_sigma_m, place_sigma_by_height, velocity_sigma_m_s, velocity_sigma_by_height,
         error_keep, error_fresh, tilt_sigma_rad, lost_share, found_share, wrong_sigma[WRONG_NUMBERS];
     sim_vessel_origin course;

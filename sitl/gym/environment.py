@@ -1,4 +1,7 @@
-"""The training worlds as Gymnasium environments: `gymnasium.make("Decklander/Land-v0")`, and `make_vec` for many at once."""
+"""The training worlds as Gymnasium environments; this module registers `Decklander/Land-v0` when it is imported.
+
+`gymnasium.make("sitl.gym.environment:Decklander/Land-v0")` imports it first.
+"""
 
 from __future__ import annotations
 
@@ -226,8 +229,4 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         return w.views.copy(), self._reward(w.terms), over & ~timed_out, timed_out, info
 
 
-def register() -> None:
-    """Register the environments; Gymnasium calls this where decklander is installed."""
-    name, here = "Decklander/Land-v0", "sitl.gym.environment:"
-    if name not in gymnasium.registry:
-        gymnasium.register(name, entry_point=f"{here}LandEnv", vector_entry_point=f"{here}LandVectorEnv")
+gymnasium.register("Decklander/Land-v0", entry_point=LandEnv, vector_entry_point=LandVectorEnv)

@@ -206,6 +206,7 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
         "sim_training",
         harmonics=len(harmonics), physics_steps=_PHYSICS_STEPS, steps_max=round(o.time_limit_s / STEP_S),
         velocity_actions=o.action == "velocity", true_view=o.observation == "truth", view_delay=e.delay_steps, step_s=STEP_S,
+        cos_course=math.cos(vessel.heading_rad[0]), sin_course=math.sin(vessel.heading_rad[0]),
         acceleration_max_m_s2=G_M_S2 * math.tan(vehicle.limits.euler_angle_max_rad), velocity_max_m_s=o.velocity_max_m_s,
         velocity_gain=1.5, down_max_m_s=DOWN_MAX_M_S, yaw_rate_max_rad_s=YAW_RATE_MAX_RAD_S,
         start_low=o.start_low, start_high=o.start_high, pad_radius_m=pad_model(scenario).disc_radius_m,

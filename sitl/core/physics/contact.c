@@ -26,10 +26,12 @@ void relative_to_deck(const sim_deck *g, const double p[3], const double v[3], c
     }
 }
 
-/* Where the fore end of the deck is at a distance from its middle line, as a share of its half width. */
-static double fore_end(const sim_vehicle_params *o, double share)
+/* Where the fore end of the deck is at a distance from its middle line, as a share of its half width; or where its taper begins, if
+ * nothing from `along` on reaches that. */
+static double fore_end(const sim_vehicle_params *o, double share, double along)
 {
-    return o->deck_taper_m > 0.0 ? o->deck_fore_m - o->deck_taper_m * pow(share * share, 1.1) : o->deck_fore_m;
+    const double straight = o->deck_fore_m - o->deck_taper_m;
+    return along > straight ? o->deck_fore_m - o->deck_taper_m * pow(share * share, 1.1) : straight;
 }
 
 int deck_holds(const sim_vehicle_params *o, double x, double y)
@@ -37,20 +39,22 @@ int deck_holds(const sim_vehicle_params *o, double x, double y)
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
     const int inside = along >= -o->deck_aft_m && along <= o->deck_fore_m && across <= o->deck_half_m && across >= -o->deck_half_m;
-    return inside && along <= fore_end(o, across / o->deck_half_m);
+    return inside && along <= fore_end(o, across / o->deck_half_m, along);
 }
 
 double deck_coverage(const sim_vehicle_params *o, double x, double y, double radius)
 {
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
-    const double fore = fore_end(o, clip(across / o->deck_half_m, -1.0, 1.0));
+    const double fore = fore_end(o, clip(across / o->deck_half_m, -1.0, 1.0), along + radius);
     const double inside[4] = {fore - along, along + o->deck_aft_m, o->deck_half_m - across, o->deck_half_m + across};
     const double pi = acos(-1.0);
     double share = 1.0;
     for (int i = 0; i < 4; i++) {
         const double d = clip(inside[i] / radius, -1.0, 1.0);
-        share *= 0.5 + (d * sqrt(1.0 - d * d) + asin(d)) / pi;
+        if (d < 1.0) {
+            share *= 0.5 + (d * sqrt(1.0 - d * d) + asin(d)) / pi;
+        }
     }
     return share;
 }

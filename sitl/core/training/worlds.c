@@ -80,6 +80,7 @@ static void move_deck(const sim_training *o, sim_training_world *w)
 /* The deck at a share of the present step, by the cubic that meets displacement and rate at both ends. */
 static void deck_between(const sim_training *o, const sim_training_world *w, double share, sim_deck *deck)
 {
+    const double c = o->cos_course, s = o->sin_course, t = w->t_s + share * o->step_s;
     const double u = share, u2 = u * u, u3 = u2 * u, dt = o->step_s;
     const double at[4] = {2 * u3 - 3 * u2 + 1, (u3 - 2 * u2 + u) * dt, 3 * u2 - 2 * u3, (u3 - u2) * dt};
     const double rate[4] = {6 * (u2 - u) / dt, 3 * u2 - 4 * u + 1, 6 * (u - u2) / dt, 3 * u2 - 2 * u};
@@ -89,7 +90,6 @@ static void deck_between(const sim_training *o, const sim_training_world *w, dou
         m.eta[i] = at[0] * a[i] + at[1] * a[i + MODES] + at[2] * b[i] + at[3] * b[i + MODES];
         m.eta_dot[i] = rate[0] * a[i] + rate[1] * a[i + MODES] + rate[2] * b[i] + rate[3] * b[i + MODES];
     }
-    const double c = cos(o->course.heading_rad), s = sin(o->course.heading_rad), t = w->t_s + share * dt;
     sim_vessel_origin origin = o->course;
     const double to[3] = {c * m.eta[0] - s * m.eta[1], s * m.eta[0] + c * m.eta[1], m.eta[2]};
     const double with[3] = {c * m.eta_dot[0] - s * m.eta_dot[1], s * m.eta_dot[0] + c * m.eta_dot[1], m.eta_dot[2]};
@@ -177,12 +177,19 @@ static void place(const sim_training *o, sim_training_world *w)
 
 /* ---- observations ---- */
 
+/* Cosine and sine of the heading of a rotation. */
+static void direction_of(const double R[9], double *c, double *s)
+{
+    const double by = 1.0 / sqrt(fmax(1e-12, R[0] * R[0] + R[3] * R[3]));
+    *c = by * R[0], *s = by * R[3];
+}
+
 /* The pad from the body in level axes, its velocity against the body, and cosine and sine of the body's heading. */
 static void relative_in_level(const sim_training_world *w, double place_m[3], double velocity[3], double *cos_psi, double *sin_psi)
 {
     const sim_vehicle *v = &w->vehicle;
-    const double psi = heading_of(v->R), c = cos(psi), s = sin(psi);
-    double d[3], u[3];
+    double d[3], u[3], c, s;
+    direction_of(v->R, &c, &s);
     for (int i = 0; i < 3; i++) {
         d[i] = w->deck.p[i] - v->p[i];
         u[i] = w->deck.v[i] - v->v[i];
@@ -236,9 +243,10 @@ static void observe(const sim_training *o, sim_training_world *w, float *view)
     /* The deck's normal, seen along and across the body's heading. */
     now[VIEW_DECK_TILT] = (float)-(c * R[5] - s * R[2]);
     now[VIEW_DECK_TILT + 1] = (float)(c * R[2] + s * R[5]);
-    const double yaw = heading_of(w->vehicle.R) - heading_of(R);
-    now[VIEW_HEADING] = (float)sin(yaw);
-    now[VIEW_HEADING + 1] = (float)cos(yaw);
+    double cos_deck, sin_deck;
+    direction_of(R, &cos_deck, &sin_deck);
+    now[VIEW_HEADING] = (float)(s * cos_deck - c * sin_deck);
+    now[VIEW_HEADING + 1] = (float)(c * cos_deck + s * sin_deck);
     for (int i = 0; i < ACTION_NUMBERS; i++) {
         now[VIEW_ACTION + i] = (float)w->action[i];
     }
@@ -320,8 +328,9 @@ static void command(const sim_training *o, sim_training_world *w, const float ac
 static void learn_trim(const sim_training *o, sim_training_world *w)
 {
     const sim_vehicle *v = &w->vehicle;
-    const double psi = heading_of(v->R), c = cos(psi), s = sin(psi), a[2] = {c * v->a[0] + s * v->a[1], c * v->a[1] - s * v->a[0]};
-    double lean[2];
+    double lean[2], c, s;
+    direction_of(v->R, &c, &s);
+    const double a[2] = {c * v->a[0] + s * v->a[1], c * v->a[1] - s * v->a[0]};
     lean_of(v, lean);
     for (int i = 0; i < 2; i++) {
         w->trim[i] = o->trim_keep * w->trim[i] + (1.0 - o->trim_keep) * (lean[i] - a[i]);
