@@ -136,7 +136,7 @@ $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	@touch $@
 
 # An environment with the service's needs and every extra's, and nothing else.
-$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt | $(BIN)/python
+$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt requirements/fleet.txt | $(BIN)/python
 	$(BIN)/python -m venv --clear --without-pip $@
 	$(PIP) --python $@ install --require-hashes $(foreach pins,$^,-r $(pins))
 	@touch $@
@@ -155,12 +155,13 @@ PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-ex
 pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
-	$(PIN) --constraint requirements/runtime.txt --extra report -o requirements/report.txt pyproject.toml
+	$(PIN) --constraint requirements/runtime.txt --extra fleet -o requirements/fleet.txt pyproject.toml
+	$(PIN) --constraint requirements/fleet.txt --extra report -o requirements/report.txt pyproject.toml
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --extra report --extra lab --extra ros2 --extra compare --extra rl --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

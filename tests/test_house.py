@@ -51,6 +51,7 @@ COMPARE = {"estimator/constant_velocity.py"}
 """Modules that need the extra `compare`. `pipeline.require_filterpy` is called first."""
 
 TRAINING = {"sitl/gym/environment.py"}
+FLEET = {"companion/parts/recorder/upload.py"}
 """Modules that need the extra `rl`."""
 
 IMPURE_MODULES = {
@@ -422,7 +423,7 @@ def test_the_readme_shows_the_two_commands_and_ci_uses_one_of_them() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    needed = {"report": DRAWINGS, "lab": LAB, "ros2": ROS2, "compare": COMPARE, "rl": TRAINING}
+    needed = {"report": DRAWINGS, "lab": LAB, "ros2": ROS2, "compare": COMPARE, "rl": TRAINING, "fleet": FLEET}
     runtime = import_names(project["dependencies"])
     dev = runtime.union(*(import_names(extras[name]) for name in (*needed, "dev")))
     undeclared = set()

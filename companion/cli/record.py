@@ -6,6 +6,7 @@ import argparse
 import heapq
 import json
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from msgspec import structs
 
 from companion.base.observer import ProcessedFrame
 from companion.parts.recorder.setup import about, recorder_to_file
+from companion.parts.recorder.upload import storage, upload
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
@@ -33,9 +35,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add `decklander record` to the parser."""
     parser = subparsers.add_parser(
         "record",
-        help="inspect, cut, repair, export and import recordings",
-        description="Inspect, cut, repair, export and import recordings. The service makes recordings if [recorder] is enabled; "
-        "simulate and demo make them with --record.",
+        help="inspect, cut, repair, export, import and upload recordings",
+        description="Inspect, cut, repair, export, import and upload recordings. The service makes recordings if [recorder] is "
+        "enabled; simulate and demo make them with --record.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     info = actions.add_parser("info", help="show the contents of a recording", description="Show the contents of a recording.")
@@ -78,6 +80,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--config", required=True, metavar="FILE", help=f"settings file with the camera and pad ({', '.join(shipped())})"
     )
     foreign.add_argument("--output", required=True, type=Path, metavar="FILE", help="recording to write")
+    sent = actions.add_parser(
+        "upload",
+        help="upload the service's finished recordings to object storage",
+        description="Upload the service's finished recordings to object storage by fsspec (the extra decklander[fleet]), and "
+        "read them back. One that arrived whole has its digest beside it, NAME.sha256, in both places. With "
+        'expert.recorder.delete = "uploaded" the service deletes no other. Exit code 1 if a recording could not be uploaded.',
+    )
+    sent.add_argument("folder", type=Path, metavar="FOLDER", help="folder of recordings (recorder.folder)")
+    sent.add_argument(
+        "--to", required=True, metavar="URL", help="s3://BUCKET/DRONE, with access as the AWS tools take it, or a folder"
+    )
+    sent.add_argument("--each", type=float, metavar="S", help="go on, and look for new recordings each S seconds")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
         return _cut(args)
     if args.action == "export":
         return _export(args)
+    if args.action == "upload":
+        return _upload(args)
     return _import(args)
 
 
@@ -132,6 +148,21 @@ def _export(args: argparse.Namespace) -> int:
     written = export(open_recording(args.files), args.output)
     sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
     return 0
+
+
+def _upload(args: argparse.Namespace) -> int:
+    if args.each is not None and not 1.0 <= args.each <= 86_400.0:
+        raise BadInput("--each must be 1 to 86400 seconds")
+    to, missing = storage(args.to), 0
+    while True:
+        missing = 0
+        for done in upload(args.folder, to):
+            missing += done.why is not None
+            what = f"uploaded, {done.size / 1e6:.1f} MB" if done.why is None else f"not uploaded: {done.why}"
+            print(f"{done.path.name}: {what}", file=sys.stdout if done.why is None else sys.stderr, flush=True)
+        if args.each is None:
+            return int(missing > 0)
+        time.sleep(args.each)
 
 
 def _cut(args: argparse.Namespace) -> int:

@@ -34,10 +34,12 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     max_file_s: Annotated[float, number("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0
     max_total_mb: Annotated[
         float,
-        number(
-            "while all recordings in the folder are larger than this, the oldest is deleted", "MB", 1.0, 10_000_000.0, public=True
-        ),
+        number("while all recordings in the folder are larger than this, one is deleted", "MB", 1.0, 10_000_000.0, public=True),
     ] = 8000.0
+    delete: Annotated[
+        Literal["oldest", "uploaded"],
+        choice("the oldest, or the oldest that `record upload` has uploaded; nothing is recorded while there is none"),
+    ] = "oldest"
     min_free_mb: Annotated[
         float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0, public=True)
     ] = 500.0

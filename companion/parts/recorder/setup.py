@@ -57,7 +57,7 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
     """
     r = settings.recorder
     started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
+    storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb, r.delete)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
     recorder = Recorder(storage_policy, body_camera(settings), described, r, health, close_s=1.5)
     if not r.enabled:

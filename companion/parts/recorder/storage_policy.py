@@ -5,7 +5,7 @@ import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 MB = 1_000_000
 _NAME = re.compile(r"decklander-\d{8}T\d{6}Z-\d{4}\.mcap")
@@ -37,6 +37,16 @@ class StoragePolicy(Protocol):
         ...
 
 
+def recordings(folder: Path) -> list[Path]:
+    """Return the recordings that the service has written into this folder, the oldest first. Raises OSError."""
+    return sorted(p for p in folder.iterdir() if _NAME.fullmatch(p.name))
+
+
+def digest_file(recording: Path) -> Path:
+    """Return the file that says that a recording is uploaded, by its digest."""
+    return recording.with_name(f"{recording.name}.sha256")
+
+
 @dataclass(slots=True)
 class Folder:
     """A folder of the numbered files of this and earlier starts of the service; the oldest are removed first.
@@ -50,8 +60,11 @@ class Folder:
     max_file_mb: float
     max_total_mb: float
     min_free_mb: float
+    delete: Literal["oldest", "uploaded"] = "oldest"
+    """The files that are removed: the oldest, or the oldest of those that were uploaded (`companion.parts.recorder.upload`)."""
     not_removed: int = 0
     _next: int = 1
+    _too_much: bool = False
 
     @property
     def max_file_bytes(self) -> int | None:
@@ -66,7 +79,7 @@ class Folder:
 
     def tidy(self, current: Path | None) -> None:
         try:
-            files = sorted(p for p in self.path.iterdir() if _NAME.fullmatch(p.name))
+            files = recordings(self.path)
         except OSError:
             self.not_removed += 1
             return
@@ -74,17 +87,24 @@ class Folder:
         total = sum(sizes.values())
         for path, size in sizes.items():
             if total <= self.max_total_mb * MB:
-                return
-            if path != current:
-                try:
-                    path.unlink(missing_ok=True)
-                except OSError:
-                    self.not_removed += 1
-                    continue
-                total -= size
+                break
+            if path == current or (self.delete == "uploaded" and not digest_file(path).exists()):
+                continue
+            try:
+                path.unlink(missing_ok=True)
+                digest_file(path).unlink(missing_ok=True)
+            except OSError:
+                self.not_removed += 1
+                continue
+            total -= size
+        self._too_much = self.delete == "uploaded" and total > self.max_total_mb * MB
 
     def lacks_room(self, least_mb: float = 0.0) -> str | None:
         _made(self.path)
+        if self._too_much:
+            self.tidy(None)
+        if self._too_much:
+            return f"more than {self.max_total_mb:g} MB of recordings in {self.path} are not uploaded"
         return _lacking(self.path, max(least_mb, self.min_free_mb))
 
 
