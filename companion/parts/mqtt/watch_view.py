@@ -160,7 +160,7 @@ def _order(drone: DroneModel) -> str:
 def _vehicle(drone: DroneModel, paint: Paint) -> str:
     vehicle = None if drone.state is None else drone.state.vehicle
     if vehicle is None:
-        return "has said nothing yet"
+        return "has sent nothing yet"
     battery = "--" if vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
     if vehicle.battery_fraction is not None and vehicle.battery_fraction < 0.2:
         battery = paint(battery, _RED)
