@@ -60,8 +60,8 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         _up_and_down(chapter),
         "![Errors of every method between 0.2 and 5 m](experiments_up_and_down.png)",
         "## 5.1.3 Hovering at six heights",
-        "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash is no estimate; cells that "
-        "cannot be read in the printed tables are empty.",
+        "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash or no row is no estimate; "
+        "cells that cannot be read in the printed tables are empty.",
         *(_table(chapter, quantity) for quantity in QUANTITIES),
         "![Mean and standard deviation of each method at six heights](experiments_hover.png)",
         "## 5.1.4 A step through the filter",
@@ -110,6 +110,8 @@ def _table(chapter: Chapter5, quantity: Quantity) -> str:
             if quantity == "yaw" and method == "ellipse":
                 continue
             was = printed(quantity, height_m, method)
+            if was is None and (height_m, method) not in rows:
+                continue
             before = ("", "") if was is None else (f"{was.mean:.1f} ± {was.std:.1f}", f"{100 * was.available:.0f} %")
             lines.append(
                 f"| {height_m:g} m | {method} | {before[0]} | {before[1]} | {_cell(rows.get((height_m, method)), quantity)} |"
