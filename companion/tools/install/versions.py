@@ -143,8 +143,14 @@ def _only(folder: Path) -> Path:
 
 
 def _pip(words: list[str], what: str) -> None:
-    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory(prefix="decklander-pip-") as folder:
+        python = sys.executable
+        if find_spec("pip") is None:  # an installed version carries none
+            if subprocess.run([python, "-m", "venv", folder], capture_output=True, check=False).returncode != 0:
+                raise Recoverable(f"{what}: there is no pip; on Debian: apt install python3-venv")
+            python = f"{folder}/bin/python"
+        command = [python, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         output = done.stderr.strip().splitlines() or ["pip printed nothing"]
         raise Recoverable(f"{what}: {output[-1]}")
