@@ -20,8 +20,7 @@ RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --whe
  && /opt/decklander/bin/pip install --no-cache-dir --no-deps /wheels/decklander-*.whl
 # What nobody here uses goes, and the installer itself.
 RUN sh requirements/slim.sh /opt/decklander \
- && /opt/decklander/bin/pip uninstall --yes setuptools pip \
- && for command in demo run record replay doctor campaign; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
+ && for command in demo run record replay doctor campaign detect start fly; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
 # The bill of materials travels with what it describes. Its maker stays in this stage.
 RUN /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/supply.txt \
  && mkdir -p /opt/decklander/share/decklander \

@@ -8,7 +8,7 @@ the vector from camera to pad, written with the true attitude; lateral is the ro
 standard deviations, the camera being up to a tenth of its height aside, so that a range error shows there by a tenth. Times are
 processor time, medians, and as ratios to a floor measured in the same run: one BGR to HSV conversion and one inRange of the whole
 frame; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
-leaves its heading open by half a turn, which is not counted as error.
+leaves its heading open by half a turn, which is not counted as error. A method without a row finds nothing at that height.
 """
 
 import argparse
@@ -271,7 +271,7 @@ def write(folder: Path, rows: list[list[str]], frames: int) -> None:
         "# Benchmarks: vision", "", f"Made by `python -m benches.vision --frames {frames} --write docs`.", "",
         *(__doc__ or "").strip().splitlines()[4:], "", "![by height](benchmarks.png)", "",
         "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
-        *("| " + " | ".join(row) + " |" for row in rows), "",
+        *("| " + " | ".join(row) + " |" for row in rows if row[2] != "0 %"), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
         "processor times come out longer than on a machine at rest, ratios less so.", "",
         _kept(folder / "benchmarks.md"),

@@ -183,7 +183,7 @@ class ClockMap:
         if self._back.count < _BACK_FOR or now - self._back.since < _BACK_FOR_S * NS_PER_S:
             return False
         late_s = (difference - self._offset(now)) / NS_PER_S
-        log.warning("the clock of %s was set back by about %.2f s: its samples are mapped anew", self._o.name, late_s)
+        log.warning("the clock of %s was set back by about %.2f s: its samples are mapped again", self._o.name, late_s)
         return True
 
     def _allowed(self, now: int) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from mutants.table import TARGETS
 from mutants.tally import Tally
 
-HEAD = ("| file | tried | killed | survive | equivalent | killed | drawn |", "|---|---|---|---|---|---|---|")
+HEAD = ("| file | tried | killed | equivalent | drawn |", "|---|---|---|---|---|")
 """The head of the table."""
 
 
@@ -29,5 +29,5 @@ def write_table(page: Path, tallies: Sequence[Tally], share: float) -> None:
 
 def _row(tally: Tally, share: float) -> str:
     equivalent = tally.compiled_alike + tally.named
-    counts = (tally.tried, tally.killed, len(tally.survivors), equivalent, f"{100 * tally.share:.1f} %", f"{100 * share:.0f} %")
+    counts = (tally.tried, tally.killed, equivalent, f"{100 * share:.0f} %")
     return f"| `{tally.path}` | {' | '.join(map(str, counts))} |"

@@ -197,7 +197,7 @@ def page() -> str:
         ]
     lines += ["## What is not covered", "", *[f"- {text}" for text in NOT_COVERED], ""]
     lines += [
-        "## What an operator is asked by SORA",
+        "## Questions of SORA to an operator",
         "",
         "The steps and objectives are those of JARUS SORA 2.5.",
         "",

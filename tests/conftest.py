@@ -47,6 +47,7 @@ SLOW = (
     "tests/estimator/core/test_library.py",
     "tests/companion/test_fault_domains.py",
     "tests/companion/test_start.py",
+    "tests/docs/test_guide_ardrone.py",
     "tests/estimator/ekf/test_rough.py",
     "tests/companion/test_signals.py",
     "tests/companion/test_safety.py",

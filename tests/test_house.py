@@ -245,6 +245,31 @@ def hard_to_read(source: str, *, words: bool = True) -> list[tuple[int, str]]:
     return found
 
 
+MESSAGE = re.compile(PROSE.pattern + r"|\b(asked|said)\b")
+"""Words that no message, help text or log line uses of a program."""
+
+
+def hard_messages(source: str) -> list[tuple[int, str]]:
+    """Return lines of texts other than docstrings with a word of `MESSAGE` or a sentence longer than `LONGEST_OPENING`."""
+    tree, skipped, found = parsed(source), set[int](), []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            skipped.add(id(node.value))
+        elif isinstance(node, ast.JoinedStr):
+            skipped |= {id(inner) for inner in ast.walk(node) if inner is not node}
+    for node in ast.walk(tree):
+        if id(node) in skipped or not isinstance(node, ast.Constant | ast.JoinedStr):
+            continue
+        pieces = node.values if isinstance(node, ast.JoinedStr) else [node]
+        text = "".join(str(piece.value) if isinstance(piece, ast.Constant) else "X" for piece in pieces)
+        if len(text.split()) < 3 or "<" in text:
+            continue
+        sentences = re.split(r"(?<=[.:;!?])\s|\n", text)
+        if MESSAGE.search(text) or any(len(sentence.split()) > LONGEST_OPENING for sentence in sentences):
+            found.append((node.lineno, text[:60]))
+    return found
+
+
 def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
     """Return the class names that more than one module defines, with those modules."""
     homes: dict[str, list[str]] = {}
@@ -326,6 +351,15 @@ def test_docstrings_are_understood_at_one_reading() -> None:
         if p.suffix == ".py" and (wrong := hard_to_read(p.read_text(), words=p.relative_to(ROOT).parts[0] != "tests"))
     }
     assert found == {}
+
+
+def test_messages_are_understood_at_one_reading() -> None:
+    assert hard_messages('"""He asked in a docstring."""\nraise BadInput(f"{a} was not heard at all")') == [
+        (2, "X was not heard at all")
+    ]
+    assert len(hard_messages(f'log.info("{"a long " * LONGEST_OPENING}line")')) == 1
+    assert hard_messages("x = 'asked'") == []
+    assert {str(p.relative_to(ROOT)): wrong for p in modules() if (wrong := hard_messages(p.read_text()))} == {}
 
 
 def test_one_class_name_means_one_thing() -> None:

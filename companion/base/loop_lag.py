@@ -136,7 +136,7 @@ class LoopWatch:
             self.stood_s += away_s
             suspended = away_s - late_s > 1.0
             what = "this computer was suspended" if suspended else f"the service stood still ({self._what(late_s)})"
-            log.error("%s for %.1f s%s", what, away_s, ": the drone is told to hold" if flying else "")
+            log.error("%s for %.1f s%s", what, away_s, ": the drone is commanded to hold" if flying else "")
             if flying:
                 self._hold()
         elif late_s >= HELD_S:

@@ -47,7 +47,7 @@ class ReasonCause(Enum):
     ALERT = "{detail}"
     NO_ESTIMATE = "there is no estimate of the pad"
     ANOTHER_PAD = "the pad is seen in another place, which no motion explains"
-    NOBODY_DECIDED = "the pad is seen in another place, which no motion explains, and nobody said to go on within {limit:g} s"
+    NOBODY_DECIDED = "the pad is seen in another place, which no motion explains, and no operator confirmed it within {limit:g} s"
     LOST_LOW = "the pad was lost at {measured:.1f} m"
     NOT_FOUND = "the pad was not found within {limit:g} s"
     NOT_FOUND_AGAIN = "the pad was not found again within {limit:g} s"

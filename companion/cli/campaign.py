@@ -496,9 +496,9 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "repeated flights in one process",
         "Each flight has its own seed and its own fault, and is graded: on the pad, refused rightly, failed, or not judged "
-        "because the machine was too slow. Exit code 1 if more flights failed than --failed-max allows, if most could not be "
-        "judged, or if memory grew by 1 % or descriptors, threads or tasks by one after warm-up. Ctrl-C stops the run and prints "
-        "the results so far.",
+        "because the machine was too slow. Exit code 1 if more flights failed than --failed-max allows or most could not be "
+        "judged; also if memory grew by 1 %, or descriptors, threads or tasks by one, after warm-up. Ctrl-C stops the run "
+        "and prints the results so far.",
     )
     group.add_argument(
         "--soak",

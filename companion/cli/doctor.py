@@ -217,7 +217,7 @@ async def _write(
         await wait_until(clock, max(seconds, 4.0), lambda: autopilot.connected and autopilot.condition.armed is not None)
         identity = autopilot.identity
         if identity is None:
-            raise BadInput(f"system {system} is not heard: no parameter was written")
+            raise BadInput(f"system {system} is silent: no parameter was written")
         received = AutopilotSnapshot(identity.stack.value, identity.system)
         if kept is not None and (foreign := kept.foreign_to(received)) is not None:
             raise BadInput(f"--undo: {foreign}")
@@ -402,7 +402,7 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
             lines += _log_lines(f"{a.stack}{version}, system {a.system}", len(a.parameters), snapshot.log)
         lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]
     elif snapshot.heard:
-        lines += [f"heard: {one}, component {one.component}" for one in snapshot.heard]
+        lines += [f"found: {one}, component {one.component}" for one in snapshot.heard]
     if snapshot.sync is not None and snapshot.sync.round_trip_s is not None:
         lines.append(
             f"clock: round trip {1e3 * snapshot.sync.round_trip_s:.1f} ms, {'locked' if snapshot.sync.locked else 'not locked'}"

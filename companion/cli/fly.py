@@ -256,8 +256,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "fly",
         help="give orders to the running service, or fly by the keyboard",
-        description="Give one order to the service that runs on this computer and print its answer, or, without an order, fly by "
-        "the keyboard in this terminal. Exit code 0 if the order was accepted, 1 if it was refused or no service answers.",
+        description="Give one order to the service that runs on this computer and print its answer. Without an order, fly by the "
+        "keyboard in this terminal. Exit code 0 if the order was accepted, 1 if it was refused or no service answers.",
     )
     parser.add_argument(
         "order",
@@ -321,7 +321,7 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
 
 async def _wait(states: asyncio.Queue[FlightState], order: str, seconds: float) -> str | None:
     """Return None once the order's effect is reported, or the vehicle's last mode if that takes longer."""
-    mode, flew = "not heard", False
+    mode, flew = "unknown", False
     try:
         async with asyncio.timeout(seconds):
             while True:

@@ -23,9 +23,9 @@ from estimator.contracts.errors import BadInput, unusable
 HELP = "identify a vehicle's response from a recorded flight"
 DESCRIPTION = (
     "Identify how a vehicle answers commands from a recorded flight: delay, frequency and damping of its tilt, "
-    "delay and lag of its climb, with their covariance, and what an error of them costs in centimetres at touchdown. Record a "
-    "landing by the controller follow_deck, which commands tilt: a flight by hand does not tell. Exit code 1 if the flight moved "
-    "too little to tell."
+    "delay and lag of its climb. Print their covariance, and the error at touchdown that their errors cause, in centimetres. "
+    "Record a landing by the controller follow_deck, which commands tilt: a flight by hand does not suffice. Exit code 1 if the "
+    "flight moved too little."
 )
 NOTHING_TOLD_S = 0.1
 """A delay that is known worse than this is not known at all."""
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--response", metavar="NAME", help="shipped response or file to begin from (default: the one of the recorded settings)"
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the response file (TOML)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw asked, reported and modelled courses into this PNG")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw commanded, reported and modelled courses into this PNG")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -149,7 +149,7 @@ def _lines(
     out = [
         f"tilt   delay {_ms(t.delay_s, t.delay_sigma_s)} ms, {_of(t.frequency_rad_s, t.frequency_sigma_rad_s)} rad/s, damping "
         f"{_of(t.damping, t.damping_sigma)}; lag {1e3 * t.lag_s:.0f} ms as given",
-        f"       {tilt.gain:.2f} of what is asked, {tilt.fitted.residual:.3f} m/s^2 off the model, {tilt.fitted.seconds:.1f} s",
+        f"       {tilt.gain:.2f} of the command, {tilt.fitted.residual:.3f} m/s^2 off the model, {tilt.fitted.seconds:.1f} s",
     ]
     if climb is None:
         out.append("climb  not identified: as given")
@@ -158,7 +158,7 @@ def _lines(
         by = "the accelerometer" if courses.by_accelerometer else "the reported speed"
         out += [
             f"climb  delay {_ms(c.delay_s, c.delay_sigma_s)} ms, lag {_ms(c.lag_s, c.lag_sigma_s)} ms",
-            f"       {climb.gain:.2f} of what is asked, {climb.fitted.residual:.3f} m/s beside the model, by {by}",
+            f"       {climb.gain:.2f} of the command, {climb.fitted.residual:.3f} m/s beside the model, by {by}",
         ]
     out.append(
         f"given  tilt delay {_ms(start.tilt.delay_s, start.tilt.delay_sigma_s)} ms, "
@@ -168,7 +168,7 @@ def _lines(
     )
     apart = _apart(start.tilt, tilt)
     verb = "contradicts" if apart > _CHI2_95 else "does not contradict"
-    out.append(f"       this flight {verb} the given tilt: chi-square {apart:.1f}, of which 95 % lie below {_CHI2_95:.1f}")
+    out.append(f"       this flight {verb} the given tilt: chi-square {apart:.1f}; 95 % of such flights lie below {_CHI2_95:.1f}")
     out += [f"loop   {name.replace('_', ' ')} response: {_margins(loop)}" for name, loop in loops.items()]
     out.append(_cost_line(*costs))
     out += [] if climbs is None else _climb_cost_lines(climbs)

@@ -145,10 +145,10 @@ _NAMES = {
 def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     p = actions.add_parser(
         "check",
-        help="check a pad's file, and say how well it can be measured",
-        description="Check a pad's file, and say how accurately it can be measured by height (Cramer-Rao bound of one frame), "
-        "how it stands out from decks, whether it tells its heading, and how often clutter is taken for it. What clutter tells "
-        "is written into the file. Exit code 0; 2 if the file is refused.",
+        help="check a pad's file, and print how well it can be measured",
+        description="Check a pad's file. Print how accurately it can be measured by height (Cramer-Rao bound of one frame) and "
+        "how it stands out from decks. Print also whether its heading is unique, and how often clutter resembles it; the "
+        "confidence that follows from clutter is written into the file. Exit code 0; 2 if the file is refused.",
     )
     p.add_argument("pad", metavar="PAD", help="pad file, or the name of a shipped one")
     p.add_argument(

@@ -70,9 +70,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     foreign = actions.add_parser(
         "import",
         help="import videos, tables and logs of other tools",
-        description="Import videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, ArduPilot dataflash "
-        "logs (binary or text), telemetry logs of ground stations (.tlog), bags of ROS 1 and 2, folders of images with times, "
-        "and AR.Drone captures (PaVE video, navdata) into one recording. Their content says what they are. Each source begins at "
+        description="Import files of other tools into one recording: videos, folders of images with times, attitude tables (CSV: "
+        "time_s,roll_deg,pitch_deg[,yaw_deg]); PX4 ulogs, ArduPilot dataflash logs (binary or text), telemetry logs (.tlog); "
+        "bags of ROS 1 and 2, AR.Drone captures (PaVE video, navdata). The kind is found by the content. Each source begins at "
         "0 of its own clock; SOURCE@SECONDS shifts it by that much.",
     )
     foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]", help="file to import")

@@ -125,7 +125,7 @@ def _vehicle(settings: Settings) -> str:
     if isinstance(v, AutopilotOptions):
         signed = v.unsigned or "signed"
         who = f", and from system {v.operators}" if v.operators else ""
-        whom = f"system {v.system_id}" if v.system_id else "the first autopilot heard"
+        whom = f"system {v.system_id}" if v.system_id else "the first autopilot found"
         return (
             f"vehicle: autopilot over {v.links} ({signed}), {whom}; "
             f"we are component {v.component_id}; commands from the autopilot's own link{who}"

@@ -37,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     update = actions.add_parser(
         "update",
         help="update the installed service",
-        description="Install a version beside the one that runs, check it with the present settings, make it the current one, "
+        description="Install a version beside the one that runs and check it with the present settings. Make it the current one, "
         "start the service again and watch it. If it does not come up, the version before is current again. Never while the "
         "drone flies.",
     )

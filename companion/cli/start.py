@@ -60,7 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "start",
         help="make the settings of your drone: asks, writes, checks",
         description="Ask for vehicle, camera, pad and place, write a commented settings file, check it, diagnose the setup and "
-        "print the operator page's address. Autopilots and cameras are found. What an option answers is not asked. Exit code: "
+        "print the operator page's address. Autopilots and cameras are found. An option replaces its question. Exit code: "
         "that of the doctor, or 2 for a wrong answer.",
     )
     parser.add_argument("--vehicle", choices=sorted(VEHICLES), help="vehicle")

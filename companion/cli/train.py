@@ -44,7 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "expects the winds that it was trained in",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy file to write (npz)")
-    parser.add_argument("--from", dest="first", type=Path, metavar="FILE", help="policy to train further (default: begin anew)")
+    parser.add_argument("--from", dest="first", type=Path, metavar="FILE", help="policy to train further (default: a new policy)")
     how_long = parser.add_mutually_exclusive_group()
     how_long.add_argument("--minutes", type=float, metavar="M", help="train for so long")
     how_long.add_argument("--rounds", type=int, metavar="N", help="train for so many rounds (default: 60)")

@@ -31,7 +31,7 @@ RANKED = (
 class ControlSituation(Enum):
     """The state of the vehicle and of its control, as far as orders depend on it."""
 
-    UNHEARD = "not heard"
+    UNHEARD = "silent"
     """The vehicle has not reported its status lately."""
     GROUND = "on ground"
     DONE = "landed"
@@ -67,7 +67,7 @@ class Rule(Enum):
     NO_HAND = "no: no hand"
     NO_EMERGENCY = "no: none"
     EMERGENCY = "no: motors off"
-    UNHEARD = "no: not heard"
+    UNHEARD = "no: silent"
 
 
 REASONS: Mapping[Rule, str] = MappingProxyType(
@@ -82,7 +82,7 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
         Rule.EMERGENCY: "the motors were cut; reset leaves the emergency state",
-        Rule.UNHEARD: "the vehicle is not heard",
+        Rule.UNHEARD: "the vehicle is silent",
     }
 )
 """The text of each refusal."""

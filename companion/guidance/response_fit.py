@@ -345,8 +345,8 @@ def text(response: Response, source: str, tilt: TiltFit, climb: ClimbFit | None)
     climb_table = _table(response.climb) if climb is None else _identified(response.climb, "cov_delay_lag", climb.cov)
     return (
         f"# Identified from {' '.join(source.split())}: {tilt.fitted.seconds:.1f} s of leans, {tilt.fitted.residual:.3f} m/s^2 "
-        f"beside the model,\n# {tilt.gain:.2f} of the asked tilt flown; climb {climbed}. The lag of the tilt and the limits are "
-        f"as given.\n\n[tilt]\n{tilt_table}\n[climb]\n{climb_table}"
+        f"beside the model,\n# {tilt.gain:.2f} of the commanded tilt flown; climb {climbed}. The lag of the tilt and the limits "
+        f"are as given.\n\n[tilt]\n{tilt_table}\n[climb]\n{climb_table}"
     )
 
 

@@ -57,7 +57,7 @@ def unmasked(text: str, original: str) -> str:
             return address
         meant = known.get(address, set())
         if len(meant) != 1:
-            raise BadInput(f"{address}: the address was changed, so write its user and password anew in place of {MASK}")
+            raise BadInput(f"{address}: the address was changed, so write its user and password again in place of {MASK}")
         return next(iter(meant))
 
     return _ADDRESS.sub(restored, text)

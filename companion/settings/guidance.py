@@ -137,8 +137,8 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     controller: Annotated[
         str,
         name(
-            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), "
-            "policy (a trained network), or the name under which an installed package offers one",
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller) or "
+            "policy (a trained network); or the name that an installed package gives its own",
             64,
             public=True,
         ),

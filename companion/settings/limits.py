@@ -17,7 +17,7 @@ class LimitOptions(Struct, frozen=True, forbid_unknown_fields=True):
     fence: Annotated[
         Literal["off", "start", "ship"],
         choice(
-            "centre of the geofence: the place where the vehicle was first seen to fly, which drifts with its velocity sensor, "
+            "centre of the geofence: the place where the vehicle began to fly, which drifts with its velocity sensor; "
             "or the pad, while its position is known to 5 m",
             public=True,
         ),

@@ -36,7 +36,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     no_return_s: Annotated[
         float,
         number(
-            "time to the contact below which neither a deck that tilts nor a sighting that contradicts ends the commit, since a "
+            "time to the contact below which neither a tilted deck nor a contradicting sighting ends the commit: a "
             "climb would begin after the contact; without a fit estimate it stays that long without descending, and goes around "
             "if it feels no contact; a delay that is identified in flight adds to it",
             "s",
@@ -134,8 +134,8 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
     wind_wait_s: Annotated[
         float,
         number(
-            "time for which it waits over the pad in a wind beyond what the vehicle's tilt can fly, its limit less 2.5 standard "
-            "deviations of the gusts; after it the landing is refused",
+            "time for which it waits over the pad in a wind that the vehicle's tilt cannot fly (limit less 2.5 standard "
+            "deviations of the gusts); after it the landing is refused",
             "s",
             0.0,
             600.0,

@@ -41,9 +41,7 @@ def find(reference: str, part: str, environment: Mapping[str, str] = os.environ)
     if not wanted or "/" in wanted or wanted in (".", ".."):
         raise BadInput(f"{part}: {reference!r} does not name a credential")
     if not folder:
-        raise BadInput(
-            f"{part}: {reference!r} is asked for, but there is no $CREDENTIALS_DIRECTORY (LoadCredential= in the unit)"
-        )
+        raise BadInput(f"{part}: {reference!r} is named, but there is no $CREDENTIALS_DIRECTORY (LoadCredential= in the unit)")
     return Path(folder) / wanted
 
 

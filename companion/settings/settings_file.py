@@ -57,7 +57,7 @@ class SettingsFile:
         if refusal := self.refusal():
             raise BadInput(f"cannot be saved: {refusal}")
         if self.read()[1] != revision:
-            raise BadInput(f"{self.path} was changed since it was read here: load it again, and make your changes anew")
+            raise BadInput(f"{self.path} was changed since it was read here: load it again, and make your changes again")
         target, content = self.path.resolve(), text.encode()
         try:
             _replace(target.with_name(target.name + BEFORE), target.read_bytes(), like=target)

@@ -31,7 +31,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea_from: Annotated[
         str,
         text(
-            "by UDP: the address that they must come from, whatever the port; empty for the first that is heard, until it is "
+            "by UDP: the address that they must come from, whatever the port; empty for the first that sends, until it is "
             "silent for 30 s",
             64,
             shortest=0,

@@ -71,8 +71,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     latency_s: Annotated[
         float,
         number(
-            "v4l2: how much later than half an exposure after its middle the kernel stamps (or after half an exposure before it, "
-            "where the driver stamps the start); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
+            "v4l2: delay of the kernel's stamp after the end of the exposure (after its start, "
+            "where the driver stamps that); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
             "the start of the exposure; stream: from mid-exposure to arrival",
             "s",
             -0.1,

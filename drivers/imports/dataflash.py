@@ -7,6 +7,7 @@ Angles are in degrees, velocities NED; the time is `TimeUS`, in logs of 2014 `Ti
 from __future__ import annotations
 
 import math
+import os
 import re
 import traceback
 from collections import Counter
@@ -16,6 +17,10 @@ from typing import Any
 
 import numpy as np
 from msgspec import structs
+
+# DFReader loads a dialect that it does not use. An installed service has only this one (requirements/slim.sh).
+os.environ.setdefault("MAVLINK_DIALECT", "common")
+os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import DFReader
 
 from drivers.imports.log_history import (

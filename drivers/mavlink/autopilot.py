@@ -203,7 +203,7 @@ class Autopilot:
         if not self._open:
             raise Recoverable("the link to the autopilot is closed")
         if self._known is None or self._known.lost:
-            raise Recoverable("no autopilot is heard")
+            raise Recoverable("no autopilot is connected")
         if (unclear := self.unclear) is not None:
             raise Recoverable(unclear)
         now, v_deck_level = self._clock.now(), None
@@ -278,7 +278,7 @@ class Autopilot:
             known.lost = False
             self._roster.uids.clear()
             self._request_due = True
-            _log.info("autopilot: heard again, asking for its streams")
+            _log.info("autopilot: connected again, requesting its streams")
         known.received_at = received_at
         self.counts[name] += 1
         if name == "HEARTBEAT":
@@ -354,7 +354,7 @@ class Autopilot:
             self._meet(received)
         elif received.source != known.source:
             if known.lost:
-                _log.warning("autopilot: heard again from elsewhere: %s", received.source_text)
+                _log.warning("autopilot: connected again from another address: %s", received.source_text)
                 self.links.bind_autopilot(received)
                 known.source, known.origins = received.source, Origins()
             else:
@@ -464,7 +464,7 @@ class Autopilot:
         if listened and not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
-            _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)
+            _log.warning("autopilot: silent for %.1f s", self._o.silence_s)
         if known.lost:
             return
         link = known.source[0]

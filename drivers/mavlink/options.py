@@ -52,8 +52,8 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
     operators: Annotated[
         str,
         text(
-            "systems that may command without signing, with commas between: SYSTEM or SYSTEM/COMPONENT; beside them whoever is "
-            "heard over the autopilot's own link, and whoever signs",
+            "systems that may command without signing, with commas between: SYSTEM or SYSTEM/COMPONENT; others are those on the "
+            "autopilot's own link, and those that sign",
             256,
             shortest=0,
             public=True,
@@ -227,8 +227,8 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     disarm_on_contact: Annotated[
         bool,
         choice(
-            "whether the motors are stopped by force once guidance has felt the deck; otherwise the autopilot is asked, and "
-            "refuses until its own land detector agrees",
+            "whether the motors are stopped by force once guidance has felt the deck; otherwise the autopilot receives a "
+            "request, and refuses until its own land detector agrees",
             public=True,
         ),
     ] = True

@@ -452,7 +452,7 @@ class Roster:
         elif self._first == bound.system or flying == [bound.system]:
             yield IdConflict(
                 "several-autopilots",
-                f"several autopilots are heard: {named}; system {bound.system} is taken, the first that flew",
+                f"several autopilots send: {named}; system {bound.system} is taken, the first that flew",
                 f"vehicle.system_id = {bound.system} says so for good",
                 blocks=False,
             )
@@ -460,7 +460,7 @@ class Roster:
             state = "more than one flies" if flying else "none flies"
             yield IdConflict(
                 "several-autopilots",
-                f"several autopilots are heard: {named}; {state}, and nothing is commanded while it is not clear who is meant",
+                f"several autopilots send: {named}; {state}, and nothing is commanded while it is not clear who is meant",
                 f"choose one by vehicle.system_id ({' or '.join(map(str, sorted({bound.system, *others})))})",
             )
 

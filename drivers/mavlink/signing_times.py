@@ -111,7 +111,7 @@ class SigningTimes:
             _log.info("signing times: none kept yet in %s", path)
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as why:
             _log.error(
-                "signing times %s cannot be used (%s): a new stream may be a minute behind the wall clock; it is written anew",
+                "signing times %s cannot be used (%s): a new stream may be a minute behind the wall clock; it is replaced",
                 path,
                 why,
             )

@@ -73,7 +73,7 @@ class IntegrityAlert(Enum):
     ATTITUDE_FROZEN = "the attitude repeats its readings"
     ATTITUDE = "the attitude turns otherwise than gyro and camera"
     IMU_LATE = "attitude and image are a tenth of a second apart: the IMU or the video is later than its stamps"
-    STAMPS = "the stamps of frames or samples do not hold"
+    STAMPS = "timestamps of frames or samples are inconsistent"
     APART = "the estimate and what the camera sees move apart"
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"

@@ -45,7 +45,7 @@ class Stamp(Struct, frozen=True):
             raise ValueError(f"a stamp's sigma must lie in [0, 1) s, got {self.sigma_s}")
         ahead_ns = self.measured_at - self.received_at
         if ahead_ns > 0 and ahead_ns > round(5 * NS_PER_S * self.sigma_s):
-            raise ValueError(f"a sample cannot be heard before it is taken: {self}")
+            raise ValueError(f"a sample cannot arrive before it is measured: {self}")
 
     @staticmethod
     def from_seconds(

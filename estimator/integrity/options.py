@@ -123,7 +123,7 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     view_turned_min_rad: Annotated[
         float,
         number(
-            "least rotation of the body (one standard deviation within half a second) from which a pad that keeps its position "
+            "least rotation of the body, one standard deviation within half a second; beyond it, a pad that keeps its position "
             "in the image counts as frozen",
             "rad",
             1e-4,
@@ -193,8 +193,8 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     height_tolerance_m: Annotated[
         float,
         number(
-            "how far barometer minus camera may go beyond all that it was 6 to 12 s before (waves bring it back), besides a "
-            "third of the change of the camera's height",
+            "how far barometer minus camera may leave its range of 6 to 12 s before (waves bring it back); a "
+            "third of the change of the camera's height is added",
             "m",
             0.01,
             100.0,

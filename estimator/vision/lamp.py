@@ -61,7 +61,7 @@ def check_lamps(lamps: Sequence[Lamp], where: str) -> None:
         if _looks_alike(places, math.tau / n):
             raise BadInput(
                 f"{where}: the lamps look the same after a turn by {360 / n:g} degrees: leave one out, or move one, so that "
-                "their heading can be told"
+                "their heading is known"
             )
 
 

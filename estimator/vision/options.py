@@ -35,7 +35,7 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
     learned: Annotated[
         Learned,
         choice(
-            "whether a trained network is asked about what a search finds; it can only lower a confidence",
+            "whether a trained network checks what a search finds; it can only lower a confidence",
             "docs/vision.md",
             public=True,
         ),
@@ -43,7 +43,7 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
     learned_file: Annotated[
         str,
         text(
-            "network that is asked, an ONNX file relative to the settings file; empty for the shipped one",
+            "network that checks, an ONNX file relative to the settings file; empty for the shipped one",
             4096,
             shortest=0,
             public=True,

@@ -88,7 +88,7 @@ def _check_letters(regions: Sequence[Region], where: str) -> None:
         if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST or sides > SIDES_MOST:
             raise BadInput(
                 f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis and of "
-                f"shapes with {sides} slanted or other sides, and at most {RECTANGLES_MOST} between {CUTS_MOST} and "
+                f"shapes with {sides} slanted or other sides; at most {RECTANGLES_MOST} between {CUTS_MOST} and "
                 f"{SIDES_MOST} are measured: paint fewer or simpler letters or fiducials"
             )
         _check_slanted(regions, [*layer, *more], where)

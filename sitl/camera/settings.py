@@ -93,9 +93,9 @@ class GimbalSettings(Struct, frozen=True, forbid_unknown_fields=True):
         number("its component id, or 1 to 6 for one that the autopilot itself drives; 0 for a fixed camera", "id", 0, 255),
     ] = 0
     start_pitch_deg: Annotated[float, number("its pitch at the start, against the horizon", "deg", -120.0, 45.0)] = 0.0
-    lag_s: Annotated[float, number("time constant with which it follows what it is told", "s", 0.01, 5.0)] = 0.3
+    lag_s: Annotated[float, number("time constant with which it follows its command", "s", 0.01, 5.0)] = 0.3
     wander_deg: Annotated[
-        float, number("how far it swings about what it is told, in pitch, and half as far in roll", "deg", 0.0, 30.0)
+        float, number("how far it swings about its command, in pitch, and half as far in roll", "deg", 0.0, 30.0)
     ] = 0.0
     wander_hz: Annotated[float, number("how often it does so", "Hz", 0.01, 5.0)] = 0.3
     leak: Annotated[

@@ -51,7 +51,7 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         "# The thesis' experiments again",
         f"Made by `{command}`. The thesis (Sundvoll 2020, chapter 5) flew a motionless ship in a simulator without wind; this is "
         "the same with the simulated AR.Drone. Where methods are compared it reports its attitude without error, as the thesis' "
-        "simulator nearly did (a real one errs by half a degree, which is 9 mm of x and y for each metre of height); dead "
+        "simulator nearly did. A real one errs by half a degree: 9 mm of x and y for each metre of height. Dead "
         "reckoning and the landings fly with all the errors that a real one was measured to have. Axes are the thesis': x ahead "
         "of the pad along the drone's nose, y to the left, z up. \"Here\" is the thesis' method with its errors put right, and "
         '"best" is the estimate that all methods make together. The thesis counted each estimate two to four times, at 20 Hz; '
@@ -60,8 +60,8 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         _up_and_down(chapter),
         "![Errors of every method between 0.2 and 5 m](experiments_up_and_down.png)",
         "## 5.1.3 Hovering at six heights",
-        "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash is no estimate; cells that "
-        "cannot be read in the printed tables are empty.",
+        "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash or no row is no estimate; "
+        "cells that cannot be read in the printed tables are empty.",
         *(_table(chapter, quantity) for quantity in QUANTITIES),
         "![Mean and standard deviation of each method at six heights](experiments_hover.png)",
         "## 5.1.4 A step through the filter",
@@ -110,6 +110,8 @@ def _table(chapter: Chapter5, quantity: Quantity) -> str:
             if quantity == "yaw" and method == "ellipse":
                 continue
             was = printed(quantity, height_m, method)
+            if was is None and (height_m, method) not in rows:
+                continue
             before = ("", "") if was is None else (f"{was.mean:.1f} ± {was.std:.1f}", f"{100 * was.available:.0f} %")
             lines.append(
                 f"| {height_m:g} m | {method} | {before[0]} | {before[1]} | {_cell(rows.get((height_m, method)), quantity)} |"
@@ -157,7 +159,7 @@ def _headings(chapter: Chapter5) -> str:
     lines += [
         "",
         "The corners of an H look the same after half a turn: their heading counts up to half a turn, here and in table 5.4. The "
-        "thesis took the one from -90 to 90 degrees and stepped over at its ends; here it is told as ambiguous.",
+        "thesis took the one from -90 to 90 degrees and stepped over at its ends; here it counts as ambiguous.",
     ]
     return "\n".join(lines)
 

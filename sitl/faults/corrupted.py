@@ -91,7 +91,7 @@ class Corrupted(Fault, frozen=True, tag="corrupted"):
     error: Annotated[
         SignalError,
         choice(
-            "frozen at the first sample, times a factor, plus a constant, plus a growing error, hit by spikes, late, each sample "
+            "frozen at the first sample, times a factor, plus a constant, plus a growing error, hit by spikes; late, each sample "
             "twice, two axes swapped (the named one keeps its place), or with the opposite sign"
         ),
     ]

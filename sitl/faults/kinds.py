@@ -223,7 +223,7 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     order: Annotated[
         Literal["hold", "manual", "abort", "land", "begin"],
         choice(
-            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is, or give it "
+            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is; or give it "
             "back and let guidance begin"
         ),
     ] = "hold"

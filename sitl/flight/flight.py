@@ -155,7 +155,7 @@ class Flight:
         self.worker: RenderWorker | None = None
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
-            raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
+            raise BadInput("service_killed comes back after for_s, and this flight cannot make the service again")
         self._renew = renew or (lambda: pilot)
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""

@@ -189,7 +189,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     expect: Annotated[
         Literal["land", "refuse", "go_around", "hold", "either"],
         choice(
-            "the right outcome: it lands on the pad, it refuses to (hovers or climbs and says so), it goes around and lands, "
+            "the right outcome: it lands on the pad, it refuses to (hovers or climbs and reports it), it goes around and lands; "
             "it holds for the operator, or it either lands or refuses"
         ),
     ] = "land"

@@ -33,11 +33,10 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
         | None
     ) = None
     fetch_km: (
-        Annotated[float, number("length of water over which the wind blows; a fully grown sea unless said", "km", 0.1, 2e4)]
-        | None
+        Annotated[float, number("length of water over which the wind blows; a fully grown sea by default", "km", 0.1, 2e4)] | None
     ) = None
     from_deg: (
-        Annotated[float, number("direction from which wind and waves come; the wind's unless said", "deg", -360.0, 360.0)] | None
+        Annotated[float, number("direction from which wind and waves come; the wind's by default", "deg", -360.0, 360.0)] | None
     ) = None
     gusts: Annotated[
         Literal["kaimal", "dryden"],

@@ -343,12 +343,11 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
         Components, choice("the harmonics' frequencies: random places in geometric bins, or in bins of equal energy")
     ] = "geometric"
     significant_height_m: (
-        Annotated[float, number("significant wave height, 4 sqrt(m0); 0 is flat water; 0.3 unless said", "m", 0.0, 10.0)] | None
+        Annotated[float, number("significant wave height, 4 sqrt(m0); 0 is flat water; 0.3 by default", "m", 0.0, 10.0)] | None
     ) = None
-    peak_period_s: Annotated[float, number("period of the spectrum's peak; 3.5 unless said", "s", 1.0, 20.0)] | None = None
+    peak_period_s: Annotated[float, number("period of the spectrum's peak; 3.5 by default", "s", 1.0, 20.0)] | None = None
     peak_enhancement: (
-        Annotated[float, number("JONSWAP's gamma, 3.3 unless said; 1 is a fully grown sea", "1", 1.0, 10.0, "mean JONSWAP")]
-        | None
+        Annotated[float, number("JONSWAP's gamma, 3.3 by default; 1 is a fully grown sea", "1", 1.0, 10.0, "mean JONSWAP")] | None
     ) = None
     runs_to_deg: Direction | None = None
     spreading: Spread | None = None

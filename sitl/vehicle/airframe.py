@@ -271,7 +271,7 @@ def load(path: Path) -> VehicleFile:
         raise BadInput(f"{path}: {explain(VehicleFile, data, str(why))}") from why
 
 
-_UNLESS = "; the vehicle's own unless said"
+_UNLESS = "; the vehicle's own by default"
 
 
 class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):

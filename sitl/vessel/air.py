@@ -123,11 +123,11 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = "gauss_markov"
     gust_sigma_m_s: (
         Annotated[
-            float, number("standard deviation of each horizontal component about the mean, 0.4 unless said", "m/s", 0.0, 8.0)
+            float, number("standard deviation of each horizontal component about the mean, 0.4 by default", "m/s", 0.0, 8.0)
         ]
         | None
     ) = None
-    gust_time_s: Annotated[float, number("correlation time of the gusts, 2 unless said", "s", 0.1, 60.0)] | None = None
+    gust_time_s: Annotated[float, number("correlation time of the gusts, 2 by default", "s", 0.1, 60.0)] | None = None
     profile: Annotated[
         Literal["uniform", "logarithmic"], choice("the mean is the same at all heights, or grows with the height over the water")
     ] = "uniform"

@@ -198,7 +198,7 @@ DEFAULT_HULL = "ferry"
 class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The ship."""
 
-    hull: Annotated[str, text(f"one of {', '.join(HULLS)}; {DEFAULT_HULL} unless said", 40)] | None = None
+    hull: Annotated[str, text(f"one of {', '.join(HULLS)}; {DEFAULT_HULL} by default", 40)] | None = None
     file: Annotated[str, text("a shipped vessel (configs/vessels), or a path relative to the scenario file", 200)] | None = None
     motion: Annotated[
         str,

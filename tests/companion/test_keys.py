@@ -141,7 +141,7 @@ async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys
         assert "armed" in capsys.readouterr().err
         assert autopilot.measured_at == []
     assert await keys("install", "--link", f"udpin://{HOST}:0", "--seconds", "0.5", "--yes", str(path)) == 1
-    assert "no autopilot is heard" in capsys.readouterr().err
+    assert "no autopilot is connected" in capsys.readouterr().err
 
 
 async def test_a_link_of_mavlink_1_gets_no_key_and_gives_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

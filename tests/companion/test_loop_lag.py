@@ -62,8 +62,14 @@ async def test_a_long_hold_is_named_and_counted(caplog: pytest.LogCaptureFixture
 @pytest.mark.parametrize(
     ("flying", "late_s", "away_s", "said", "holds"),
     [
-        (True, 0.0, 20.0, "this computer was suspended for 20.0 s: the drone is told to hold", 1),
-        (True, 3.0, 3.0, "the service stood still (stopped, or without processor time) for 3.0 s: the drone is told to hold", 1),
+        (True, 0.0, 20.0, "this computer was suspended for 20.0 s: the drone is commanded to hold", 1),
+        (
+            True,
+            3.0,
+            3.0,
+            "the service stood still (stopped, or without processor time) for 3.0 s: the drone is commanded to hold",
+            1,
+        ),
         (False, 0.0, 20.0, "this computer was suspended for 20.0 s", 0),
         (True, STOOD_S - 0.1, STOOD_S - 0.1, "was held for 1.90 s", 0),
     ],

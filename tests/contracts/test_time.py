@@ -28,5 +28,5 @@ def test_an_absurd_uncertainty_is_refused(sigma):
 
 def test_a_sample_may_be_early_within_five_sigma_and_no_more():
     assert Stamp(MonoNs(5_000_000), MonoNs(0), 0.001, "synced").delay_s == -0.005
-    with pytest.raises(ValueError, match="heard before"):
+    with pytest.raises(ValueError, match="arrive before"):
         Stamp(MonoNs(5_000_001), MonoNs(0), 0.001, "synced")

@@ -82,6 +82,7 @@ def test_shell_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin/decklander").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m companion.cli.main "$@"\n')
     (tmp_path / "bin/decklander").chmod(0o755)
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
     path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
     done = subprocess.run(
         ["sh", "-e", "-c", snippet.text],

@@ -149,4 +149,4 @@ def _silence(links: Links, endpoint: Endpoint, current: SigningKey | None) -> st
         return f"{endpoint}: what comes is not signed with the key in --current"
     if link.counters.total("messages"):
         return f"{endpoint}: MAVLink, but no autopilot of a copter"
-    return f"{endpoint}: no autopilot is heard" + ("" if current is None else " that signs with the key in --current")
+    return f"{endpoint}: no autopilot is connected" + ("" if current is None else " that signs with the key in --current")

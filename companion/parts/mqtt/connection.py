@@ -49,7 +49,7 @@ _ENDED = {
     0x87: "it does not allow this user (its access list)",
     0x89: "it is busy",
     0x8B: "it shuts down",
-    0x8D: "it heard nothing for the keep-alive interval",
+    0x8D: "it received nothing for the keep-alive interval",
     0x8E: "session taken over: another program connected with the same client id; give each drone a name of its own (mqtt.drone)",
     0x93: "it had too many unanswered messages",
     0x95: "a packet was too large",

@@ -78,7 +78,7 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
             yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
             alert = "" if state.belief.consistent else paint("   inconsistent", _RED)
             lines.append(
-                f"belief   {path}   sigma {beside_cm:.1f} cm beside, {height_cm:.1f} cm height"
+                f"estimate {path}   sigma {beside_cm:.1f} cm beside, {height_cm:.1f} cm height"
                 f"   pad moves {v[0]:+.2f} {v[1]:+.2f} {v[2]:+.2f} m/s   heading {yaw}{alert}"
             )
         lines.append(f"order    {_order(drone)}")
@@ -160,7 +160,7 @@ def _order(drone: DroneModel) -> str:
 def _vehicle(drone: DroneModel, paint: Paint) -> str:
     vehicle = None if drone.state is None else drone.state.vehicle
     if vehicle is None:
-        return "has said nothing yet"
+        return "has sent nothing yet"
     battery = "--" if vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
     if vehicle.battery_fraction is not None and vehicle.battery_fraction < 0.2:
         battery = paint(battery, _RED)

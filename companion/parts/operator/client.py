@@ -205,6 +205,4 @@ def line_of_state(state: FlightState) -> str:
     height = "unknown" if state.height_m is None else f"{state.height_m:.1f} m"
     lateral = "" if state.lateral_m is None else f", pad {state.lateral_m:.1f} m away"
     why = f" ({state.reason})" if state.reason else ""
-    return (
-        f"{state.phase or state.situation}{why}; vehicle {state.mode or 'not heard'}, height {height}{lateral}, battery {battery}"
-    )
+    return f"{state.phase or state.situation}{why}; vehicle {state.mode or 'silent'}, height {height}{lateral}, battery {battery}"

@@ -270,7 +270,7 @@ def _about(snapshot: Snapshot) -> str:
     """Return what was examined, as a sentence."""
     a, sync = snapshot.autopilot, snapshot.sync
     if a is None:
-        received = ", no autopilot is heard" if snapshot.links else ""
+        received = ", no autopilot is connected" if snapshot.links else ""
         return f"Examined: settings and their files, camera{received}."
     firmware = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
     clock = "" if sync is None or sync.round_trip_s is None else f", clock round trip {1e3 * sync.round_trip_s:.0f} ms"

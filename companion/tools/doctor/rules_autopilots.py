@@ -243,7 +243,7 @@ def frame_not_supported(p: Snapshot) -> Finding | None:
         return None
     return error(
         "frame-not-supported",
-        'the autopilot said "Plnd: Frame not supported" (once; it then drops every such target without a word)',
+        'the autopilot reported "Plnd: Frame not supported" (once; it then drops every such target without a word)',
         "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_BODY_FRD (12)",
     )
 
@@ -254,7 +254,7 @@ def init_failed(p: Snapshot) -> Finding | None:
         return None
     return error(
         "target-too-rare",
-        'the autopilot said "PrecLand: Init Failed": targets come too rarely or with gaps',
+        'the autopilot reported "PrecLand: Init Failed": targets come too rarely or with gaps',
         "send at 10 Hz and more: check the link's losses, and why targets are withheld",
     )
 
@@ -265,7 +265,7 @@ def target_lost(p: Snapshot) -> Finding | None:
         return None
     return warning(
         "target-lost",
-        'the autopilot said "PrecLand: Target Lost"',
+        'the autopilot reported "PrecLand: Target Lost"',
         "see why targets stopped: light, a pad smaller than the camera sees near the deck, a full link",
     )
 
@@ -376,7 +376,7 @@ def unsupported_frame(p: Snapshot) -> Finding | None:
         return None
     return error(
         "px4-frame",
-        "PX4 said that a landing target's coordinate frame is unsupported",
+        "PX4 reported that a landing target's coordinate frame is unsupported",
         "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_LOCAL_NED (1)",
     )
 

@@ -17,7 +17,7 @@ _LISTED_MAX = 6
 _REFUSED_MIN, _LATE_MIN = 2, 20
 """Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
 _REASONS = {
-    "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
+    "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in again",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
     "no such file": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
     "no such device": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
@@ -169,7 +169,7 @@ def wrong_system(p: Snapshot) -> Finding | None:
     names = " or ".join(map(str, there))
     return error(
         "wrong-system",
-        f"system {p.wanted_system} is not heard; heard: {_listed(p)}",
+        f"system {p.wanted_system} is silent; found: {_listed(p)}",
         f"give --system {names}, and vehicle.system_id = {names} in the settings; an autopilot's own id is SYSID_THISMAV "
         "(MAV_SYSID since ArduPilot 4.7) or MAV_SYS_ID (PX4)",
     )
@@ -184,8 +184,8 @@ def no_autopilot(p: Snapshot) -> Finding | None:
         fix = "this service lands copters: check the firmware, the vehicle's frame type and the link"
         if any(one.component != 1 for one in others):
             fix = "an autopilot is expected as component 1: set its component id to 1"
-        return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); heard: {_listed(p)}", fix)
-    output = f"heard: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+        return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); found: {_listed(p)}", fix)
+    output = f"found: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
     return error(
         "no-autopilot",
         f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {output}",
@@ -237,7 +237,7 @@ def link_one_way(p: Snapshot) -> Finding | None:
     """Find a link on which we receive the autopilot and it does not receive us."""
     if not unanswered(p) or p.autopilot is None:
         return None
-    what = f"system {p.autopilot.system} is heard, and answers nothing: no parameter, no stream, no TIMESYNC"
+    what = f"system {p.autopilot.system} sends, but answers nothing: no parameter, no stream, no TIMESYNC"
     if _old_link(p) is not None:
         return error(
             "link-one-way",
@@ -247,8 +247,7 @@ def link_one_way(p: Snapshot) -> Finding | None:
     return error(
         "link-one-way",
         what,
-        "check the wire from our TX to its RX, a radio or router that passes one direction only, and a signing key that it has "
-        "and we have not",
+        "check the wire from our TX to its RX, a radio or router that passes one direction only, and a signing key of its own",
     )
 
 
@@ -282,7 +281,7 @@ def stream_silent(p: Snapshot) -> Finding | None:
     if silent:
         return error(
             "stream-silent",
-            f"asked for and not heard: {', '.join(silent)}",
+            f"requested and not received: {', '.join(silent)}",
             "LOCAL_POSITION_NED needs a position estimate (GNSS or flow, EKF healthy); for the rest another program "
             "(a ground station's stream rates, SRn_*) turns streams off: set its rates to 0",
         )
@@ -298,7 +297,7 @@ def stream_slow(p: Snapshot) -> Finding | None:
     if 0.2 <= rate < 30.0:
         return warning(
             "attitude-slow",
-            f"attitude comes at {rate:.0f} Hz, {a.wanted_hz.get('ATTITUDE_QUATERNION', 100.0):.0f} were asked for",
+            f"attitude comes at {rate:.0f} Hz, {a.wanted_hz.get('ATTITUDE_QUATERNION', 100.0):.0f} were requested",
             "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees",
         )
     return None

@@ -42,7 +42,7 @@ class UndoFile(Struct, frozen=True, forbid_unknown_fields=True):
         """Return why the file does not belong to this autopilot; None if it does."""
         if (self.autopilot, self.system) == (autopilot.stack, autopilot.system):
             return None
-        return f"it is of {self.autopilot}, system {self.system}; heard is {autopilot.stack}, system {autopilot.system}"
+        return f"it is of {self.autopilot}, system {self.system}; found is {autopilot.stack}, system {autopilot.system}"
 
 
 def same(a: float, b: float) -> bool:
@@ -123,7 +123,7 @@ async def write_parameters(
 def why_not_written(autopilot: Autopilot) -> str | None:
     """Return why no parameter may be written at this moment; None if one may."""
     if not autopilot.connected:
-        return "the autopilot is not heard any more"
+        return "the autopilot is silent"
     armed = autopilot.condition.armed
     if armed is None:
         return "the autopilot does not say whether it is armed"

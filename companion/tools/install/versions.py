@@ -143,10 +143,16 @@ def _only(folder: Path) -> Path:
 
 
 def _pip(words: list[str], what: str) -> None:
-    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory(prefix="decklander-pip-") as folder:
+        python = sys.executable
+        if find_spec("pip") is None:  # an installed version carries none
+            if subprocess.run([python, "-m", "venv", folder], capture_output=True, check=False).returncode != 0:
+                raise Recoverable(f"{what}: there is no pip; on Debian: apt install python3-venv")
+            python = f"{folder}/bin/python"
+        command = [python, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        output = done.stderr.strip().splitlines() or ["pip said nothing"]
+        output = done.stderr.strip().splitlines() or ["pip printed nothing"]
         raise Recoverable(f"{what}: {output[-1]}")
 
 
@@ -192,7 +198,7 @@ def check_python(machine: Machine, python: str) -> None:
     done = machine.ask([python, "-c", _PROBE])
     words = done.stdout.split()
     if len(words) < 3:
-        raise SetupImpossible(f"{python}: no Python here ({(done.stderr.strip() or 'it said nothing').splitlines()[-1]})")
+        raise SetupImpossible(f"{python}: no Python here ({(done.stderr.strip() or 'it printed nothing').splitlines()[-1]})")
     major, minor, bits = map(int, words[:3])
     if bits != 64:
         raise SetupImpossible(
@@ -311,4 +317,4 @@ def sweep(machine: Machine) -> None:
 
 def _last(text: str) -> str:
     lines = text.strip().splitlines()
-    return lines[-1] if lines else "it said nothing"
+    return lines[-1] if lines else "it printed nothing"

@@ -259,7 +259,7 @@ def commands(log: FlightLog) -> Section:
         Plot("turn", "degrees/s", [Layer("turn", THREE[2], "step", t, rows[:, 3])], zero=True, least=5.0),
     ]
     plots = [plot for plot in plots if not plot.empty]
-    return Section("Commands", "What guidance asked of the vehicle." if plots else "No commands were recorded.", plots)
+    return Section("Commands", "What guidance commanded." if plots else "No commands were recorded.", plots)
 
 
 def delays(log: FlightLog) -> Section:

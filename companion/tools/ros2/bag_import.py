@@ -165,9 +165,7 @@ class _Import:
     def range(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield the distance below."""
         if not any(word in f"{topic} {m.header.frame_id}".lower() for word in _DOWN):
-            self._left_out[
-                f"of {topic} are ranges of which nothing says that they look down (in the names of topic or frame)"
-            ] += 1
+            self._left_out[f"of {topic} are ranges, and nothing shows that they look down (in the names of topic or frame)"] += 1
         elif m.min_range <= m.range <= m.max_range:
             yield Range(stamp, float(m.range), math.sqrt(v) if (v := getattr(m, "variance", 0.0)) > 0.0 else 0.02)
 

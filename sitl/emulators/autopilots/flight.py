@@ -307,7 +307,7 @@ class AutopilotFlight:
             await asyncio.sleep(1.0)
             if time.monotonic() - self._stepped_at > _SILENT_S:
                 raise Recoverable(
-                    f"the autopilot program asked for no step in {_SILENT_S:.0f} s; it said last: {program.last_line}"
+                    f"the autopilot program requested no step in {_SILENT_S:.0f} s; its last line: {program.last_line}"
                 )
 
     def _make(self, step_s: float, curve: float) -> Body:

@@ -304,7 +304,7 @@ class _Watcher:
                 met = self._side.autopilot is not None and self._side.autopilot.identity is not None
                 limit_s = _PLACE_S if met else _MEET_S
                 if self._deck is None and seconds_between(began, turn) > limit_s:
-                    return f"{'it did not tell where it is' if met else 'no autopilot was heard'} within {limit_s:.0f} s"
+                    return f"{'it reported no position' if met else 'no autopilot was found'} within {limit_s:.0f} s"
             elif self._ready_for(pose):
                 assert self._deck is not None
                 self._newest = pose

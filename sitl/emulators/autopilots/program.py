@@ -41,7 +41,7 @@ class Program:
             Recoverable: always, with the last line that the program printed.
         """
         code = await self._process.wait()
-        raise Recoverable(f"the autopilot program ended with code {code}; it said last: {self.last_line} (see {GUIDE})")
+        raise Recoverable(f"the autopilot program ended with code {code}; its last line: {self.last_line} (see {GUIDE})")
 
 
 def executable(path: str | None, name: str) -> Path:

@@ -170,7 +170,7 @@ class GroundStation:
         return out + self._handlers[self.task](self, now, view)
 
     def _meet(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.meet_s, now, "no heartbeat of the autopilot was heard")
+        self._give_up_after(self._timeouts.meet_s, now, "no heartbeat of the autopilot arrived")
         return []
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
@@ -261,7 +261,7 @@ class GroundStation:
     @property
     def _last_status_text(self) -> str:
         output = [text for _, component, text in self.texts if component == _AUTOPILOT]
-        return output[-1] if output else "it said nothing"
+        return output[-1] if output else "it printed nothing"
 
     def _next(self, task: Task, now: MonoNs) -> None:
         self.task, self._since = task, now

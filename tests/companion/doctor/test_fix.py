@@ -176,7 +176,7 @@ def test_an_undo_file_of_another_vehicle_is_refused(tmp_path: Path, capsys: pyte
     kept.write_text('{"autopilot": "PX4", "system": 1, "written": [{"parameter": "COM_OF_LOSS_T", "was": 10, "to": 1}]}')
     with (
         on_link(quiet("ArduPilot")) as url,
-        pytest.raises(BadInput, match="it is of PX4, system 1; heard is ArduPilot, system 1"),
+        pytest.raises(BadInput, match="it is of PX4, system 1; found is ArduPilot, system 1"),
     ):
         run(capsys, "--link", url, "--undo", str(kept), "--yes")
     kept.write_text("{}")

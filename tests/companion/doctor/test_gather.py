@@ -105,7 +105,7 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
 async def test_the_systems_that_are_received_when_the_wished_one_is_not() -> None:
     snapshot = await examined(MiniatureAutopilot(Stack.PX4, 3, "auto.loiter"), system=5)
     (found,) = diagnose(snapshot)
-    assert found.what == "system 5 is not heard; heard: system 3 (PX4 quadrotor)"
+    assert found.what == "system 5 is silent; found: system 3 (PX4 quadrotor)"
     assert found.fix.startswith("give --system 3, and vehicle.system_id = 3 in the settings")
 
 
@@ -113,7 +113,7 @@ async def test_an_autopilot_that_does_not_hear_us_is_one_finding_and_not_four() 
     deaf = MiniatureAutopilot(deaf=True)
     (found,) = diagnose(await examined(deaf, 0.5))
     assert found.rule == "link-one-way"
-    assert found.what.startswith("system 7 is heard, and answers nothing")
+    assert found.what.startswith("system 7 sends, but answers nothing")
 
 
 async def test_nobody_there() -> None:

@@ -197,7 +197,7 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
     px = cv2.imdecode(np.frombuffer(base64.b64decode(image["data"]), np.uint8), cv2.IMREAD_COLOR)
     assert px.shape == (360, 640, 3)
     times = [at for at, _ in client.messages["/camera/image"]]
-    assert min(np.diff(times)) >= 0.9e9 / 15.0, "no more pictures than were asked for"
+    assert min(np.diff(times)) >= 0.9e9 / 15.0, "no more pictures than were requested"
 
 
 async def test_a_late_viewer_gets_the_latched_topics_and_a_video_from_a_key_frame() -> None:

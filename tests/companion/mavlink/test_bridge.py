@@ -52,7 +52,7 @@ class Station:
 
     def _take(self, order: OperatorOrder) -> str | None:
         if self.broken:
-            return "the vehicle is not heard"
+            return "the vehicle is silent"
         self.orders.append(order)
         return None
 

@@ -77,7 +77,7 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
                 lines.append(drained(reading))
                 return words in "".join(lines)
 
-            await until(lambda: heard("the drone is told to hold"))
+            await until(lambda: heard("the drone is commanded to hold"))
             await until(lambda: heard("standstill: hold: accepted"))
             for words in ("the terminal hung up (SIGHUP)", "Ctrl-Z (SIGTSTP) is not followed"):
                 assert heard(words), "".join(lines)

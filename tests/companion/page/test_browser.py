@@ -235,15 +235,80 @@ async def test_a_flight_s_report_opens_from_the_page_and_reaches_nothing_of_it(t
         assert faults == one.faults == []
 
 
+async def violations(one: Window) -> list[str]:
+    """Return the rules of axe-core that the page breaks in its present state, each with the elements, in both colour schemes."""
+    axe = pytest.importorskip("axe_playwright_python", reason="axe-core is not installed (requirements/dev.txt)")
+    found = []
+    for scheme in ("light", "dark"):
+        await one.page.emulate_media(color_scheme=scheme)
+        await one.page.evaluate("typeof axe === 'object' || " + Path(axe.__file__).with_name("axe.min.js").read_text())
+        result = await one.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        found += [f"{scheme}: {v['id']}: {[n['target'] for n in v['nodes']]}" for v in result["violations"]]
+    return found
+
+
 @pytest.mark.timeout(500)
-async def test_the_keyboard_reaches_and_gives_every_order(tmp_path: Path) -> None:
+async def test_axe_finds_nothing_in_any_state_of_the_page(tmp_path: Path) -> None:
+    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, token="") as one:
+        found = {"login": await violations(one)}
+        await one.page.fill("#token", TOKEN)
+        await one.page.keyboard.press("Enter")
+        await one.shows("link", "live")
+        await service.lands()
+        found["waiting"] = await violations(one)
+        await one.page.emulate_media(color_scheme="light")
+        for _ in range(200):
+            service.health.delay("guidance_late", 0.05)
+        slow = one.page.locator('#causes [data-level="fault"]', has_text="this computer is too slow: guidance is 50 ms late")
+        await playwright.expect(slow).to_have_css("color", "rgb(179, 22, 27)")  # --fault of the light scheme
+        service.flying = True
+        await until(lambda: service.pilot.vehicle is not None and service.pilot.vehicle.flying is True)
+        assert "accepted" in await one.press("begin")
+        found["landing"] = await violations(one)
+        await one.page.set_viewport_size(PHONE)
+        assert "refused: the vehicle flies already" in await one.press("takeoff")
+        found["refused"] = await violations(one)
+        await one.press("hold")
+        await one.page.click("#by-hand")
+        await one.shows("by-hand", "Give the hand back")
+        found["by hand"] = await violations(one)
+        assert {state: broken for state, broken in found.items() if broken} == {}
+
+
+FOCUS = """(() => { const e = document.activeElement, s = getComputedStyle(e);
+  return [e.dataset.order || e.id || e.className, e.matches(':focus-visible') && s.outlineStyle !== 'none']; })()"""
+
+
+@pytest.mark.timeout(500)
+async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
         await one.shows("link", "live")
+
+        async def tab_to(name: str) -> list[str]:
+            """Press Tab until an element has the focus, which must be seen, and return those before it."""
+            passed: list[str] = []
+            while True:
+                await one.page.keyboard.press("Tab")
+                at, seen = await one.page.evaluate(FOCUS)
+                assert seen, f"{at} shows no focus"
+                if at == name:
+                    return passed
+                passed.append(at)
+                assert len(passed) < 40, passed
+
+        await tab_to("by-hand")
+        await one.page.keyboard.press("Enter")
+        await one.shows("answer", "Fly by hand: accepted")
+        orders = [name for name in await tab_to("emergency") if name in ("takeoff", "begin", "hold", "land", "abort", "clear")]
+        assert orders == ["takeoff", "begin", "hold", "land", "abort", "clear"]
+        await one.page.keyboard.press("Shift+Tab")
+        await one.page.keyboard.press("Enter")
+        await one.shows("answer", "Call the pad clear: (accepted|refused)")
         await one.page.focus('[data-order="hold"]')
         await one.page.keyboard.press("Enter")
         await one.shows("answer", "Hold: accepted")
         await until(lambda: isinstance(service.command, Hover))
-        await one.page.focus("#emergency")
+        await tab_to("emergency")
         for presses in range(10):
             assert "emergency" not in [order.order.value for order in service.orders], presses
             await one.page.keyboard.press("ArrowRight")

@@ -223,7 +223,7 @@ def test_a_name_that_was_allowed_for_one_kind_of_camera_is_not_for_another(tmp_p
 def test_an_address_that_was_changed_gets_no_secret_of_another() -> None:
     assert "hunter2" not in masked(RIG)
     assert "s3cret" not in masked(RIG)
-    with pytest.raises(BadInput, match="anew"):
+    with pytest.raises(BadInput, match="again in place"):
         unmasked(masked(RIG).replace("10.0.0.8", "evil.example"), RIG)
 
 

@@ -177,7 +177,7 @@ def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
     [
         ([], 61.0, "no heartbeat"),
         ([beat("guided", False), spoken(mav.MAVLink_statustext_message(2, b"PreArm: Compass"))], 91.0, "arm: PreArm: Compass"),
-        ([beat("guided", False)], 91.0, "it said nothing"),
+        ([beat("guided", False)], 91.0, "it printed nothing"),
         ([beat("guided", False), beat("guided", True)], 31.0, "did not take off"),
     ],
 )

@@ -29,7 +29,7 @@ export class Calibration {
     const sent = this.#link.send({
       kind: "calibration", action, board: $("board-kind").value, columns: number("board-columns"), rows: number("board-rows"), square_mm: number("board-square"),
     });
-    if (!sent) $("calibration-note").textContent = "not asked, the connection is lost";
+    if (!sent) $("calibration-note").textContent = "not sent, the connection is lost";
   }
 
   #show({ active, text, images, views, board_seen, cells, lacks, rms_px, grade, file }) {

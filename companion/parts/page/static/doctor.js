@@ -17,7 +17,7 @@ export class Doctor {
   }
 
   #ask() {
-    if (!this.#link.send({ kind: "examine" })) $("examined").textContent = "not asked, the connection is lost";
+    if (!this.#link.send({ kind: "examine" })) $("examined").textContent = "not sent, the connection is lost";
   }
 
   #show({ text, busy, findings }) {

@@ -15,7 +15,7 @@ export class RecordingsList {
   }
 
   #ask(request) {
-    $("recordings-note").textContent = this.#link.send(request) ? "" : "not asked, the connection is lost";
+    $("recordings-note").textContent = this.#link.send(request) ? "" : "not sent, the connection is lost";
   }
 
   #show(files, fault) {

@@ -38,7 +38,7 @@ export class SettingsEditor {
   #load() {
     const edited = this.#shown !== null && $("settings-text").value !== this.#shown.text;
     if (edited && !confirm("Drop what you have changed here and load the settings again?")) return;
-    if (!this.#link.send({ kind: "settings" })) this.#tell("fault", "not asked, the connection is lost");
+    if (!this.#link.send({ kind: "settings" })) this.#tell("fault", "not sent, the connection is lost");
   }
 
   #show(message) {

@@ -1,0 +1,55 @@
+"""Print how large an installed environment is, and its largest packages: `python -m supply.size /opt/decklander/current`.
+
+`--make FOLDER` first makes the environment of the pins there and takes out of it what the service does not use, as
+`decklander service install` does.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SHOWN = 12
+
+
+def size_mb(path: Path) -> float:
+    """Return the size of a file, or of all files below a folder, in MB of 10^6 bytes; links count nothing."""
+    files = [path] if path.is_file() else path.rglob("*")
+    return sum(file.lstat().st_size for file in files if file.is_file() and not file.is_symlink()) / 1e6
+
+
+def make(folder: Path) -> None:
+    """Make an environment of the pinned dependencies and this checkout, without what the service does not use.
+
+    Raises:
+        subprocess.CalledProcessError: a package cannot be had or built.
+    """
+    pip = [str(folder / "bin/python"), "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-cache-dir"]
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    for pins in ("build", "runtime"):
+        subprocess.run([*pip, "--require-hashes", "-r", str(ROOT / f"requirements/{pins}.txt")], check=True)
+    subprocess.run([*pip, "--no-deps", "--no-build-isolation", str(ROOT)], check=True)
+    build = (line.partition("==")[0] for line in (ROOT / "requirements/build.txt").read_text().splitlines() if "==" in line)
+    runtime = (ROOT / "requirements/runtime.txt").read_text()
+    only_build = [name for name in build if f"\n{name}==" not in f"\n{runtime}"]
+    subprocess.run([*pip[:-2], "uninstall", "--yes", *only_build], check=True)
+    subprocess.run(["sh", str(ROOT / "requirements/slim.sh"), str(folder)], check=True)
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m supply.size", description="Print how large an installation is.")
+    parser.add_argument("folder", type=Path, help="environment")
+    parser.add_argument("--make", action="store_true", help="make it first")
+    args = parser.parse_args()
+    if args.make:
+        make(args.folder)
+    packages = {path.name: size_mb(path) for path in args.folder.glob("lib/python3*/site-packages/*")}
+    print(f"{'whole':<32}{size_mb(args.folder):6.0f} MB")
+    for name, mb in sorted(packages.items(), key=lambda item: -item[1])[:SHOWN]:
+        print(f"{name:<32}{mb:6.0f}")
+
+
+if __name__ == "__main__":
+    main()

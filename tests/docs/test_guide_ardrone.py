@@ -1,0 +1,81 @@
+"""The guide for an AR.Drone, flown as it stands: its settings and its commands in their order, on the simulated drone's sockets."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.processes import started
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
+CLI = (sys.executable, "-m", "companion.cli.main")
+LANDS_S, ANSWERS_S = 90.0, 60.0
+"""Limits for a busy machine."""
+
+
+def commands() -> list[str]:
+    """Return every command that the guide prints on a line of its own, without its comment."""
+    return [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
+
+
+@pytest.mark.timeout(300)
+def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path: Path) -> None:
+    block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
+    assert block is not None
+    (tmp_path / "sea.toml").write_text('title = "guide"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n')
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+    def cli(*words: str) -> subprocess.CompletedProcess[str]:
+        named = ("--config", "rig.toml") if words[0] == "fly" else ()  # other services may run on this computer
+        return subprocess.run(
+            [*CLI, *words, *named], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=ANSWERS_S, check=False
+        )
+
+    def wait_until_flying(flying: bool) -> None:
+        ends = time.monotonic() + LANDS_S
+        while time.monotonic() < ends:
+            answer = cli("fly", "status", "--json")
+            if answer.returncode == 0 and json.loads(answer.stdout)["flying"] is flying:
+                return
+            time.sleep(1.0)
+        raise AssertionError(
+            f"never {'flying' if flying else 'on the ground'}: {answer.stdout}{answer.stderr}{(tmp_path / 'log').read_text()}"
+        )
+
+    drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]
+    drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
+    with started(drone, stdin=subprocess.PIPE, lasting_s=280) as emulator:
+        assert emulator.stdout is not None
+        ports = json.loads(emulator.stdout.readline())["ports"]
+        with socket.create_server(("127.0.0.1", 0)) as free_port:
+            free = free_port.getsockname()[1]
+        text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
+        text = text.replace("192.168.1.1", "127.0.0.1").replace("[page]\n", f"[page]\nport = {free}\n")
+        text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
+        (tmp_path / "rig.toml").write_text(text)
+        todo = commands()
+        for wanted in ("decklander keys token page.token", "decklander run --config rig.toml --check"):
+            assert todo.pop(0) == wanted
+            done = cli(*wanted.split()[1:])
+            assert done.returncode == 0, done.stderr
+        assert todo.pop(0) == "decklander run --config rig.toml"
+        with (
+            (tmp_path / "log").open("w") as log,
+            started([*CLI, "run", "--config", "rig.toml"], cwd=tmp_path, env=environment, stdout=log, stderr=log, lasting_s=280),
+        ):
+            wait_until_flying(True)  # the simulated drone begins in the air
+            assert [line.split()[2] if len(line.split()) > 2 else "keys" for line in todo] == ["takeoff", "keys", "begin", "land"]
+            takeoff, _, begin, land = ([*line.split()[1:]] for line in todo)
+            assert cli(*begin).returncode == 0
+            wait_until_flying(False)
+            for order in (takeoff, land):
+                done = cli(*order)
+                assert done.returncode == 0, done.stdout + done.stderr
+            wait_until_flying(False)
