@@ -1,4 +1,4 @@
-"""No pad where there is none: a seeded thousand frames, and photographs of sea and other things."""
+"""No pad where there is none: the hardest of a seeded thousand frames, and photographs of sea and other things."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,23 @@ from tests.support.hard_light import HARD
 from tests.support.pad_scenes import DATA, load_camera
 
 
+SUREST = {
+    41000: (1, 61, 85, 88), 41001: (2, 5, 14, 25, 65, 84), 41002: (9, 32, 36, 60, 65, 83, 86, 93), 41003: (0, 15, 60, 64),
+    41005: (12, 20, 85, 94), 41006: (31, 88, 99), 41007: (1, 6, 40, 60), 41008: (46, 66, 70, 94), 41009: (9, 12, 52, 53, 96),
+}  # fmt: skip
+"""The frames of nine hundred others in which the search is surest of something: 0.0008 to 0.02."""
+
+
 @pytest.mark.hazard("H2")
-@pytest.mark.parametrize("chunk", [*range(41000, 41010)])
-def test_no_rendered_frame_without_a_pad_shows_one(chunk: int) -> None:
+def test_no_rendered_frame_without_a_pad_shows_one() -> None:
     """Chunk 41004 has a green disc with the pad's ring, and glare where the H would be."""
-    scores = np.array(best_scores(chunk)[0])
+    scores = np.array(best_scores(41004)[0])
     assert len(scores) == 100
     assert scores.max() < 0.5, f"frame {scores.argmax()}"
+    for chunk, frames in SUREST.items():
+        for i in frames:
+            scene = scene_of(chunk, i)
+            assert sure_of(scene.px, load_camera("sim"), HARD["plain"].pad, scene.R_level_body) < 0.5, f"chunk {chunk}, {i}"
 
 
 def test_no_green_disc_with_a_ring_in_glare_is_the_pad() -> None:
