@@ -68,7 +68,7 @@ _REASON_STANDS_S = 2.0
 _LEAN_SETTLES_S = 10.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 _SPENT_WAIT_S = 8.0
-"""Time for which it waits where the lean takes all of the tilt, s: such a gust may pass, and the drone is blown off meanwhile."""
+"""Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -148,6 +148,14 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
         return None
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
+
+
+def _bars_descent(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return the wind that bars the way down to the gate: one that takes the whole tilt. The room for gusts is the gate's matter.
+
+    The wind grows with the height, and a drone that can hold over the pad finds less of it below.
+    """
+    return _windy(p, s) if s.wind is not None and s.wind.spent else None
 
 
 def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
@@ -275,7 +283,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     if s.wind is not None and (windy := _windy(p, s)) is not None:
-        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if s.wind.spent else o.limits.wind_wait_s
+        blown_off = s.wind.spent and not p.in_sight
+        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if blown_off else o.limits.wind_wait_s
         if _windy_s(p, s) > wait_s:
             yield Event.NO_CONDITIONS, windy
     outrun_m = s.knowledge.outrun_m
@@ -322,7 +331,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 return p.turned
             if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
-            if p.state in (State.DESCEND, State.GATE) and (bars := _windy(p, s) or s.thing) is not None:
+            wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s)
+            if p.state in (State.DESCEND, State.GATE) and (bars := wind or s.thing) is not None:
                 return bars
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
@@ -453,7 +463,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return
     height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
-    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_windy(p, s) or s.thing) is None:
+    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_bars_descent(p, s) or s.thing) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):

@@ -154,20 +154,22 @@ STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
 
 
 @pytest.mark.parametrize(
-    ("windy_s", "spent", "up", "refuses"),
-    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, False), (8.01, True, True, True),
-     (20.0, False, True, False),
-     (20.01, False, True, True)],
+    ("windy_s", "spent", "in_sight", "up", "refuses"),
+    [(1.99, True, True, False, False), (2.0, False, True, True, False), (2.0, True, True, True, False),
+     (8.01, True, True, True, False), (8.01, True, False, True, True), (8.01, False, False, True, False),
+     (20.0, True, True, True, False), (20.01, True, True, True, True), (20.01, False, True, True, True)],
 )  # fmt: skip
-def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, up: bool, refuses: bool) -> None:
-    """WHY: one gust must not end a flight, and a wind that leaves no tilt must."""
-    p = memory(State.DESCEND, windy_since=ns(NOW - windy_s))
+def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, in_sight: bool, up: bool, refuses: bool) -> None:
+    """WHY: one gust must not end a flight, and a wind that leaves no tilt must, the sooner where it blows the drone off."""
+    p = memory(State.GATE, windy_since=ns(NOW - windy_s), in_sight=in_sight)
     s = cycle(seen(), wind=STRONG._replace(spent=spent))
     expected = (ReasonCause.WIND, 9.0, 8.0)
     assert figures(of(Event.LIMIT, p, s)) == (expected if up else None)
     assert figures(of(Event.NO_CONDITIONS, p, s)) == (expected if refuses else None)
-    over = cycle(seen((0.0, 0.0, 2.0)), wind=STRONG)
-    assert (of(Event.IN_CONE, replace(p, state=State.INTERCEPT), over) is None) is up, "it waits over the pad"
+    over = cycle(seen((0.0, 0.0, 2.0)), wind=STRONG._replace(spent=spent))
+    bars = up and spent
+    assert (of(Event.IN_CONE, replace(p, state=State.INTERCEPT), over) is None) is bars, "it waits over the pad"
+    assert (of(Event.LIMIT, replace(p, state=State.DESCEND), over) is not None) is bars, "there is less of it at the gate"
     assert of(Event.NO_CONDITIONS, p, cycle(seen())) is None
 
 
