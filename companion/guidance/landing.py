@@ -379,7 +379,7 @@ class LandingGuidance:
             self._forecast = forecast(now, HORIZONS_S)
         return replace(
             seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=climb_m_s, climb=self._climb, at_contact=self._at_contact(seen),
+            climb_max_m_s=climb_m_s, climb=self._climb, unfelt=self._unfelt_since is not None, at_contact=self._at_contact(seen),
         )  # fmt: skip
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:

@@ -241,7 +241,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M)
+    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M or _own_thrust(felt, s))
     may_stay = p.state in _MAY_STAY and not climbs
     if may_stay and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
@@ -270,6 +270,14 @@ def _at_the_deck(felt: Impact, s: GuidanceCycle, o: GuidanceOptions) -> bool:
         return True
     low = s.estimate is None or s.estimate.height_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
     return low and seconds_between(felt.at, s.at) <= HELD_S
+
+
+def _own_thrust(felt: Impact | None, s: GuidanceCycle) -> bool:
+    """Return whether a push in a go-around is no more than what its own climb needs to begin, beyond the least of a contact."""
+    climb, fastest = s.knowledge.climb, s.knowledge.climb_max_m_s
+    if felt is None or felt.by != "accelerometer" or climb is None or fastest is None:
+        return False
+    return felt.size_m_s2 <= contact.LEAST_M_S2 + fastest / climb.lag_s
 
 
 def _of_contact(felt: Impact) -> Reason:

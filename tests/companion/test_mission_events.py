@@ -18,6 +18,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.watch import account, events, fit_in
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
+from companion.settings.response import ClimbResponse
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from tests.companion.mission_flights import estimate, guided, ns
 
@@ -399,6 +400,18 @@ def test_a_contact_after_the_order_to_go_around_ends_in_the_press_where_it_is_on
     s = cycle(seen((off_m, 0.0, height_m), v=(speed_m_s, 0.0, 0.0)), impact=struck("accelerometer", ago_s))
     found = figures(of(Event.CONTACT, memory(State.GO_AROUND, bounces=bounces), s))
     assert found == ((ReasonCause.FELT, 4.0, None) if pressed else None)
+
+
+@pytest.mark.parametrize(
+    ("size_m_s2", "lag_s", "pressed"), [(4.0, 0.43, False), (5.2, 0.43, False), (5.4, 0.43, True), (4.2, 1.0, True)]
+)
+def test_the_thrust_with_which_a_go_around_begins_is_no_contact(size_m_s2: float, lag_s: float, pressed: bool) -> None:
+    """WHY: over a ship that stopped, a drone 5 mm over the deck took its own climb for it, pressed on, and slid off the pad."""
+    impact = Impact(ns(NOW - 0.1), "accelerometer", size_m_s2)
+    known = Knowledge(ns(NOW), seen((0.0, 0.0, 0.08)), impact=impact, climb=ClimbResponse(0.06, lag_s), climb_max_m_s=1.0)
+    assert (of(Event.CONTACT, memory(State.GO_AROUND), GuidanceCycle(ns(NOW), known)) is not None) is pressed
+    down = of(Event.CONTACT, memory(State.COMMIT), GuidanceCycle(ns(NOW), known))
+    assert down is not None, "on the way down nothing else pushes"
 
 
 def test_after_the_second_bounce_it_stays_down() -> None:
