@@ -150,12 +150,14 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
 
 
-def _bars_descent(p: Progress, s: GuidanceCycle) -> Reason | None:
-    """Return the wind that bars the way down to the gate: one that takes the whole tilt. The room for gusts is the gate's matter.
+def _bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return the wind that bars the way down to the gate: near the deck one that takes the whole tilt, higher up none.
 
-    The wind grows with the height, and a drone that can hold over the pad finds less of it below.
+    The wind grows with the height. A drone that holds in the cone finds less of it below, and one that does not leaves the cone.
+    The room for gusts is the gate's matter.
     """
-    return _windy(p, s) if s.wind is not None and s.wind.spent else None
+    low = p.seen_height_m < o.tries.safe_height_m
+    return _windy(p, s) if low and s.wind is not None and s.wind.spent else None
 
 
 def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
@@ -291,9 +293,9 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     if s.wind is not None and (windy := _windy(p, s)) is not None:
-        blown_off = s.wind.spent and not p.in_sight
-        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if blown_off else o.limits.wind_wait_s
-        if _windy_s(p, s) > wait_s:
+        waited_s = _windy_s(p, s)
+        blind_s = 0.0 if p.in_sight else waited_s if p.seen is None else min(waited_s, seconds_between(p.seen, s.at))
+        if waited_s > o.limits.wind_wait_s or (s.wind.spent and blind_s > _SPENT_WAIT_S):
             yield Event.NO_CONDITIONS, windy
     outrun_m = s.knowledge.outrun_m
     if p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
@@ -339,7 +341,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 return p.turned
             if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
-            wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s)
+            wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s, o)
             if p.state in (State.DESCEND, State.GATE) and (bars := wind or s.thing) is not None:
                 return bars
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
@@ -471,7 +473,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return
     height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
-    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_bars_descent(p, s) or s.thing) is None:
+    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_bars_descent(p, s, o) or s.thing) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):

@@ -155,23 +155,32 @@ STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
 
 
 @pytest.mark.parametrize(
-    ("windy_s", "spent", "in_sight", "up", "refuses"),
-    [(1.99, True, True, False, False), (2.0, False, True, True, False), (2.0, True, True, True, False),
-     (8.01, True, True, True, False), (8.01, True, False, True, True), (8.01, False, False, True, False),
-     (20.0, True, True, True, False), (20.01, True, True, True, True), (20.01, False, True, True, True)],
+    ("windy_s", "spent", "blind_s", "up", "refuses"),
+    [(1.99, True, 0.0, False, False), (2.0, False, 0.0, True, False), (2.0, True, 0.0, True, False),
+     (8.01, True, 0.0, True, False), (12.0, True, 8.0, True, False), (12.0, True, 8.01, True, True),
+     (12.0, False, 8.01, True, False), (8.0, True, math.inf, True, False), (8.01, True, math.inf, True, True),
+     (20.0, True, 0.0, True, False), (20.01, True, 0.0, True, True), (20.01, False, 0.0, True, True)],
 )  # fmt: skip
-def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, in_sight: bool, up: bool, refuses: bool) -> None:
-    """WHY: one gust must not end a flight, and a wind that leaves no tilt must, the sooner where it blows the drone off."""
-    p = memory(State.GATE, windy_since=ns(NOW - windy_s), in_sight=in_sight)
+def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, blind_s: float, up: bool, refuses: bool) -> None:
+    """WHY: one gust must not end a flight, and a wind that leaves no tilt must, the sooner where it has blown the drone off."""
+    last = None if blind_s == math.inf else ns(NOW - blind_s)
+    p = memory(State.GATE, windy_since=ns(NOW - windy_s), in_sight=blind_s == 0.0, seen=last)
     s = cycle(seen(), wind=STRONG._replace(spent=spent))
     expected = (ReasonCause.WIND, 9.0, 8.0)
     assert figures(of(Event.LIMIT, p, s)) == (expected if up else None)
     assert figures(of(Event.NO_CONDITIONS, p, s)) == (expected if refuses else None)
-    over = cycle(seen((0.0, 0.0, 2.0)), wind=STRONG._replace(spent=spent))
-    bars = up and spent
-    assert (of(Event.IN_CONE, replace(p, state=State.INTERCEPT), over) is None) is bars, "it waits over the pad"
-    assert (of(Event.LIMIT, replace(p, state=State.DESCEND), over) is not None) is bars, "there is less of it at the gate"
     assert of(Event.NO_CONDITIONS, p, cycle(seen())) is None
+
+
+@pytest.mark.parametrize(("spent", "height_m", "bars"), [(True, 1.99, True), (True, 2.01, False), (False, 1.0, False)])
+def test_wind_bars_the_way_down_only_near_the_deck_and_where_it_takes_the_whole_tilt(
+    spent: bool, height_m: float, bars: bool
+) -> None:
+    """WHY: at 7 m it took 27 degrees of tilt and at the gate 13, and a drone that held over the pad was refused up there."""
+    p = memory(State.INTERCEPT, windy_since=ns(NOW - 10.0), seen_height_m=height_m)
+    s = cycle(seen((0.0, 0.0, height_m)), wind=STRONG._replace(spent=spent))
+    assert (of(Event.IN_CONE, p, s) is None) is bars, "it waits over the pad"
+    assert (of(Event.LIMIT, replace(p, state=State.DESCEND), s) is not None) is bars
 
 
 @pytest.mark.parametrize(
