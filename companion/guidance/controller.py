@@ -80,7 +80,7 @@ class Knowledge(Struct, frozen=True):
     climb_max_m_s: float | None = None
     """The fastest climb that the controller requests; None if it does not say."""
     climb: ClimbResponse | None = None
-    """How the vehicle's climb answers, by its file; None where nobody says."""
+    """Response of the vehicle's climb, by its file; None where nobody says."""
     unfelt: bool = False
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S

@@ -139,7 +139,7 @@ _AXIS = st.floats(-3.5, 3.5)
 def test_a_velocity_after_a_hover_begins_with_the_tilt_that_held_against_the_wind(
     forward: float, right: float, moves_m_s: float, for_s: float, seed: int
 ) -> None:
-    """From nothing, an integral needs seconds for a wind that takes most of the tilt, and the drone is metres to lee by then."""
+    """An integral that begins with nothing takes seconds, and the drone is metres to lee by then."""
     against, dt, noise = np.array([forward, right]), 0.03, np.random.default_rng(seed)
     state, before = RESET, np.array([moves_m_s, 0.0])
     for k in range(round(for_s / dt)):
