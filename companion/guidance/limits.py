@@ -41,6 +41,8 @@ _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
+LEANS_MORE_M_S2 = 2.5
+"""Further lean that a gust may call for before the descent has ended, m/s^2: 17 degrees became 25."""
 _CLIMB_LEAST = 0.2
 """Least part of the climb that counts against a deck that rises."""
 ON_PAD = 1.4
@@ -166,7 +168,7 @@ def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> 
     rises_m_s = 0.0 if knowledge.deck is None else max(0.0, -knowledge.deck.v_level.item(2))
     up_m_s = max(_CLIMB_LEAST * climb.max_m_s, climb.max_m_s - rises_m_s)
     way_m = delay_s * down_m_s + climb.lag_s * (down_m_s - up_m_s * math.log1p(down_m_s / up_m_s))
-    return cone.feet_below_m + lower_foot_m(knowledge, cone) + way_m
+    return cone.feet_below_m * (1.0 + LEANS_MORE_M_S2 / G_M_S2) + lower_foot_m(knowledge, cone) + way_m
 
 
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
