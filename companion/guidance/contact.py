@@ -13,10 +13,10 @@ import math
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.guidance import limits
 from companion.guidance.controller import Impact
 from companion.guidance.situation import GuidanceCycle
 from companion.settings.mission import ConeOptions
-from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -137,7 +137,7 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
     if feet is not None and estimate is not None:
         if feet <= _BENEATH_M:
             count += 1.0
-        elif feet <= _REACHED_M + _lower_foot_m(s, cone):
+        elif feet <= _REACHED_M + limits.lower_foot_m(s.knowledge, cone):
             count += 0.5
         elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= _FRESH_S:
             count -= 0.5
@@ -148,12 +148,6 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
         over_m = s.range_m - cone.feet_below_m
         count += 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
     return count
-
-
-def _lower_foot_m(s: GuidanceCycle, cone: ConeOptions) -> float:
-    """Return how much lower than a level vehicle's the lowest foot is: its distance aside is about that below the origin, m."""
-    body = s.knowledge.body
-    return 0.0 if body is None else cone.feet_below_m * math.hypot(*body.lean_m_s2) / G_M_S2
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

@@ -13,6 +13,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
 from companion.base.response_in_use import ResponseInUse
+from companion.settings.response import ClimbResponse
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
@@ -78,6 +79,10 @@ class Knowledge(Struct, frozen=True):
     """The vehicle's response as this flight knows it; None if it is not identified: the response file holds."""
     climb_max_m_s: float | None = None
     """The fastest climb that the controller requests; None if it does not say."""
+    climb: ClimbResponse | None = None
+    """Response of the vehicle's climb, by its file; None where nobody says."""
+    unfelt: bool = False
+    """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S
     """Circular frequency of the deck's heave."""
     outrun_m: float = 0.0

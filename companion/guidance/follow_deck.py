@@ -211,8 +211,10 @@ class FollowDeck:
         self._params = law_params(
             response.tilt, response.climb, period_s, self._remembered, view, looks_ahead=forecast, over_ground=over_ground
         )
-        self._observers = observer_gains(noise or ObserverNoise(), period_s)
-        self._in_use: dict[tuple[TuningChoice, TuningChoice, float], Any] = {}
+        felt = noise or ObserverNoise()
+        self._observers = observer_gains(felt, period_s)
+        self._observers_unfelt = observer_gains(felt._replace(accelerometer=False), period_s)
+        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, bool], Any] = {}
 
     @property
     def climb_max_m_s(self) -> float:
@@ -230,17 +232,18 @@ class FollowDeck:
             self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
         return self._tunings[choice]
 
-    def _law(self, memory: FollowDeckMemory, sigma_p_m: float) -> Any:
+    def _law(self, memory: FollowDeckMemory, sigma_p_m: float, *, unfelt: bool) -> Any:
         """Return the law for a standard deviation of the place as the core reads it, kept once it is made.
 
         Raises:
             ValueError: as `_gains`.
         """
         before = memory.tuning if memory.share == 1.0 else memory.tuning_before
-        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m)
+        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), unfelt
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, sigma_p_m), self._gains(before, sigma_p_m)
-            self._in_use[key] = law_in_use(self._params, gains, chosen(self._observers, sigma_p_m), earlier)
+            observers = self._observers_unfelt if unfelt else self._observers
+            self._in_use[key] = law_in_use(self._params, gains, chosen(observers, sigma_p_m), earlier)
         return self._in_use[key]
 
     def _gains(self, choice: TuningChoice, sigma_p_m: float) -> Mapping[str, Any]:
@@ -306,7 +309,7 @@ class FollowDeck:
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
         memory = self._retuned(memory, now, self._wanted(memory, knowledge, target))
-        law, share = self._law(memory, _sigma_m(relative)), memory.share
+        law, share = self._law(memory, _sigma_m(relative), unfelt=knowledge.unfelt), memory.share
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         cycle = law_cycle(knowledge, body, target, dt, share, goes_on=0.0 < dt <= _GAP_MAX_S)
         core, out = CORE.ffi.new("dl_law_memory *"), CORE.ffi.new("dl_law_command *")

@@ -30,7 +30,7 @@ from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
-from companion.settings.response import TiltResponse
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -170,7 +170,7 @@ class LandingGuidance:
         law: makes the control law from guidance's options.
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
         reports: what is believed of the places that ship and vehicle report.
-        tilt: how the vehicle's tilt answers, by its file.
+        tilt, climb: how the vehicle answers, by its file; None where nobody says.
         view: the field of a camera that leans with the body; None of another.
     """
 
@@ -183,6 +183,7 @@ class LandingGuidance:
         over_ground: bool,
         reports: ReportLimits,
         tilt: TiltResponse,
+        climb: ClimbResponse | None = None,
         view: FieldOfView | None = None,
     ) -> None:
         self._guidance = guidance
@@ -212,7 +213,7 @@ class LandingGuidance:
         self._impact: Impact | None = None
         self._touch: Impact | None = None
         self._forecast: Forecast | None = None
-        self._wind, self._tilt, self._view = WindWatch(), tilt, view
+        self._wind, self._tilt, self._climb, self._view = WindWatch(), tilt, climb, view
         self._air: WindOverDrone | None = None
         self._swell = SwellWatch()
         self._quality = InputQuality()
@@ -378,7 +379,7 @@ class LandingGuidance:
             self._forecast = forecast(now, HORIZONS_S)
         return replace(
             seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=climb_m_s, at_contact=self._at_contact(seen),
+            climb_max_m_s=climb_m_s, climb=self._climb, unfelt=self._unfelt_since is not None, at_contact=self._at_contact(seen),
         )  # fmt: skip
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:
@@ -386,7 +387,7 @@ class LandingGuidance:
         estimate = seen.relative
         if estimate is None or self.mission.state not in _NEAR:
             return None
-        left_s = limits.to_contact_s(estimate, self._guidance.cone)
+        left_s = limits.to_contact_s(estimate, seen, self._guidance.cone)
         ahead = self._law.ahead(self._law_memory, seen, left_s)
         if ahead is None:
             return None

@@ -41,8 +41,10 @@ _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
-_LIFTS_S = 0.15
-"""Time to the contact in which a vehicle that goes around no longer touches the deck, at best, s."""
+LEANS_MORE_M_S2 = 2.5
+"""Further lean that a gust may call for before the descent has ended, m/s^2: 17 degrees became 25."""
+_CLIMB_LEAST = 0.2
+"""Least part of the climb that counts against a deck that rises."""
 ON_PAD = 1.4
 """Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
@@ -96,7 +98,7 @@ def gate(
         estimate: a fresh, consistent estimate.
         aligned: whether the heading has to be that of the arrow.
     """
-    contact_s = to_contact_s(estimate, cone)
+    contact_s = to_contact_s(estimate, knowledge, cone)
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1])
     comparisons = [
@@ -148,6 +150,27 @@ def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
     return cone.feet_below_m + (cone.no_return_s + late_s) * cone.commit_rate_m_s
 
 
+def lower_foot_m(knowledge: Knowledge, cone: ConeOptions) -> float:
+    """Return how much lower than a level vehicle's the lowest foot is: its distance aside is about that below the origin, m."""
+    body = knowledge.body
+    return 0.0 if body is None else cone.feet_below_m * math.hypot(*body.lean_m_s2) / G_M_S2
+
+
+def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> float:
+    """Return the height of the body from which a climb that is ordered now still keeps every foot off the deck, m.
+
+    The descent goes on for the climb's delay, and then ends as the response says, against a deck that rises meanwhile.
+    """
+    down_m_s, climb = max(0.0, -estimate.v_pad_level.item(2)), knowledge.climb
+    if climb is None:
+        return no_return_m(knowledge, cone)
+    delay_s = climb.delay_s + (0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s))
+    rises_m_s = 0.0 if knowledge.deck is None else max(0.0, -knowledge.deck.v_level.item(2))
+    up_m_s = max(_CLIMB_LEAST * climb.max_m_s, climb.max_m_s - rises_m_s)
+    way_m = delay_s * down_m_s + climb.lag_s * (down_m_s - up_m_s * math.log1p(down_m_s / up_m_s))
+    return cone.feet_below_m * (1.0 + LEANS_MORE_M_S2 / G_M_S2) + lower_foot_m(knowledge, cone) + way_m
+
+
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
     turns = estimate.height_m > no_return_m(knowledge, cone)
@@ -156,14 +179,15 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
-    # Where the ship brakes or turns hard, a touch in the climb is no worse than one that slides.
-    lifts = estimate.height_m > cone.feet_below_m + _LIFTS_S * cone.commit_rate_m_s
+    # Speed along the deck ends it for as long as a climb keeps the feet off it: feet that slide catch and tip the vehicle over.
+    lifts = estimate.height_m > lift_m(estimate, knowledge, cone)
     speed = math.hypot(v[0], v[1]) if lifts else None
+    ahead = _at_contact(knowledge, limits, _COMMIT_SPEED)
     if speed is not None and knowledge.deck is not None:
         speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
     return _first(
         [
-            *(_at_contact(knowledge, limits, _COMMIT_SPEED) if turns else ()),
+            *(ahead if turns else ahead[1:] if lifts else ()),
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
             (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
@@ -189,9 +213,10 @@ def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> l
     ]
 
 
-def to_contact_s(estimate: RelativeState, cone: ConeOptions) -> float:
-    """Return the time until the feet meet the deck at the commit's rate, s."""
-    return max(0.0, estimate.height_m - cone.feet_below_m) / cone.commit_rate_m_s
+def to_contact_s(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> float:
+    """Return the time until the lowest foot meets the deck, at the commit's rate or the present one if that is higher, s."""
+    over_m = estimate.height_m - cone.feet_below_m - lower_foot_m(knowledge, cone)
+    return max(0.0, over_m) / max(cone.commit_rate_m_s, -estimate.v_pad_level.item(2))
 
 
 def gusts_m(gust_m_s2: float, seconds: float) -> float:

@@ -54,6 +54,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             over_ground=_over_ground(settings),
             reports=settings.vessel,
             tilt=_flyable_tilt(settings),
+            climb=_within_driver(response_model(settings), settings).climb,
             view=None if settings.camera.gimbal.given else field_of_view(body_camera(settings)),
             gimballed=settings.camera.gimbal.given,
         ),

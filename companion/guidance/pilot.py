@@ -22,7 +22,7 @@ from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
 from companion.settings.operator import ManualOptions
 from companion.settings.rendezvous import ReportLimits
-from companion.settings.response import TiltResponse
+from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -67,6 +67,8 @@ class PilotOptions:
     """Limits for the positions that ship and vehicle report."""
     tilt: TiltResponse | None = None
     """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
+    climb: ClimbResponse | None = None
+    """Response of its climb, by its file; None where nobody says."""
     view: FieldOfView | None = None
     """The field of a camera that leans with the body; None of another."""
     gimballed: bool = False
@@ -93,6 +95,7 @@ class Pilot:
             over_ground=given.over_ground,
             reports=given.reports or ReportLimits(),
             tilt=given.tilt or shipped_response("ardrone2").tilt,
+            climb=given.climb,
             view=given.view,
         )
         self.engage: Callable[[], None] = lambda: None

@@ -68,7 +68,7 @@ _REASON_STANDS_S = 2.0
 _LEAN_SETTLES_S = 10.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 _SPENT_WAIT_S = 8.0
-"""Time for which it waits where the lean takes all of the tilt, s: such a gust may pass, and the drone is blown off meanwhile."""
+"""Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -148,6 +148,16 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
         return None
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
+
+
+def _bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return the wind that bars the way down to the gate: near the deck one that takes the whole tilt, higher up none.
+
+    The wind grows with the height. A drone that holds in the cone finds less of it below, and one that does not leaves the cone.
+    The room for gusts is the gate's matter.
+    """
+    low = p.seen_height_m < o.tries.safe_height_m
+    return _windy(p, s) if low and s.wind is not None and s.wind.spent else None
 
 
 def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
@@ -233,7 +243,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M)
+    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M or _own_thrust(felt, s))
     may_stay = p.state in _MAY_STAY and not climbs
     if may_stay and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
@@ -264,6 +274,14 @@ def _at_the_deck(felt: Impact, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     return low and seconds_between(felt.at, s.at) <= HELD_S
 
 
+def _own_thrust(felt: Impact | None, s: GuidanceCycle) -> bool:
+    """Return whether a push in a go-around is no more than what its own climb needs to begin, beyond the least of a contact."""
+    climb, fastest = s.knowledge.climb, s.knowledge.climb_max_m_s
+    if felt is None or felt.by != "accelerometer" or climb is None or fastest is None:
+        return False
+    return felt.size_m_s2 <= contact.LEAST_M_S2 + fastest / climb.lag_s
+
+
 def _of_contact(felt: Impact) -> Reason:
     if felt.by == "accelerometer":
         return Reason(ReasonCause.FELT, felt.size_m_s2)
@@ -275,8 +293,9 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
     if s.wind is not None and (windy := _windy(p, s)) is not None:
-        wait_s = min(_SPENT_WAIT_S, o.limits.wind_wait_s) if s.wind.spent else o.limits.wind_wait_s
-        if _windy_s(p, s) > wait_s:
+        waited_s = _windy_s(p, s)
+        blind_s = 0.0 if p.in_sight else waited_s if p.seen is None else min(waited_s, seconds_between(p.seen, s.at))
+        if waited_s > o.limits.wind_wait_s or (s.wind.spent and blind_s > _SPENT_WAIT_S):
             yield Event.NO_CONDITIONS, windy
     outrun_m = s.knowledge.outrun_m
     if p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
@@ -322,7 +341,8 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
                 return p.turned
             if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
                 return used_up
-            if p.state in (State.DESCEND, State.GATE) and (bars := _windy(p, s) or s.thing) is not None:
+            wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s, o)
+            if p.state in (State.DESCEND, State.GATE) and (bars := wind or s.thing) is not None:
                 return bars
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
@@ -453,7 +473,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return
     height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
     radius_m = cone.radius_m(height_m, o.cone)
-    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_windy(p, s) or s.thing) is None:
+    if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone) and (_bars_descent(p, s, o) or s.thing) is None:
         yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):

@@ -27,6 +27,8 @@ _GAP_MAX_S = 0.5
 _DRAGGED_M = 0.06
 """Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
 _FAR_RAD = math.radians(8.0)
+_TURNS_S = 1.0
+"""Time of watching after which the drone turns, and looks for the pad upwind, s."""
 _SPENT = 0.95
 """Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 
@@ -48,6 +50,8 @@ class WindOverDrone(NamedTuple):
     """True if it takes all of the tilt."""
     across_rad: float = 0.0
     """The turn that brings the wider side of the camera's field into the wind, clockwise positive."""
+    known: bool = True
+    """True if it was watched for long enough to judge by it; before, it says where to look and how to turn."""
 
     def aim_level(self, feet_below_m: float) -> tuple[float, float]:
         """Return where the pad's centre is wanted at the contact, forward and right, m.
@@ -65,7 +69,7 @@ class WindOverDrone(NamedTuple):
 
     @property
     def too_strong(self) -> bool:
-        return self.speed_m_s > self.limit_m_s
+        return self.known and self.speed_m_s > self.limit_m_s
 
 
 class WindWatch(Struct, frozen=True):
@@ -76,6 +80,8 @@ class WindWatch(Struct, frozen=True):
     """Time that has been watched."""
     smooth: tuple[float, float] = (0.0, 0.0)
     mean: tuple[float, float] = (0.0, 0.0)
+    before: tuple[float, float] = (0.0, 0.0)
+    """Mean of the mean, as late behind it as it is behind a wind that changes steadily, as on the way down."""
     var: float = 0.0
     """Variance of the gusts on one axis."""
 
@@ -92,15 +98,17 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     dt = 0.0 if watch.at is None else seconds_between(watch.at, now)
     if not 0.0 < dt <= _GAP_MAX_S:
         fresh = watch.at is None
-        return WindWatch(now, watch.known_s, (north, east) if fresh else watch.smooth, watch.mean, watch.var)
+        return WindWatch(now, watch.known_s, (north, east) if fresh else watch.smooth, watch.mean, watch.before, watch.var)
     known_s = watch.known_s + dt
     quick, slow = 1.0 - math.exp(-dt / _SMOOTH_S), dt / min(MEAN_S, known_s)
     smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
     off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
     mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
-    # The part of the difference that has gone into the mean does not belong to the gusts (Welford's update of a variance).
-    var = watch.var + slow * (0.5 * (1.0 - slow) * (off[0] ** 2 + off[1] ** 2) - watch.var)
-    return WindWatch(now, known_s, smooth, mean, max(0.0, var))
+    before = watch.before[0] + slow * (mean[0] - watch.before[0]), watch.before[1] + slow * (mean[1] - watch.before[1])
+    # A steady change is no gust. What of the difference has gone into the mean is none either (Welford's update of a variance).
+    gust = off[0] - watch.mean[0] + watch.before[0], off[1] - watch.mean[1] + watch.before[1]
+    var = watch.var + slow * (0.5 * (1.0 - slow) * (gust[0] ** 2 + gust[1] ** 2) - watch.var)
+    return WindWatch(now, known_s, smooth, mean, before, max(0.0, var))
 
 
 def wind_over_drone(
@@ -113,7 +121,7 @@ def wind_over_drone(
         heading_rad: of `level` in the axes of the memory.
         view: the camera's field; None where it does not lean with the body.
     """
-    if watch.known_s < MEAN_S:
+    if watch.known_s < _TURNS_S:
         return None
     size, gust = math.hypot(*watch.mean), math.sqrt(watch.var)
     most_rad = math.atan(tilt.max_m_s2 / G_M_S2)
@@ -128,8 +136,9 @@ def wind_over_drone(
         G_M_S2 * math.tan(left_rad) / tilt.drag_1_s,
         (forward, right),
         lean_rad,
-        lean_rad > _SPENT * most_rad,
+        watch.known_s >= MEAN_S and lean_rad > _SPENT * most_rad,
         0.0 if view is None else _turn_across_rad(math.atan2(right, forward), view),
+        watch.known_s >= MEAN_S,
     )
 
 

@@ -45,6 +45,10 @@ class Sticks(Struct, frozen=True):
     yaw: float = 0.0
 
 
+_HELD_S = 2.0
+"""Time over which the tilt of the drone's own hover is averaged, s: gusts are shorter."""
+
+
 class LoopState(Struct, frozen=True):
     """The state of the loop: the integral's acceleration, m/s^2 forward and right."""
 
@@ -86,12 +90,12 @@ def step(
     """
     error = np.asarray(wanted.v_level[:2] - v_level[:2])
     integral = np.array([state.forward_m_s2, state.right_m_s2])
-    pushed = _within(integral + options.velocity_integral_1_s2 * max(0.0, dt_s) * error, options.velocity_integral_max_m_s2)
-    feed_forward = options.velocity_gain_1_s * error + options.velocity_drag_1_s * wanted.v_level[:2]
     most_m_s2 = G_M_S2 * math.tan(options.euler_angle_max_rad)
+    pushed = _within(integral + options.velocity_integral_1_s2 * max(0.0, dt_s) * error, most_m_s2)
+    feed_forward = options.velocity_gain_1_s * error + options.velocity_drag_1_s * wanted.v_level[:2]
     if float(np.hypot(*(feed_forward + pushed))) <= most_m_s2 or float(error @ (feed_forward + integral)) <= 0.0:
         integral = pushed
-    accelerate = _within(feed_forward + integral, most_m_s2)
+    accelerate = _added(integral, feed_forward, most_m_s2)
     if a_level is not None:
         accelerate = _within(accelerate + options.velocity_lead * (accelerate - a_level), most_m_s2)
     state = LoopState(float(integral[0]), float(integral[1]), state.heading_rad)
@@ -105,10 +109,30 @@ def lean(wanted: Lean, heading_rad: float | None, options: ArDroneOptions) -> tu
         heading_rad: the present heading; None if it is not known.
     """
     most_m_s2 = G_M_S2 * math.tan(options.euler_angle_max_rad)
-    trim = _within(wanted.trim_level, options.velocity_integral_max_m_s2)
+    trim = _within(wanted.trim_level, most_m_s2)
     accelerate = _within(wanted.a_level + wanted.trim_level, most_m_s2)
     state = LoopState(float(trim[0]), float(trim[1]), heading_rad)
     return state, _sticks(accelerate, float(wanted.v_level[2]), wanted.yaw_rate_rad_s, options)
+
+
+def held(
+    state: LoopState, v_level: F64, v_before: F64, a_level: F64, held_s: float, dt_s: float, options: ArDroneOptions
+) -> LoopState:
+    """Return the state after a period in which the drone held its place by itself: its tilt there is what cancels the wind.
+
+    A mean of the tilt, less what accelerated the drone and what its own speed costs.
+
+    Args:
+        v_level, v_before: (2,) measured velocity now and a period before, m/s forward and right.
+        a_level: (2,) acceleration of the present tilt (`acceleration_of`), m/s^2.
+        held_s: time for which it has been holding, s: the mean begins with the first period.
+        dt_s: the period, above 0, s.
+    """
+    trim = a_level - (v_level - v_before) / dt_s - options.velocity_drag_1_s * v_level
+    integral = np.array([state.forward_m_s2, state.right_m_s2])
+    integral = integral + dt_s / max(dt_s, min(_HELD_S, held_s)) * (trim - integral)
+    integral = _within(integral, G_M_S2 * math.tan(options.euler_angle_max_rad))
+    return replace(state, forward_m_s2=float(integral[0]), right_m_s2=float(integral[1]))
 
 
 def _sticks(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, options: ArDroneOptions) -> Sticks:
@@ -132,6 +156,14 @@ def _within(v: F64, length: float) -> F64:
     """Return the vector, shortened to at most this length."""
     size = float(np.hypot(v[0], v[1]))
     return v * (length / size) if size > length else v
+
+
+def _added(base: F64, more: F64, length: float) -> F64:
+    """Return the sum, with less of the second where it would be longer: what holds against the wind is not cut."""
+    a, b, c = float(more @ more), float(base @ more), length * length - float(base @ base)
+    if a == 0.0 or a + 2.0 * b <= c:
+        return base + more
+    return base + max(0.0, (math.sqrt(max(0.0, b * b + a * c)) - b) / a) * more
 
 
 def _unit(x: float) -> float:
@@ -194,6 +226,11 @@ class CommandStreamer:
         self._attitude: Attitude | None = None
         self._loop = RESET
         self._stepped: MonoNs | None = None
+        """Time of the newest period that was flown by the loop; None after one that was not."""
+        self._held: tuple[MonoNs, F64] | None = None
+        """Time and measured velocity of the newest period of a hover; None after one that was none."""
+        self._known_s = 0.0
+        """Time for which the loop's state has been learned, up to what its mean takes."""
 
     @property
     def flying(self) -> bool | None:
@@ -245,7 +282,7 @@ class CommandStreamer:
         if report.state & _IN_THE_AIR_OR_DEAD:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
-            self._landing, self._landing_called_off, self._loop = None, False, RESET
+            self._landing, self._landing_called_off, self._loop, self._known_s = None, False, RESET, 0.0
 
     def on_sample(self, sample: Sample) -> None:
         """Take a sample of the drone; velocities and attitudes are kept for steering, others are ignored."""
@@ -305,7 +342,10 @@ class CommandStreamer:
         motion = self._motion
         steerable = bool(self.flying) and self._landing is None and self._control not in _NOT_STEERABLE
         if motion is None or not steerable:
+            if steerable:
+                self._feel_held(now)
             return self._hover()
+        self._held = None
         if seconds_between(motion.asked_at, now) > self._o.command_timeout_s:
             self._counters.hover_for_age += 1
             return self._hover()
@@ -322,8 +362,22 @@ class CommandStreamer:
             dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
             a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
             self._loop, sticks = step(self._loop.at_heading(heading), motion.wanted, measured.v_level, a_level, dt_s, self._o)
-        self._stepped = now
+        self._stepped, self._known_s = now, _HELD_S
         return _progressive(sticks)
+
+    def _feel_held(self, now: MonoNs) -> None:
+        """Learn the tilt with which the drone's own hover cancels the wind, from which a velocity goes on."""
+        attitude, velocity, before = self._attitude, self._velocity, self._held
+        if attitude is None or velocity is None or not (self._recent(attitude, now) and self._recent(velocity, now)):
+            self._held = None
+            return
+        v = np.array(velocity.v_level[:2])
+        self._held = now, v
+        if before is None or (dt_s := seconds_between(before[0], now)) <= 0.0:
+            return
+        self._known_s = min(_HELD_S, self._known_s + dt_s)
+        a_level, at_heading = acceleration_of(attitude.R_ned_body), self._loop.at_heading(attitude.R_ned_body.rpy_rad[2])
+        self._loop = held(at_heading, v, before[1], a_level, self._known_s, dt_s, self._o)
 
     def _unmeasured(self, wanted: Velocity | Lean) -> Pcmd:
         """Return what flies where nothing measures the motion: a hover, or a climb with the tilt that holds against the wind.

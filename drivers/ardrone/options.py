@@ -128,9 +128,6 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "a recorded AR.Drone 2.0 flight under motion capture",
         ),
     ] = 0.83
-    velocity_integral_max_m_s2: Annotated[
-        float, number("largest acceleration that the integral may command", "m/s^2", 0.0, 20.0)
-    ] = 2.5
     velocity_drag_1_s: Annotated[
         float,
         number(

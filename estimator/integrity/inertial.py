@@ -46,8 +46,11 @@ _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
 """Least turn, a root mean square, at which a wrong sense is detected."""
-_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 6.0
-"""Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it."""
+_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 8.0
+"""Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it.
+
+That is the air's drag: 5.7 m/s^2 where a tilt of 30 degrees holds against the wind, and its gusts.
+"""
 _PERSISTS_GROSS = 2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""

@@ -463,3 +463,26 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
         place.append(abs(float(x[0])))
     assert output is not None
     assert output[0] == pytest.approx(place[-1], abs=0.004)
+
+
+@pytest.mark.parametrize("push_m_s2", [3.0, -4.0])
+def test_without_an_accelerometer_it_holds_against_the_wind_all_the_same(push_m_s2: float) -> None:
+    """WHY: what takes the accelerometer's place knows of no wind; believed, it let the drone level and be blown off."""
+    model, memory = tilt_model(RESPONSE.tilt, T), LAW.start()
+    x = np.zeros(len(model.A))
+    x[2] = -push_m_s2
+    for n in range(500):
+        k = known(
+            n * T, (x[0], 0.0, 1.0), (x[1], 0.0, 0.0), a=(x[2] + push_m_s2 * (n < 100), 0.0), lean=(x[2], 0.0),
+            rates=(0.0, -x[3] / G_M_S2, 0.0), v_deck=(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        memory, command = stepped(memory, structs.replace(k, unfelt=n >= 100))
+        if n == 100:
+            before = seen(memory).axes
+        x = model.A @ x + model.B * float(command.a_level[0] + command.trim_level[0])
+        x[:2] -= push_m_s2 * np.array([0.5 * T * T, T])
+        assert n < 100 or abs(x[0]) < 0.15
+    after = seen(memory).axes
+    assert before is not None
+    assert after is not None
+    assert [axis.seen.d for axis in after] == pytest.approx([axis.seen.d for axis in before], abs=0.3)

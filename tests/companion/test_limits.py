@@ -5,20 +5,37 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
-from companion.guidance.limits import InputQuality, commit, gate, impossible_deck, no_return_m, of_try, sigma_m, stop_m
+from companion.guidance.limits import (
+    LEANS_MORE_M_S2,
+    InputQuality,
+    commit,
+    gate,
+    impossible_deck,
+    lift_m,
+    no_return_m,
+    of_try,
+    sigma_m,
+    stop_m,
+    to_contact_s,
+)
 from companion.settings.mission import ConeOptions, LandingLimits
-from estimator.contracts.motion import G_M_S2, DeckMotion
+from companion.settings.response import ClimbResponse
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.mission_flights import estimate, ns
 from tests.companion.test_clearance import forecast, swell
 
 NOW = 50.0
 LIMITS, CONE = LandingLimits(), ConeOptions()
+CLIMB = ClimbResponse(0.06, 0.43, 1.0)
 TO_CONTACT_S = 0.3 / CONE.commit_rate_m_s
 
 
@@ -195,12 +212,54 @@ def test_feet_that_slide_come_to_stand_farther_on() -> None:
 
 @pytest.mark.hazard("H3")
 @pytest.mark.parametrize(
-    ("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.11, 0.9, True), (0.1, 0.9, False)]
+    ("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.12, 0.9, True), (0.1, 0.9, False)]
 )
 def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
-    found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen), LIMITS, CONE)
+    found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, climb=CLIMB), LIMITS, CONE)
     assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
+
+
+def leaning(lean_deg: float) -> BodyMotion:
+    R = Rotation.from_rpy(math.radians(lean_deg), 0.0, 0.0)
+    return BodyMotion(ns(NOW), 0.0, np.zeros(3), np.eye(3), np.zeros(3), R, np.eye(3))
+
+
+@pytest.mark.hazard("H3")
+@given(
+    st.floats(0.0, 1.2),
+    st.floats(0.0, 0.3),
+    st.floats(0.05, 0.8),
+    st.floats(0.3, 2.0),
+    st.floats(-1.0, 1.0),
+    st.floats(0.0, 25.0),
+)
+def test_a_climb_from_the_height_of_lifting_keeps_the_feet_off_and_one_from_below_does_not(
+    down_m_s: float, delay_s: float, lag_s: float, most_m_s: float, deck_down_m_s: float, lean_deg: float
+) -> None:
+    """WHY: in weather_4 a drone went around 4 cm over the deck, 17 degrees to one side, and slid over it at 0.6 m/s."""
+    seen = estimate(NOW, (0.0, 0.0, 0.3), (0.0, 0.0, -down_m_s))
+    deck = tilted(down_m_s=deck_down_m_s)
+    known = Knowledge(ns(NOW), seen, leaning(lean_deg), deck, climb=ClimbResponse(delay_s, lag_s, most_m_s))
+    lower_m = CONE.feet_below_m * math.tan(math.radians(lean_deg))
+    up_m_s, dt = most_m_s - max(0.0, -deck_down_m_s), 1e-3
+    from_m = lift_m(seen, known, CONE)
+    feet, v, t = from_m - CONE.feet_below_m - lower_m, down_m_s, 0.0
+    while t < delay_s or v > 0.0:
+        t += dt
+        feet -= dt * v
+        v -= dt * (v + max(0.2 * most_m_s, up_m_s)) / lag_s if t > delay_s else 0.0
+    assert feet == pytest.approx(CONE.feet_below_m * LEANS_MORE_M_S2 / G_M_S2, abs=0.005)
+
+
+@pytest.mark.hazard("H3")
+def test_the_contact_is_that_of_the_lowest_foot_at_the_rate_that_is_flown() -> None:
+    seen = estimate(NOW, (0.0, 0.0, CONE.feet_below_m + 0.2), (0.0, 0.0, -0.1))
+    assert to_contact_s(seen, Knowledge(ns(NOW), seen), CONE) == pytest.approx(0.5)
+    leans = Knowledge(ns(NOW), seen, leaning(20.0))
+    assert to_contact_s(seen, leans, CONE) == pytest.approx((0.2 - CONE.feet_below_m * math.tan(math.radians(20.0))) / 0.4)
+    fast = estimate(NOW, (0.0, 0.0, CONE.feet_below_m + 0.2), (0.0, 0.0, -0.8))
+    assert to_contact_s(fast, Knowledge(ns(NOW), fast), CONE) == pytest.approx(0.25)
 
 
 def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:

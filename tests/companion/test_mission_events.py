@@ -18,6 +18,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.watch import account, events, fit_in
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
+from companion.settings.response import ClimbResponse
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from tests.companion.mission_flights import estimate, guided, ns
 
@@ -154,21 +155,32 @@ STRONG = WindOverDrone(9.0, 1.5, 8.0, (1.0, 0.0), 0.3, spent=False)
 
 
 @pytest.mark.parametrize(
-    ("windy_s", "spent", "up", "refuses"),
-    [(1.99, True, False, False), (2.0, False, True, False), (2.0, True, True, False), (8.01, True, True, True),
-     (20.0, False, True, False),
-     (20.01, False, True, True)],
+    ("windy_s", "spent", "blind_s", "up", "refuses"),
+    [(1.99, True, 0.0, False, False), (2.0, False, 0.0, True, False), (2.0, True, 0.0, True, False),
+     (8.01, True, 0.0, True, False), (12.0, True, 8.0, True, False), (12.0, True, 8.01, True, True),
+     (12.0, False, 8.01, True, False), (8.0, True, math.inf, True, False), (8.01, True, math.inf, True, True),
+     (20.0, True, 0.0, True, False), (20.01, True, 0.0, True, True), (20.01, False, 0.0, True, True)],
 )  # fmt: skip
-def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, up: bool, refuses: bool) -> None:
-    """WHY: one gust must not end a flight, and a wind that leaves no tilt must."""
-    p = memory(State.DESCEND, windy_since=ns(NOW - windy_s))
+def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, blind_s: float, up: bool, refuses: bool) -> None:
+    """WHY: one gust must not end a flight, and a wind that leaves no tilt must, the sooner where it has blown the drone off."""
+    last = None if blind_s == math.inf else ns(NOW - blind_s)
+    p = memory(State.GATE, windy_since=ns(NOW - windy_s), in_sight=blind_s == 0.0, seen=last)
     s = cycle(seen(), wind=STRONG._replace(spent=spent))
     expected = (ReasonCause.WIND, 9.0, 8.0)
     assert figures(of(Event.LIMIT, p, s)) == (expected if up else None)
     assert figures(of(Event.NO_CONDITIONS, p, s)) == (expected if refuses else None)
-    over = cycle(seen((0.0, 0.0, 2.0)), wind=STRONG)
-    assert (of(Event.IN_CONE, replace(p, state=State.INTERCEPT), over) is None) is up, "it waits over the pad"
     assert of(Event.NO_CONDITIONS, p, cycle(seen())) is None
+
+
+@pytest.mark.parametrize(("spent", "height_m", "bars"), [(True, 1.99, True), (True, 2.01, False), (False, 1.0, False)])
+def test_wind_bars_the_way_down_only_near_the_deck_and_where_it_takes_the_whole_tilt(
+    spent: bool, height_m: float, bars: bool
+) -> None:
+    """WHY: at 7 m it took 27 degrees of tilt and at the gate 13, and a drone that held over the pad was refused up there."""
+    p = memory(State.INTERCEPT, windy_since=ns(NOW - 10.0), seen_height_m=height_m)
+    s = cycle(seen((0.0, 0.0, height_m)), wind=STRONG._replace(spent=spent))
+    assert (of(Event.IN_CONE, p, s) is None) is bars, "it waits over the pad"
+    assert (of(Event.LIMIT, replace(p, state=State.DESCEND), s) is not None) is bars
 
 
 @pytest.mark.parametrize(
@@ -397,6 +409,18 @@ def test_a_contact_after_the_order_to_go_around_ends_in_the_press_where_it_is_on
     s = cycle(seen((off_m, 0.0, height_m), v=(speed_m_s, 0.0, 0.0)), impact=struck("accelerometer", ago_s))
     found = figures(of(Event.CONTACT, memory(State.GO_AROUND, bounces=bounces), s))
     assert found == ((ReasonCause.FELT, 4.0, None) if pressed else None)
+
+
+@pytest.mark.parametrize(
+    ("size_m_s2", "lag_s", "pressed"), [(4.0, 0.43, False), (5.2, 0.43, False), (5.4, 0.43, True), (4.2, 1.0, True)]
+)
+def test_the_thrust_with_which_a_go_around_begins_is_no_contact(size_m_s2: float, lag_s: float, pressed: bool) -> None:
+    """WHY: over a ship that stopped, a drone 5 mm over the deck took its own climb for it, pressed on, and slid off the pad."""
+    impact = Impact(ns(NOW - 0.1), "accelerometer", size_m_s2)
+    known = Knowledge(ns(NOW), seen((0.0, 0.0, 0.08)), impact=impact, climb=ClimbResponse(0.06, lag_s), climb_max_m_s=1.0)
+    assert (of(Event.CONTACT, memory(State.GO_AROUND), GuidanceCycle(ns(NOW), known)) is not None) is pressed
+    down = of(Event.CONTACT, memory(State.COMMIT), GuidanceCycle(ns(NOW), known))
+    assert down is not None, "on the way down nothing else pushes"
 
 
 def test_after_the_second_bounce_it_stays_down() -> None:

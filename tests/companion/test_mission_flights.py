@@ -223,7 +223,7 @@ def test_wind_and_battery_refuse_with_their_numbers() -> None:
         progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
         seen = estimate(0.0, [0, 0, 3.0])
         s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
-        progress, _, _ = mission_step(replace(progress, windy_since=ns(-9.0)), s, o, over_ground=False)
+        progress, _, _ = mission_step(replace(progress, windy_since=ns(-21.0)), s, o, over_ground=False)
         assert progress.fault is not None
         assert (progress.state, progress.fault.cause) == (State.REFUSED, cause)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.command_streamer import RESET, LoopState, Sticks, lean, step
+from drivers.ardrone.command_streamer import RESET, LoopState, Sticks, held, lean, step
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64
@@ -84,7 +84,7 @@ def test_sticks_stay_inside_and_tilt_keeps_its_direction(
         state, s = step(state, wanted(vx, vy, vz, 50.0), np.array([mx, my, 0.0]), None, dt_s, OPTIONS)
         assert math.hypot(s.roll, s.pitch) <= 1.0 + 1e-9
         assert max(abs(s.gaz), abs(s.yaw)) <= 1.0
-        assert math.hypot(state.forward_m_s2, state.right_m_s2) <= OPTIONS.velocity_integral_max_m_s2 + 1e-9
+        assert math.hypot(state.forward_m_s2, state.right_m_s2) <= 9.80665 * math.tan(OPTIONS.euler_angle_max_rad) + 1e-9
     first = sticks(wanted(vx, vy), np.array([mx, my, 0.0]))
     push = OPTIONS.velocity_gain_1_s * np.array([vx - mx, vy - my]) + OPTIONS.velocity_drag_1_s * np.array([vx, vy])
     assert -first.pitch * push[1] == pytest.approx(first.roll * push[0], abs=1e-6)
@@ -130,3 +130,33 @@ def test_a_velocity_after_a_tilt_begins_with_its_trim_wherever_the_nose_has_turn
     size = math.hypot(1.2, 0.4)
     share = math.atan(size / 9.80665) / OPTIONS.euler_angle_max_rad / size
     assert (-s.pitch, s.roll) == pytest.approx((forward * share, right * share))
+
+
+_AXIS = st.floats(-3.5, 3.5)
+
+
+@given(_AXIS, _AXIS, st.floats(-1.5, 1.5), st.floats(2.0, 8.0), st.integers(0, 2**32 - 1))
+def test_a_velocity_after_a_hover_begins_with_the_tilt_that_held_against_the_wind(
+    forward: float, right: float, moves_m_s: float, for_s: float, seed: int
+) -> None:
+    """An integral that begins with nothing takes seconds, and the drone is metres to lee by then."""
+    against, dt, noise = np.array([forward, right]), 0.03, np.random.default_rng(seed)
+    state, before = RESET, np.array([moves_m_s, 0.0])
+    for k in range(round(for_s / dt)):
+        v = np.array([moves_m_s * math.exp(-k * dt), 0.0])
+        swings = 0.3 * math.sin(4.0 * k * dt) + noise.normal(0.0, 0.1, 2)
+        tilt = against + OPTIONS.velocity_drag_1_s * v + (v - before) / dt + swings
+        state = held(state, v, before, tilt, min(2.0, (k + 1) * dt), dt, OPTIONS)
+        before = v
+    assert (state.forward_m_s2, state.right_m_s2) == pytest.approx(against.tolist(), abs=0.2)
+    _, s = step(state, wanted(), before, None, 0.0, OPTIONS)
+    assert math.hypot(s.roll, s.pitch) * OPTIONS.euler_angle_max_rad >= math.atan(math.hypot(*against) / 9.80665) - 0.12
+
+
+@given(_AXIS, _AXIS, st.floats(-8.0, 8.0), st.floats(-8.0, 8.0))
+def test_at_the_limit_the_tilt_against_the_wind_is_kept(trim_forward: float, trim_right: float, vx: float, vy: float) -> None:
+    _, s = step(LoopState(trim_forward, trim_right), wanted(), np.array([vx, vy, 0.0]), None, 0.03, OPTIONS)
+    tilt = math.hypot(s.roll, s.pitch) * OPTIONS.euler_angle_max_rad
+    flown = 9.80665 * math.tan(tilt) * np.array([-s.pitch, s.roll]) / max(1e-9, math.hypot(s.roll, s.pitch))
+    more = flown - np.array([trim_forward, trim_right])
+    assert float(more @ np.array([-vx, -vy])) >= -1e-3, "what is left brakes, and takes nothing from the trim"
