@@ -189,14 +189,13 @@ def _outlined(best: _Registered, deck: DeckMemory | None, camera: Camera) -> Sig
 def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory | None:
     """Return the memory of what lies on the pad, with what the frame shows of it.
 
-    The pad is where it is registered; where what lies on it hides too much of the drawing, it is where it is believed.
+    The pad is where it is registered. What lies on it may hide most of the drawing: then it is where the rest is registered close
+    to where the pad is believed, else where it is believed.
     """
     memory, at = now.memory.deck, now.frame.stamp.measured_at
-    if best is not None and best.found is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS:
-        found = best.found.record["found"]
-        blur_px = math.sqrt(max(0.0, 0.5 * float(found["blur_px2"][0] + found["blur_px2"][2])))
-        sigma_m = math.sqrt(max(0.0, float(found["cov"].reshape(6, 6).diagonal()[:2].max())))
-        return checked_deck(memory, now.view, best.found.pose, at, blur_px, sigma_m)
+    found = None if best is None or best.agreement < _SHOWS else best.found
+    if best is not None and found is not None and best.sighting.confidence >= SURE:
+        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     if belief is None or now.attitude is None or not belief.consistent:
         return memory
     sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
@@ -205,7 +204,16 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     start = expected(belief, now.attitude, now.tracker.camera, now.memory.alike_yaw_rad)
     if start is None or start.t_cam_pad[2] < 0.05:
         return memory
+    if found is not None and float(np.linalg.norm(found.pose.t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
+        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     return checked_deck(memory, now.view, start, at, 1.0, sigma_m)
+
+
+def _known_to(found: Looked) -> tuple[float, float]:
+    """Return the standard deviations of a registration's blur, px, and of its place along the deck, m."""
+    record = found.record["found"]
+    blur_px = math.sqrt(max(0.0, 0.5 * float(record["blur_px2"][0] + record["blur_px2"][2])))
+    return blur_px, math.sqrt(max(0.0, float(record["cov"].reshape(6, 6).diagonal()[:2].max())))
 
 
 def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
