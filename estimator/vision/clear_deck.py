@@ -57,9 +57,9 @@ _LEAST, _SPREADS = 0.17, 6.0
 _CELLS_LEAST, _SHARP = 14, 0.7
 """Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
 glare and puddles end softly."""
-_GLARE_OWN, _STRONG = 0.4, 1.5
-"""Share of a paint's own light from which on any amount of white on it is a mirrored light. Second: light, in that of the paint,
-from which on differences count in parts of the light itself."""
+_GLARE_OWN, _MIRRORED, _STRONG = 0.4, 2.5, 1.5
+"""Any amount of white on a paint may be mirrored light: from this share of the paint's own light on, or, whatever that, from this
+light on, in that of the paint. Third: the light from which on differences count in parts of the light itself."""
 _ABOUT = 7
 """Width of the square, in cells, in which a marking's ground is looked for."""
 _MARK, _OTHER, _GROUND, _GROUND_CELLS = 0.35, 0.05, 0.9, 4
@@ -274,17 +274,17 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
         np.where(of_pale < 0.0, 0.0, np.where(of_own < 0.0, paler, of_pale)),
     )
     left = left - of_own[:, None] * axis - of_pale[:, None] * pale
-    strong = np.maximum(1.0, np.linalg.norm(light, axis=1) / (_STRONG * size))[:, None]
-    # Mirrored light adds any amount of white to all of the paint's own light.
-    toward, square = float(axis @ white), 1.0 - float(axis @ white) ** 2
+    bright = np.linalg.norm(light, axis=1) / size
+    # Mirrored light: any amount of white, of which a part may be a thing's. That hides markings.
+    toward = float(axis @ white)
+    square = 1.0 - toward * toward
     if square > 0.05:
-        light = light / size
-        of_white = (light @ white - toward * (light @ axis)) / square
-        of_own = light @ axis - toward * of_white
-        mirrored = (of_white > 0.0) & (of_own >= _GLARE_OWN * float(np.median(of_own)))
-        left = np.where(mirrored[:, None], light - of_own[:, None] * axis - of_white[:, None] * white, left)
+        of_white = (light @ white - toward * (light @ axis)) / (square * size)
+        of_own = light @ axis / size - toward * of_white
+        mirrored = (of_white > 0.0) & ((bright > _MIRRORED) | (of_own >= _GLARE_OWN * float(np.median(of_own))))
+        left = np.where(mirrored[:, None], light / size - of_own[:, None] * axis - of_white[:, None] * white, left)
     # What is much brighter than the paint is off by errors of colour that grow with it.
-    left = left / strong
+    left = left / np.maximum(1.0, bright / _STRONG)[:, None]
     sky = own * np.array([1.0, 0.0, -1.0], np.float32) / size
     sky = sky - (sky @ axis) * axis
     power = float(sky @ sky)
