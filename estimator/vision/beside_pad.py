@@ -26,9 +26,9 @@ U8 = NDArray[np.uint8]
 
 _PERIOD_S, _GAP_S, LASTS_S = 0.2, 0.7, 10.0
 """Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
-_STEP_M, _MESH = 0.0125, 12
+_STEP_M, _MESH = 0.016, 10
 """Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
-_CORNERS, _APART_PX, _WINDOW = 90, 7, (15, 15)
+_CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
 """Number of corners, their least distance, and the window that is followed, px."""
 _BACK_PX, _MARGIN = 0.4, 8
 """Largest difference after following a corner back, and least distance from where the frame ends, px."""
@@ -38,7 +38,7 @@ _STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
 """How far beyond the disc what stands out counts (rotor and margin), and what moves. Third: where the ring begins, in radii."""
 _SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
 """Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
-_READS = 5
+_READS = 4
 """Least number of readings of a corner."""
 _STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
 """Least height of what stands out, and in standard deviations."""
@@ -84,6 +84,10 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
     if memory is not None and 0.0 <= since_s < _PERIOD_S:
+        return memory
+    camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
+    corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
+    if memory is not None and corner_m < rim_m:
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
