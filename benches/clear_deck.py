@@ -1,9 +1,11 @@
-"""Measure what is seen on the pad in rendered approaches: `python -m benches.clear_deck [--runs N] [--clear N] [--photos]`.
+"""Measure what is seen on the pad in rendered approaches: `python -m benches.clear_deck [--runs N] [--clear N] [--bodies N]`.
 
 The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis. The tracker has a
 prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
 random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
 `--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame.
+Bodies are crates of 0.4 m and people that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the
+pad and back: seen counts any frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
 """
 
 import argparse
@@ -15,6 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from msgspec.structs import replace as changed
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -35,10 +38,14 @@ from estimator.vision.srgb import LUMA, linear_light  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
 from sitl.camera.camera import Exposure, Renderer  # noqa: E402
 from sitl.camera.light import Mast, Sensor  # noqa: E402
+from sitl.camera.picture_effects import PictureEffects  # noqa: E402
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings  # noqa: E402
+from sitl.faults.kinds import Bystander  # noqa: E402
+from sitl.sea.sea import SEA_STATES, Waves  # noqa: E402
 from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
 
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast")
+BODIES = ("crate", "stands", "walks", "bird", "drone")
 HUES = ("grey", "any hue", "disc's hue")
 HIGH_M, LOW_M, FRAMES, PERIOD_S = 5.0, 0.9, 41, 0.1
 
@@ -54,16 +61,25 @@ def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB
     return r, g, b
 
 
-def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig) -> tuple[PadCheck | None, float]:
-    """Return the check in the last frame, and the greatest height at which something was seen, 0 if nothing was."""
+def approach(
+    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
+) -> tuple[PadCheck | None, float, float]:
+    """Return the check in the last frame, and the greatest heights at which something was seen on and about the pad, 0 for none.
+
+    About every other seed has a small deck on waves, and bodies are about the pad.
+    """
     rng = np.random.default_rng([50, seed])
     lit = random_light(rng, "shadow" if light == "mast" else light)
     if light == "mast":
         lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6))
-    around = Surroundings(Deck(8.0, 5.0, (0.0, 0.0), 0.0, paint=DECK_PAINTS[seed % 4], seed=seed % 7), decals=things)
+    small = seed // 6 % 2 == 1
+    deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
+    waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None
+    around = Surroundings(replace(deck, paint=DECK_PAINTS[seed % 4], seed=seed % 7), waves, things)
     sensor = Sensor(float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)))
     renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
-    memory, check, first_m = TrackerMemory(), None, 0.0
+    effects = PictureEffects(tracker.camera, tracker.pad, lit, seed)
+    memory, check, first_m, near_m = TrackerMemory(), None, 0.0, 0.0
     yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
     for k in range(FRAMES):
         t = k * PERIOD_S
@@ -74,7 +90,7 @@ def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
         v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
         p_pad, p_body = np.array([0.0, 0.0, -0.6]), np.array([x, y, -0.6 - height_m])
         shot = Exposure(t, R, p_body, Rotation.identity(), p_pad, v, rng.normal(0, 0.1, 3))
-        px = renderer.render(shot, rng)
+        px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng) if bodies else renderer.render(shot, rng)
         stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
         d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
         error = rng.normal(0.0, 0.005, 3)
@@ -87,11 +103,14 @@ def approach(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
         if seen.on_pad is not None:
             check = seen.on_pad
             first_m = first_m or (height_m if check.thing is not None else 0.0)
-    return check, first_m
+            near_m = near_m or (height_m if check.near is not None else 0.0)
+    return check, first_m, near_m
 
 
 def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
+    if not runs:
+        return
     seen: dict[tuple[str, str], list[bool]] = defaultdict(list)
     heights: list[float] = []
     for seed in runs:
@@ -101,7 +120,7 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
         a, r = rng.uniform(0, math.tau), (tracker.pad.disc_radius_m - 0.5 * size_m) * math.sqrt(rng.uniform())
         colour = paint(rng, hue, contrast, tracker.pad.markings.colours.disc)
         thing = Decal("crate", (r * math.cos(a), r * math.sin(a)), size_m, float(rng.uniform(0, math.pi)), "pad", colour)
-        check, first_m = approach(seed, light, (thing,), tracker)
+        check, first_m, _ = approach(seed, light, (thing,), tracker)
         found = check is not None and check.thing is not None
         heights += [first_m] if found else []
         for key in ((hue, "15 cm and more" if size_m >= 0.15 else "less"), ("all", light)):
@@ -115,15 +134,43 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
 
 def without(runs: range, tracker: TrackerConfig) -> None:
     """Print the number of clear approaches in which something is seen at any time."""
-    wrong: dict[str, list[bool]] = defaultdict(list)
+    wrong: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = LIGHTS[seed % len(LIGHTS)]
-        check, first_m = approach(10_000 + seed, light, (), tracker)
-        wrong[light].append(first_m > 0.0)
-        if first_m:
-            print(f"  false: seed {seed}, {light}, from {first_m:.1f} m, {check}", flush=True)
+        check, first_m, near_m = approach(10_000 + seed, light, (), tracker)
+        wrong[light].append((first_m > 0.0, near_m > 0.0))
+        if first_m or near_m:
+            print(f"  false: seed {seed}, {light}, on it from {first_m:.1f} m, about it from {near_m:.1f} m, {check}", flush=True)
     for light, each in wrong.items():
-        print(f"clear, {light}: {sum(each)} of {len(each)} with something seen", flush=True)
+        on, about = np.sum(each, axis=0)
+        print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it", flush=True)
+
+
+def with_bodies(runs: range, tracker: TrackerConfig) -> None:
+    """Print the share of bodies about the pad that were seen, by kind."""
+    seen: dict[str, list[bool]] = defaultdict(list)
+    for seed in runs:
+        rng, kind = np.random.default_rng([52, seed]), BODIES[seed % len(BODIES)]
+        light = LIGHTS[int(rng.integers(len(LIGHTS)))]
+        a, r = rng.uniform(0, math.tau), tracker.pad.disc_radius_m + float(rng.uniform(0.3, 0.7))
+        x, y = r * math.cos(a), r * math.sin(a)
+        stands = Bystander(at_s=0.0, forward_m=x, right_m=y)
+        walks = changed(stands, to_forward_m=-x, to_right_m=-y, speed_m_s=float(rng.uniform(0.6, 1.4)))
+        body = {
+            "crate": changed(stands, thing="box", width_m=0.4, height_m=0.4),
+            "stands": stands,
+            "walks": walks,
+            "bird": changed(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
+            "drone": changed(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
+        }[kind]
+        _, first_m, near_m = approach(20_000 + seed, light, (), tracker, (body,))
+        seen[kind].append(max(first_m, near_m) > 0.0)
+        print(
+            f"  {seed}, {kind}, {light}, {r:.2f} m off: on the pad from {first_m:.1f} m, about it from {near_m:.1f} m",
+            flush=True,
+        )
+    for kind, each in seen.items():
+        print(f"{kind}: {sum(each)} of {len(each)} seen", flush=True)
 
 
 def photographs() -> None:
@@ -150,6 +197,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
     parser.add_argument("--clear", type=int, default=60, help="approaches without one")
+    parser.add_argument("--bodies", type=int, default=0, help="approaches with a body about the pad")
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
     parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
@@ -161,6 +209,7 @@ def main() -> None:
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
     without(range(args.first, args.first + args.clear), tracker)
     with_things(range(args.first, args.first + args.runs), args.contrast, tracker)
+    with_bodies(range(args.first, args.first + args.bodies), tracker)
 
 
 if __name__ == "__main__":

@@ -71,6 +71,7 @@ class ReasonCause(Enum):
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ON_PAD = "something {measured:.0f} cm wide lies {detail} from the pad's centre"
+    NEAR_PAD = "something {detail} {measured:.1f} m from the pad's centre"
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
     SPEED_AHEAD = "{measured:.2f} m/s along the deck at the contact to come (limit {limit:g} m/s)"
@@ -103,6 +104,7 @@ CONDITIONS = frozenset(
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,
         ReasonCause.ON_PAD,
+        ReasonCause.NEAR_PAD,
         ReasonCause.SIGMA,
     }
 )

@@ -459,12 +459,16 @@ class LandingGuidance:
         self._overruled = True
 
     def _lies_there(self, now: MonoNs) -> Reason | None:
-        """Return what was seen on the pad lately and bars the landing; None if nothing does."""
+        """Return what was seen on the pad or about it lately and bars the landing; None if nothing does."""
         check = self._on_pad
-        if check is None or check.thing is None or self._overruled:
+        if check is None or self._overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
             return None
-        if seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
-            return None
+        if check.thing is None:
+            near = check.near
+            if near is None:
+                return None
+            how = f"stands {100.0 * near.height_m:.0f} cm out of the deck" if near.height_m > 0.0 else "moves"
+            return Reason(ReasonCause.NEAR_PAD, near.from_centre_m, detail=how)
         return Reason(ReasonCause.ON_PAD, 100.0 * check.thing.width_m, detail=f"{100.0 * check.thing.from_centre_m:.0f} cm")
 
     def on_verdict(self, verdict: Verdict) -> None:

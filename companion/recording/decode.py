@@ -31,7 +31,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp, StampSource
-from estimator.vision.detection import Detection, PadCheck, PadThing
+from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 
 
 def sample(of: rec.SampleRecord) -> Sample:
@@ -98,7 +98,10 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
 def _pad_check(of: rec.PadCheckRecord) -> PadCheck:
     if of.thing is not None and len(of.thing) != 3:
         raise ValueError(f"a thing on the pad has width and place, got {len(of.thing)} numbers")
-    return PadCheck(MonoNs(of.at_ns), of.seen, None if of.thing is None else PadThing(*of.thing))
+    if of.near is not None and len(of.near) != 3:
+        raise ValueError(f"a thing about the pad has place and height, got {len(of.near)} numbers")
+    thing, near = (None if of.thing is None else PadThing(*of.thing)), (None if of.near is None else NearThing(*of.near))
+    return PadCheck(MonoNs(of.at_ns), of.seen, thing, near)
 
 
 def held_rotation(of: rec.DetectionRecord) -> Rotation | None:

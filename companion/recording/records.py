@@ -149,6 +149,9 @@ class PadCheckRecord(Struct, frozen=True, omit_defaults=True):
     """Share of the pad's known surface that was read lately, 0..1."""
     thing: list[float] | None = None
     """Width of the largest thing on the pad, m, and its place along the arrow and to starboard of it; left out without one."""
+    near: list[float] | None = None
+    """Place of the nearest thing about the pad along the arrow and to starboard of it, m, and its height over the deck, 0 for
+    what moves; left out without one."""
 
 
 class DetectionRecord(Struct, frozen=True, omit_defaults=True):

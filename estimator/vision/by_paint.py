@@ -21,6 +21,8 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs
+from estimator.vision.beside_pad import AroundMemory, around
 from estimator.vision.camera import Camera
 from estimator.vision.clear_deck import DeckMemory, checked_deck
 from estimator.vision.detect import verification
@@ -30,7 +32,7 @@ from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detection import Detection, Opinions, agree, fuse
+from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
 from estimator.vision.pad import Pad
@@ -59,6 +61,8 @@ class TrackerMemory:
     """True if the pad was last seen by its lamps."""
     deck: DeckMemory | None = None
     """Things seen on the pad; None before its surface was read."""
+    around: AroundMemory | None = None
+    """Corners followed about the pad; None before it was seen."""
 
 
 _CLOSE_PX = 1.0
@@ -78,6 +82,8 @@ _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
+_NEAR_DRAWN_M = 0.4
+"""Width of the outline of something about the pad, whose own is not known."""
 _SHOWS, _PLACE_M = 0.5, 0.08
 """Limits for reading the pad's surface. First: share of the edges that agree with a registration. Second, without a
 registration: standard deviation of the predicted place, in radii of the disc."""
@@ -158,8 +164,11 @@ def by_paint(
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     best = registered.settled().tracked
-    deck = _deck_of(now, best, belief)
-    found = None if best is None else _outlined(best, deck, tracker.camera)
+    deck, about = _deck_of(now, best, belief), memory.around
+    if best is not None and best.found is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS:
+        about = around(about, now.view, best.found.pose, frame.stamp.measured_at)
+    check = _checked(deck, about, frame.stamp.measured_at)
+    found = None if best is None else _outlined(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
     if thesis is None:
         methods: dict[Method, Sighting | None] = {"registration": found}
@@ -171,32 +180,47 @@ def by_paint(
         seen = replace(seen, elsewhere=elsewhere.sighting)
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
-    if deck is not None:
-        seen = replace(seen, on_pad=deck.check)
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad, deck=deck)
+    seen = replace(seen, on_pad=check)
+    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad, deck=deck, around=about)
 
 
-def _outlined(best: _Registered, deck: DeckMemory | None, camera: Camera) -> Sighting:
-    """Return a registration's sighting, with the outline of what lies on the pad among its features."""
-    thing = None if deck is None else deck.check.thing
-    if thing is None or best.found is None:
-        return best.sighting
-    around = thing.width_m / 2.0 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
-    uv_px = camera.project(best.found.pose.points(around + np.array([thing.forward_m, thing.right_m, 0.0])))
-    return replace(best.sighting, features=(*best.sighting.features, Feature("outline", "thing", uv_px)))
+def _checked(deck: DeckMemory | None, about: AroundMemory | None, at: MonoNs) -> PadCheck | None:
+    """Return what is known of things on the pad and about it; None before its surface was read and while nothing is about it."""
+    near = None if about is None else about.near(at)
+    if about is None or near is None:
+        return None if deck is None else deck.check
+    if deck is None:
+        return PadCheck(about.at, 0.0, None, near)
+    return replace(deck.check, at=max(deck.check.at, about.at), near=near)
+
+
+def _outlined(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
+    """Return a registration's sighting, with the outlines of what lies on the pad and of what is about it among its features."""
+    sighting = best.sighting
+    if check is None or best.found is None:
+        return sighting
+    square = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
+    thing, near = check.thing, check.near
+    places = [] if thing is None else [(thing.width_m, thing.forward_m, thing.right_m)]
+    places += [] if near is None else [(_NEAR_DRAWN_M, near.forward_m, near.right_m)]
+    for width_m, forward_m, right_m in places:
+        points = best.found.pose.points(width_m * square + np.array([forward_m, right_m, 0.0]))
+        if points[:, 2].min() > 0.05:
+            outline = Feature("outline", "thing", camera.project(points))
+            sighting = replace(sighting, features=(*sighting.features, outline))
+    return sighting
 
 
 def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory | None:
     """Return the memory of what lies on the pad, with what the frame shows of it.
 
-    The pad is where it is registered; where what lies on it hides too much of the drawing, it is where it is believed.
+    The pad is where it is registered. What lies on it may hide most of the drawing: then it is where the rest is registered close
+    to where the pad is believed, else where it is believed.
     """
     memory, at = now.memory.deck, now.frame.stamp.measured_at
-    if best is not None and best.found is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS:
-        found = best.found.record["found"]
-        blur_px = math.sqrt(max(0.0, 0.5 * float(found["blur_px2"][0] + found["blur_px2"][2])))
-        sigma_m = math.sqrt(max(0.0, float(found["cov"].reshape(6, 6).diagonal()[:2].max())))
-        return checked_deck(memory, now.view, best.found.pose, at, blur_px, sigma_m)
+    found = None if best is None or best.agreement < _SHOWS else best.found
+    if best is not None and found is not None and best.sighting.confidence >= SURE:
+        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     if belief is None or now.attitude is None or not belief.consistent:
         return memory
     sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
@@ -205,7 +229,16 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     start = expected(belief, now.attitude, now.tracker.camera, now.memory.alike_yaw_rad)
     if start is None or start.t_cam_pad[2] < 0.05:
         return memory
+    if found is not None and float(np.linalg.norm(found.pose.t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
+        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     return checked_deck(memory, now.view, start, at, 1.0, sigma_m)
+
+
+def _known_to(found: Looked) -> tuple[float, float]:
+    """Return the standard deviations of a registration's blur, px, and of its place along the deck, m."""
+    record = found.record["found"]
+    blur_px = math.sqrt(max(0.0, 0.5 * float(record["blur_px2"][0] + record["blur_px2"][2])))
+    return blur_px, math.sqrt(max(0.0, float(record["cov"].reshape(6, 6).diagonal()[:2].max())))
 
 
 def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:

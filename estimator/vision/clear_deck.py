@@ -6,8 +6,9 @@ and veiling light add some white, and the paint still shows. All of these are le
 over each paint. The rest is averaged on the pad for about a second: noise, glint and whatever moves over the pad fade, and
 things that lie there stay. A patch that differs by far more than the paint differs from itself is something on the pad.
 
-Something in the colour of the paint under it shows only where it hides other paint, and something grey on grey or white paint
-does not: it looks like shade. A grey camera sees nothing here.
+Something in the colour of the paint under it hides the markings that it lies across: each marking's contrast with the ground
+about it is measured too, as a share of what the whole marking shows. Light adds to a marking and its ground alike, and shade
+leaves the same share of both. What has the paint's own hue and hides no marking looks like shade. A grey camera sees nothing.
 """
 
 import math
@@ -44,8 +45,8 @@ _PERIOD_S, _AVERAGE_S, LASTS_S = 0.2, 1.0, 10.0
 """Time between two frames that are read, of the average, and for which a cell that has left the view counts, s."""
 _ENOUGH = 3.0
 """Frames' weight in the average from which on a cell counts."""
-_BRIGHT = 250
-"""Value of a pixel from which on a channel is clipped."""
+_BRIGHT = 245
+"""Value of a pixel from which on a channel is clipped, or its neighbour is."""
 _WHITE_MOST, _PURER = 2.0, 0.8
 """Most white light added to a paint, in its own light, where the paint still shows. Second: the share of white in a paint's
 median that may be such light."""
@@ -56,6 +57,18 @@ _LEAST, _SPREADS = 0.17, 6.0
 _CELLS_LEAST, _SHARP = 14, 0.7
 """Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
 glare and puddles end softly."""
+_GLARE_OWN, _MIRRORED, _STRONG = 0.4, 2.5, 1.5
+"""Any amount of white on a paint may be mirrored light: from this share of the paint's own light on, or, whatever that, from this
+light on, in that of the paint. Third: the light from which on differences count in parts of the light itself."""
+_ABOUT = 7
+"""Width of the square, in cells, in which a marking's ground is looked for."""
+_MARK, _OTHER, _GROUND, _GROUND_CELLS = 0.35, 0.05, 0.9, 4
+"""Coverage of a cell by a marking and by another one, and of its ground by the ground's paint; least number of ground cells."""
+_DARKEST, _NOMINAL, _UNEVEN = 0.1, 0.25, 0.15
+"""Deepest shade. Second: contrast of the whole marking, in parts of that of the drawing, below which it is hidden altogether.
+Third: spread of the ground's light about a marking, in its contrast, from which on its ground is not known."""
+_HIDDEN, _HIDDEN_CELLS, _SEEN_OFTEN = 0.25, 5, 2.0
+"""Contrast of a marking, in parts of that of the whole, that something hides; least number of such cells, and frames' weight."""
 
 _DECK_LIGHT = np.full(3, 0.3)
 """Light of the deck about the pad, 1 for white."""
@@ -76,6 +89,8 @@ class DeckMemory:
     """Weight of the frames in it, (cells,)."""
     seen_at: F64
     """Seconds of the newest reading of each cell, (cells,); -inf before."""
+    marks: F32
+    """Weighted sums over frames, (cells, 3): contrast of a marking, contrast of the whole marking, and the frames' weight."""
     check: PadCheck
 
 
@@ -90,24 +105,29 @@ def _cells(pad: Pad) -> tuple[F64, NDArray[np.int64]]:
 
 
 @lru_cache(maxsize=16)
+def _shares(pad: Pad, blur: int) -> F32:
+    """Return the coverage of each cell by each paint, (cells, 4), at one of `BLURS_M`."""
+    maps = template(pad).coverage[blur]
+    at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
+    return np.asarray(maps[at[:, 0], at[:, 1]], np.float32) / np.float32(TEMPLATE_ONE)
+
+
+@lru_cache(maxsize=8)
+def _nominal(pad: Pad) -> F64:
+    """Return the light of the compared paints in the drawing, (3, 3) in blue, green, red."""
+    colours = pad.markings.colours
+    return np.array([linear_light(rgb)[::-1] for rgb in (colours.h, colours.ring, colours.disc)])
+
+
+@lru_cache(maxsize=16)
 def _known(pad: Pad, blur: int) -> NDArray[np.int8]:
     """Return the paint of each cell, (cells,), at one of `BLURS_M`; -1 where the drawing does not know it."""
-    maps, colours = template(pad).coverage[blur], pad.markings.colours
-    at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
-    share = maps[at[:, 0], at[:, 1]] / float(TEMPLATE_ONE)
-    light = np.linalg.norm([*(linear_light(rgb) for rgb in (colours.h, colours.ring, colours.disc)), _DECK_LIGHT], axis=1)
+    share = _shares(pad, blur)
+    light = np.linalg.norm([*_nominal(pad), _DECK_LIGHT], axis=1)
     own = share[:, :_PAINTS].argmax(axis=1)
     most = share[np.arange(len(own)), own]
     leak = share @ light - most * light[own]
     return np.where((most >= _PURE) & (leak <= _LEAK * light[own]), own, -1).astype(np.int8)
-
-
-@lru_cache(maxsize=16)
-def _lettered(pad: Pad, blur: int) -> NDArray[np.bool_]:
-    """Return which cells show lettering for the most part at one of `BLURS_M`."""
-    maps = template(pad).coverage[blur]
-    at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
-    return np.asarray(maps[at[:, 0], at[:, 1], 0] >= 0.6 * TEMPLATE_ONE)
 
 
 def checked_deck(
@@ -130,48 +150,105 @@ def checked_deck(
     if cell_px < _CELL_PX_LEAST:
         return memory
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
-    wanted_m = 1.3 * math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
-    blur = next((k for k, blur_m in enumerate(BLURS_M) if blur_m >= wanted_m), len(BLURS_M) - 1)
-    paint = _known(pad, blur)
-    difference, seen = _differences(pyramid, level, camera, pad, pose, blur)
-    now_s = at * 1e-9
-    if memory is None or not 0.0 <= since_s < LASTS_S:
-        total, weight, seen_at = np.zeros_like(difference), np.zeros(len(paint), np.float32), np.full(len(paint), -np.inf)
-    else:
-        total, weight, seen_at = memory.total, memory.weight, memory.seen_at
-    keep = np.where(seen, np.float32(math.exp(-min(since_s, _AVERAGE_S) / _AVERAGE_S)), np.float32(1.0))
-    total = total * keep[:, None] + difference
-    weight = weight * keep + seen
-    seen_at = np.where(seen, now_s, seen_at)
-    return DeckMemory(at, total, weight, seen_at, _judged(pad, total, weight, now_s - seen_at, at))
+    values, shown = _read(pyramid, level, camera, pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1)))))
+    blur_m = math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
+    return _after(memory if 0.0 <= since_s < LASTS_S else None, pad, values, shown, blur_m, at)
 
 
-def _differences(
-    pyramid: Pyramid, level: int, camera: Camera, pad: Pad, pose: PadPose, blur: int
-) -> tuple[F32, NDArray[np.bool_]]:
-    """Return the difference of each cell from its paint, (cells, 3) of the paint's light, and which cells were read."""
-    xy, paint = _cells(pad)[0], _known(pad, blur)
-    R = pose.R_cam_pad.matrix
-    uv = camera.project(xy @ R[:, :2].T + pose.t_cam_pad)
+def _read(pyramid: Pyramid, level: int, camera: Camera, points: F64) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return the frame's values at points in `cam`, (N, 3), and which of them are in the frame."""
     px, scale = pyramid[level], 1.0 / (1 << level)
-    on_level = ((uv + 0.5) * scale - 0.5).astype(np.float32)
+    on_level = ((camera.project(points) + 0.5) * scale - 0.5).astype(np.float32)
     values = cv2.remap(px, on_level[None], np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     h, w = px.shape[:2]
     shown = (on_level > 1.0).all(axis=1)
-    shown &= (on_level[:, 0] < w - 2.0) & (on_level[:, 1] < h - 2.0)
-    seen, letters = shown & (paint >= 0) & (values.max(axis=1) < _BRIGHT), shown & _lettered(pad, blur)
-    light, out = _LIGHT[values], np.zeros((len(xy), 3), np.float32)
+    return np.asarray(values, np.uint8), shown & (on_level[:, 0] < w - 2.0) & (on_level[:, 1] < h - 2.0)
+
+
+def _after(
+    memory: DeckMemory | None, pad: Pad, values: NDArray[np.uint8], shown: NDArray[np.bool_], blur_m: float, at: MonoNs
+) -> DeckMemory:
+    """Return the memory with the values of the cells, (cells, 3), of which some are shown."""
+    blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
+    nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
+    bright = np.zeros((ACROSS, ACROSS), np.uint8)
+    np.put(bright, _cells(pad)[1], values.max(axis=1) >= _BRIGHT)
+    clear = shown & (cv2.dilate(bright, np.ones((3, 3), np.uint8)).ravel()[_cells(pad)[1]] == 0)
+    light = _LIGHT[values]
+    difference, seen = _differences(light, clear, pad, blur)
+    contrast = _contrasts(light, clear, pad, nearest)
+    now_s = at * 1e-9
+    if memory is None:
+        memory = DeckMemory(
+            at, np.zeros_like(difference), np.zeros(len(values), np.float32), np.full(len(values), -np.inf),
+            np.zeros_like(contrast), PadCheck(at, 0.0),
+        )  # fmt: skip
+    fades = np.float32(math.exp(-min(seconds_between(memory.at, at), _AVERAGE_S) / _AVERAGE_S))
+    keep = np.where(seen, fades, np.float32(1.0))
+    total, weight = memory.total * keep[:, None] + difference, memory.weight * keep + seen
+    marks = memory.marks * np.where(contrast[:, 2:] > 0, fades, np.float32(1.0)) + contrast
+    seen_at = np.where(seen | (contrast[:, 2] > 0), now_s, memory.seen_at)
+    return DeckMemory(at, total, weight, seen_at, marks, _judged(pad, total, weight, marks, now_s - seen_at, at))
+
+
+def _differences(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> tuple[F32, NDArray[np.bool_]]:
+    """Return the difference of each cell from its paint, (cells, 3) of the paint's light, and which cells were read.
+
+    Args:
+        light: of the cells, (cells, 3).
+        clear: which of them are in the frame and not clipped.
+    """
+    xy, paint = _cells(pad)[0], _known(pad, blur)
+    seen, letters = clear & (paint >= 0), clear & (_shares(pad, blur)[:, 0] >= 0.6)
+    out = np.zeros_like(light)
     cells = [np.flatnonzero(seen & (paint == one)) for one in range(_PAINTS)]
-    if np.count_nonzero(letters) < _LEAST_CELLS:
-        return out, np.zeros_like(seen)
-    own = [np.median(light[of], axis=0) for of in (np.flatnonzero(letters), *cells) if len(of) >= _LEAST_CELLS]
-    white = max(own, key=lambda bgr: float(bgr.sum()), default=np.ones(3, np.float32))
+    # Lettering that is hidden or clipped leaves the camera's own white.
+    white = np.median(light[letters], axis=0) if np.count_nonzero(letters) >= _LEAST_CELLS else np.ones(3, np.float32)
     for of in cells:
         if len(of) < _LEAST_CELLS:
             seen[of] = False
             continue
         out[of] = _from_paint(light[of], (xy[of] / pad.disc_radius_m).astype(np.float32), white)
     return out, seen
+
+
+def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32:
+    """Return each marking's contrast with its ground, that of the whole marking, and 1 for cells that were read, (cells, 3).
+
+    Args:
+        light: of the cells, (cells, 3).
+        clear: which of them are in the frame and not clipped.
+    """
+    share, inside, nominal = _shares(pad, blur), _cells(pad)[1], _nominal(pad)
+    out, ground = np.zeros((len(light), 3), np.float32), clear & (share[:, 2] >= _GROUND)
+    if np.count_nonzero(ground) < _LEAST_CELLS:
+        return out
+    square = np.zeros((ACROSS * ACROSS, 5), np.float32)
+    square[inside[ground], :3], square[inside[ground], 3] = light[ground], 1.0
+    square[inside[ground], 4] = np.square(light[ground]).sum(axis=1)
+    sums = cv2.boxFilter(square.reshape(ACROSS, ACROSS, 5), -1, (_ABOUT, _ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    about = sums.reshape(-1, 5)[inside]
+    count = about[:, 3]
+    about = about / np.maximum(count, 1.0)[:, None]
+    spread = np.sqrt(np.maximum(0.0, about[:, 4] - np.square(about[:, :3]).sum(axis=1)))
+    bright = float(np.linalg.norm(nominal[2]))
+    level = about[:, :3] @ (nominal[2] / bright).astype(np.float32)
+    usual = float(np.median(light[ground] @ (nominal[2] / bright))) + 1e-6
+    shade = np.clip(level / usual, _DARKEST, 1.0)
+    for one in range(_PAINTS - 1):
+        way = nominal[one] - nominal[2]
+        size = float(np.linalg.norm(way))
+        of = clear & (share[:, one] >= _MARK) & (share[:, 1 - one] <= _OTHER) & (share[:, 3] <= _OTHER) & (count >= _GROUND_CELLS)
+        if size < 0.1 * bright or not of.any():
+            continue
+        shows = (light[of] - about[of, :3]) @ (way / size).astype(np.float32)
+        own = share[of, one]
+        whole = float(np.percentile(shows / (own * shade[of]), 80)) if np.count_nonzero(of) >= _LEAST_CELLS else 0.0
+        whole = max(whole, _NOMINAL * size / bright * usual)
+        even = spread[of] < _UNEVEN * whole * shade[of] * own
+        read = np.stack([shows * own / whole, shade[of] * own * own, np.ones_like(own)], axis=1)
+        out[of] = np.where(even[:, None], read, 0.0)
+    return out
 
 
 def _from_paint(light: F32, place: F32, white: F32) -> F32:
@@ -197,6 +274,17 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
         np.where(of_pale < 0.0, 0.0, np.where(of_own < 0.0, paler, of_pale)),
     )
     left = left - of_own[:, None] * axis - of_pale[:, None] * pale
+    bright = np.linalg.norm(light, axis=1) / size
+    # Mirrored light: any amount of white, of which a part may be a thing's. That hides markings.
+    toward = float(axis @ white)
+    square = 1.0 - toward * toward
+    if square > 0.05:
+        of_white = (light @ white - toward * (light @ axis)) / (square * size)
+        of_own = light @ axis / size - toward * of_white
+        mirrored = (of_white > 0.0) & ((bright > _MIRRORED) | (of_own >= _GLARE_OWN * float(np.median(of_own))))
+        left = np.where(mirrored[:, None], light / size - of_own[:, None] * axis - of_white[:, None] * white, left)
+    # What is much brighter than the paint is off by errors of colour that grow with it.
+    left = left / np.maximum(1.0, bright / _STRONG)[:, None]
     sky = own * np.array([1.0, 0.0, -1.0], np.float32) / size
     sky = sky - (sky @ axis) * axis
     power = float(sky @ sky)
@@ -214,9 +302,10 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
     return np.asarray(left - rows @ slow, np.float32)
 
 
-def _judged(pad: Pad, total: F32, weight: F32, age_s: F64, at: MonoNs) -> PadCheck:
+def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoNs) -> PadCheck:
     """Return what the averages say."""
-    counts, paint = (weight >= _ENOUGH) & (age_s <= LASTS_S), _known(pad, 0)
+    fresh, paint = age_s <= LASTS_S, _known(pad, 0)
+    counts = (weight >= _ENOUGH) & fresh
     share = float(np.count_nonzero(counts & (paint >= 0))) / max(1, int(np.count_nonzero(paint >= 0)))
     mean = np.linalg.norm(total, axis=1) / np.maximum(weight, 1e-6)
     odd = np.zeros(len(mean), bool)
@@ -224,32 +313,64 @@ def _judged(pad: Pad, total: F32, weight: F32, age_s: F64, at: MonoNs) -> PadChe
         of = counts & (paint == one)
         if np.count_nonzero(of) >= _LEAST_CELLS:
             odd |= of & (mean > max(_LEAST, _SPREADS * float(np.median(mean[of]))))
-    return PadCheck(at, share, _largest(pad, odd, np.where(counts & (paint >= 0), mean, _NONE).astype(np.float32)))
+    sharp = _sharp(pad, odd, np.where(counts & (paint >= 0), mean, _NONE).astype(np.float32))
+    # Together with its neighbours: strokes are painted narrower or wider than drawn, and a registration is off by part of a cell.
+    square = np.zeros((ACROSS * ACROSS, 2), np.float32)
+    square[_cells(pad)[1]] = marks[:, :2]
+    about = cv2.blur(square.reshape(ACROSS, ACROSS, 2), (3, 3), borderType=cv2.BORDER_CONSTANT).reshape(-1, 2)[_cells(pad)[1]]
+    hidden = fresh & (marks[:, 2] >= _SEEN_OFTEN) & (about[:, 0] < _HIDDEN * about[:, 1])
+    return PadCheck(at, share, _largest(pad, sharp, _patches(pad, hidden, 3, _HIDDEN_CELLS)))
 
 
-def _largest(pad: Pad, odd: NDArray[np.bool_], mean: F32) -> PadThing | None:
-    """Return the largest patch of cells that differ; None if none is large enough and ends sharply.
+def _square(pad: Pad, of: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    square = np.zeros((ACROSS, ACROSS), np.uint8)
+    np.put(square, _cells(pad)[1], of)
+    return square
+
+
+def _patches(pad: Pad, of: NDArray[np.bool_], across: int, least: int) -> NDArray[np.uint8]:
+    """Return the cells, (ACROSS, ACROSS), in patches of a least number, across gaps of one cell less than `across`."""
+    square = _square(pad, of)
+    if not square.any():
+        return square
+    joined = cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((across, across), np.uint8))
+    count, labels = cv2.connectedComponents(joined, connectivity=8)
+    sizes = np.bincount(labels[square > 0], minlength=count)
+    return np.asarray(square * (sizes >= least)[labels], np.uint8)
+
+
+def _sharp(pad: Pad, odd: NDArray[np.bool_], mean: F32) -> NDArray[np.uint8]:
+    """Return the cells that differ, (ACROSS, ACROSS), in patches that are large enough and end sharply.
 
     Args:
         odd: cells that differ, (cells,).
         mean: differences, (cells,); `_NONE` where there is none.
     """
-    if np.count_nonzero(odd) < _CELLS_LEAST:
-        return None
-    square, off = np.zeros((ACROSS, ACROSS), np.uint8), np.full((ACROSS, ACROSS), _NONE, np.float32)
-    np.put(square, _cells(pad)[1], odd)
+    square = _patches(pad, odd, 5, _CELLS_LEAST)
+    if not square.any():
+        return square
+    off = np.full((ACROSS, ACROSS), _NONE, np.float32)
     np.put(off, _cells(pad)[1], mean)
     falls = off - cv2.erode(off, np.ones((5, 5), np.uint8))
     # Edges of the drawing, which no cell knows, divide what lies across them.
-    joined = cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    count, labels, _, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
-    sizes = np.bincount(labels[square > 0], minlength=count)
-    sizes[0] = 0
-    best = int(sizes.argmax())
-    of = (labels == best) & (square > 0)
-    if sizes[best] < _CELLS_LEAST or float(falls[of].max()) < _SHARP * float(off[of].max()):
+    count, labels = cv2.connectedComponents(cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)), connectivity=8)
+    for one in range(1, count):
+        of = (labels == one) & (square > 0)
+        if of.any() and float(falls[of].max()) < _SHARP * float(off[of].max()):
+            square[of] = 0
+    return square
+
+
+def _largest(pad: Pad, differs: NDArray[np.uint8], hidden: NDArray[np.uint8]) -> PadThing | None:
+    """Return the largest thing of cells that differ or hide markings, (ACROSS, ACROSS) each; None if there are none."""
+    square = differs | hidden
+    if not square.any():
         return None
-    rows, columns = np.nonzero(labels == best)
+    # Markings are apart by as much as their ground is wide, and what hides two of them is one thing.
+    joined = cv2.morphologyEx(np.pad(square, 5), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))[5:-5, 5:-5]
+    count, labels = cv2.connectedComponents(joined, connectivity=8)
+    best = int(np.bincount(labels[square > 0], minlength=count).argmax())
+    rows, columns = np.nonzero((labels == best) & (square > 0))
     step = 2.0 * pad.disc_radius_m / ACROSS
     wide = max(int(np.ptp(rows)), int(np.ptp(columns))) + 1
     middle = [(0.5 * (int(side.min()) + int(side.max())) + 0.5) * step - pad.disc_radius_m for side in (rows, columns)]

@@ -166,8 +166,24 @@ class PadThing(Struct, frozen=True):
         return math.hypot(self.forward_m, self.right_m)
 
 
+class NearThing(Struct, frozen=True):
+    """Something that stands out of the deck about the pad, or moves against it."""
+
+    forward_m: float
+    """Its place from the pad's centre, along the arrow; of what moves, where it is seen against the deck."""
+    right_m: float
+    """The same to starboard of the arrow."""
+    height_m: float
+    """How far it stands out of the deck; 0 for what moves, whose height is not known."""
+
+    @property
+    def from_centre_m(self) -> float:
+        """Distance from the pad's centre, m."""
+        return math.hypot(self.forward_m, self.right_m)
+
+
 class PadCheck(Struct, frozen=True):
-    """State of the pad's surface at an instant."""
+    """State of the pad's surface, and of what is about it, at an instant."""
 
     at: MonoNs
     """Exposure of the newest frame that was read."""
@@ -175,6 +191,8 @@ class PadCheck(Struct, frozen=True):
     """Share, 0..1, of the cells that the drawing knows which were read often enough within the time for which they count."""
     thing: PadThing | None = None
     """The largest thing; None if nothing is seen."""
+    near: NearThing | None = None
+    """The nearest thing about the pad; None if nothing is seen."""
 
 
 class Detection(Struct, frozen=True, eq=False):

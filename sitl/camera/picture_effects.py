@@ -17,12 +17,13 @@ from sitl.camera.camera import Exposure
 from sitl.camera.light import Light, linear_from_srgb
 from sitl.camera.projection import SHIFT as BITS
 from sitl.camera.projection import Lens, fixed_point, lens_of
+from sitl.camera.solids import Solid
 from sitl.camera.surroundings import RGB, Decal
-from sitl.faults.kinds import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.faults.kinds import Bystander, FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 
 U8 = NDArray[np.uint8]
 Polygon = tuple[F64, RGB]
-"""Points (N, 2) m in the pad's plane, and the paint, sRGB."""
+"""Points (N, 2) m in the pad's plane or (N, 3) in `pad`, and the paint, sRGB."""
 _TARPAULIN: RGB = (92, 96, 98)
 _DECK: RGB = (104, 110, 112)
 _NOISE = 2.0
@@ -46,7 +47,7 @@ class PictureEffects:
         """Return the frame (H, W, 3) with the faults, of the scene in the middle of its exposure."""
         out = px.copy()
         R, t = _pose(shot, self._camera)
-        polygons = [polygon for fault in faults for polygon in self._polygons(fault)]
+        polygons = [polygon for fault in faults for polygon in self._polygons(fault, shot.t_s, -R.T @ t)]
         if polygons and R[:, 2] @ t > 0.01:
             self._draw(out, polygons, R, t, rng)
         for fault in faults:
@@ -65,8 +66,10 @@ class PictureEffects:
                     out = _behind_drops(out, fault, self._seed)
         return out
 
-    def _polygons(self, fault: PictureFault) -> list[Polygon]:
+    def _polygons(self, fault: PictureFault, t_s: float, camera_m: F64) -> list[Polygon]:
         match fault:
+            case Bystander():
+                return Solid.of(fault).polygons(t_s, camera_m)
             case PadCovered():
                 reach = 1.15 * self._pad.disc_radius_m
                 from_m = (1.0 - 2.0 * fault.fraction) * self._pad.disc_radius_m
@@ -88,7 +91,7 @@ class PictureEffects:
     def _draw(self, out: U8, polygons: list[Polygon], R: F64, t: F64, rng: np.random.Generator) -> None:
         touched = np.zeros(out.shape[:2], np.uint8)
         for points, rgb in polygons:
-            uv = self._lens.outline(points @ R[:, :2].T + t, 6)
+            uv = self._lens.outline(points @ R[:, : points.shape[1]].T + t, 6)
             if len(uv) < 3:
                 continue
             paint = _srgb(linear_from_srgb(np.array(rgb[::-1])) * self._gains)

@@ -47,6 +47,19 @@ class ObjectOnPad(PictureFault, frozen=True, tag="object_on_pad"):
     ] = 0.0
 
 
+class Bystander(PictureFault, frozen=True, tag="bystander"):
+    """Something stands, walks or flies on or about the pad."""
+
+    thing: Annotated[Literal["box", "person", "bird", "drone"], choice("what it is")] = "person"
+    forward_m: Annotated[float, number(_FORWARD, "m", -20.0, 20.0)] = 0.0
+    right_m: Annotated[float, number(_RIGHT, "m", -20.0, 20.0)] = 0.8
+    width_m: Annotated[float, number("its width", "m", 0.05, 3.0)] = 0.5
+    height_m: Annotated[float, number("height of its top over the deck", "m", 0.05, 10.0)] = 1.7
+    to_forward_m: Annotated[float, number("where it turns, along the arrow", "m", -20.0, 20.0)] = 0.0
+    to_right_m: Annotated[float, number("where it turns, to starboard of the arrow", "m", -20.0, 20.0)] = 0.0
+    speed_m_s: Annotated[float, number("its speed on the way there and back; 0 stands", "m/s", 0.0, 20.0)] = 0.0
+
+
 class OtherPad(PictureFault, frozen=True, tag="other_pad"):
     """Another pad on the deck, beside the right one or in its place."""
 
@@ -325,6 +338,7 @@ AnyFault = (
     | FramesMisstamped
     | PadCovered
     | ObjectOnPad
+    | Bystander
     | OtherPad
     | Glint
     | LightFalls

@@ -12,7 +12,8 @@ from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.faults.kinds import ObjectOnPad
+from sitl.camera.solids import Solid
+from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.faults.timer import FaultTimer
 from sitl.flight.safety import (
     BLIND_DESCENT_MAX_M,
@@ -124,7 +125,8 @@ class FlightGrader:
         self._reason = ""
         self._go_arounds = 0
         self._on_things: list[str] = []
-        """Contacts with things on the pad."""
+        """Contacts with things on the pad and about it."""
+        self._flew_into: str | None = None
         self._contacts = 0
 
     def step(self) -> None:
@@ -136,7 +138,16 @@ class FlightGrader:
         self._meet(truth)
 
     def _meet(self, truth: Truth) -> None:
-        """Note the new contacts where something lies."""
+        """Note the new contacts where something lies, and the drone's first way into something that stands or flies there."""
+        if self._flew_into is None and (bodies := self._world.faults.on(Bystander)):
+            x, y, z = (truth.R_ned_pad.matrix.T @ (truth.p_body_ned - truth.p_pad_ned)).tolist()
+            for fault, _ in bodies:
+                at = Solid.of(fault).place_m(seconds_between(self._world.started, truth.at))
+                off_m = math.hypot(x - float(at[0]), y - float(at[1]))
+                over = -z < fault.height_m + _FEET_M and (fault.thing in ("box", "person") or -z > fault.height_m - _FEET_M)
+                if over and off_m < 0.5 * fault.width_m + _FEET_M:
+                    self._flew_into = f"flew into a {fault.thing}, {off_m:.2f} m from its middle"
+                    self._on_things.append(self._flew_into)
         new, self._contacts = truth.contacts[self._contacts :], len(truth.contacts)
         for contact in new:
             x, y, _ = contact.p_body_pad.tolist()

@@ -9,7 +9,7 @@ from companion.recording import decode, encode
 from companion.recording.rewriting import _without_methods
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.time import MonoNs
-from estimator.vision.detection import PadCheck, PadThing
+from estimator.vision.detection import NearThing, PadCheck, PadThing
 from tests.support.processed_frames import seen
 
 AT = MonoNs(3_000_000_000)
@@ -48,10 +48,11 @@ def test_what_is_seen_elsewhere_reads_back_and_stays_where_a_recording_is_thinne
 
 
 @pytest.mark.parametrize("thing", [None, PadThing(0.2, 0.05, -0.12)])
-def test_what_lies_on_the_pad_reads_back(thing: PadThing | None) -> None:
+@pytest.mark.parametrize("near", [None, NearThing(0.6, -0.3, 1.7)])
+def test_what_lies_on_the_pad_and_stands_about_it_reads_back(thing: PadThing | None, near: NearThing | None) -> None:
     plain = seen(AT, True)
     assert plain.detection is not None
-    check = PadCheck(AT, 0.9, thing)
+    check = PadCheck(AT, 0.9, thing, near)
     back = decode.detection(encode.detection(replace(plain, detection=replace(plain.detection, on_pad=check))))
     assert back is not None
     assert back.on_pad == check

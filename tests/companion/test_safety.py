@@ -25,7 +25,7 @@ from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
-from estimator.vision.detection import Detection, PadCheck, PadThing
+from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
 
@@ -52,6 +52,8 @@ class Loop:
     lowest_m: float = math.inf
     thing: PadThing | None = None
     """Vision reports things on the pad."""
+    near: NearThing | None = None
+    """Vision reports things about it."""
 
     def __post_init__(self) -> None:
         self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance)
@@ -122,7 +124,7 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing)
+        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing, self.near)
         self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}, on_pad=on_pad))[0])
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
@@ -303,6 +305,19 @@ def test_what_lies_on_the_pad_ends_the_descent_and_is_refused_after_some_tries(m
         assert appeared < 20 or loop.pilot.phase not in ("descend", "gate", "commit", "press", "down")
     assert "something 20 cm wide lies 12 cm from the pad's centre" in decision.reason
     assert loop.lowest_m > 1.5
+
+
+@pytest.mark.parametrize(
+    ("height_m", "words"), [(1.7, "something stands 170 cm out of the deck 0.5 m from"), (0.0, "something moves 0.5 m from")]
+)
+def test_what_stands_or_moves_about_the_pad_ends_the_descent(height_m: float, words: str) -> None:
+    loop = Loop("ekf", GuidanceOptions(mission="cone", controller="pid"))
+    loop.until(below(2.2, loop))
+    loop.near = NearThing(0.3, -0.4, height_m)
+    loop.until(lambda decision: words in decision.reason)
+    loop.until(lambda decision: loop.pilot.phase not in ("descend", "gate"), seconds=2.0)
+    loop.near = None
+    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
 def test_what_passed_delays_the_landing_and_the_operator_may_overrule_what_stays() -> None:

@@ -10,7 +10,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import after
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.faults.kinds import Bystander, FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
@@ -61,6 +61,7 @@ def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
         (ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
         (ObjectOnPad(at_s=0.1, thing="crate", brightness=0.9, right_m=0.39, size_m=0.3), 1.0, 0.0, (0.001, 0.03)),
         (ObjectOnPad(at_s=0.1, thing="wet patch", forward_m=-0.78, size_m=0.4), 0.0, 2.0, (0.001, 0.03)),
+        (Bystander(at_s=0.1, thing="box", right_m=0.78, width_m=0.4, height_m=0.4), 2.0, 0.0, (0.001, 0.06)),
         (OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
         (Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
     ],
@@ -162,3 +163,14 @@ def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, 
     flight._grader.step()
     met = [line for line in flight.result().unsafe if line.startswith(f"touched a {thing} on the pad")]
     assert len(met) == unsafe
+
+
+@pytest.mark.parametrize(("right_m", "height_m", "unsafe"), [(0.1, 1.7, 1), (1.2, 1.7, 0), (0.1, 0.2, 0)])
+def test_to_fly_into_a_person_is_unsafe_and_to_fly_beside_or_above_is_not(right_m: float, height_m: float, unsafe: int) -> None:
+    stands = {"kind": "bystander", "at_s": 0.0, "right_m": right_m, "height_m": height_m}
+    scenario = from_mapping({"title": "x", "start": {"height_m": 1.0, "pad_right_m": 0.0}, "faults": [stands]}, "mine.toml")
+    flight = Flight(scenario, 1, SIM, perceive("model").pilot(SIM))
+    flight.world.advance(after(flight.world.now, 0.05))
+    for _ in range(2):
+        flight._grader.step()
+    assert len([line for line in flight.result().unsafe if line.startswith("flew into a person")]) == unsafe

@@ -46,19 +46,35 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
     assert of.thing.from_centre_m == pytest.approx(math.hypot(*at), abs=0.03)
 
 
+@pytest.mark.parametrize("light", [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6))], ids=["even light", "shadows"])
+def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
+    of = check(light, Decal("crate", (0.0, 0.26), 0.15, 0.3, "pad", PAD.markings.colours.disc))
+    assert of.thing is not None
+    assert math.hypot(of.thing.forward_m, of.thing.right_m - 0.26) < 0.05
+
+
+def test_a_thing_that_hides_all_of_the_lettering_is_seen() -> None:
+    of = check(BRIGHT, Decal("crate", (0.0, 0.0), 0.4, 0.0, "pad", (65, 88, 72)))
+    assert of.thing is not None
+    assert of.thing.width_m == pytest.approx(0.4, abs=0.1)
+
+
 @pytest.mark.parametrize(
     "light",
     [
         Light(),
+        Light(drone_shadow=0.0, glare=1.0),
+        Light(glare=0.6, exposure_ev=1.0, white_balance=(1.2, 1.0, 0.8)),
         Light(drone_shadow=0.6, mast=Mast(3.0, (1.0, 0.4), 0.6)),
         Light(drone_shadow=0.0, wetness=1.0),
         Light(visibility_m=20.0, colour_temperature_k=3500.0, balanced_for_k=6500.0, wear=0.15),
     ],
-    ids=["own shadow", "shadow of a mast", "puddles", "haze, warm light and worn paint"],
+    ids=["own shadow", "glare", "clipped glare, wrong white", "shadow of a mast", "puddles", "haze, warm light and worn paint"],
 )
 def test_light_is_no_thing(light: Light) -> None:
     of = check(light)
-    assert of.seen > 0.8
+    # Clipped cells say nothing.
+    assert of.seen > (0.8 if light.exposure_ev == 0.0 else 0.5)
     assert of.thing is None
 
 

@@ -1,0 +1,207 @@
+"""Detect what stands out of the deck about the pad, or moves against it, by the way of corners over the deck's plane.
+
+Each frame that is read is drawn as seen from straight above, on the deck's plane as the pad is registered. There everything that
+is painted on the deck stays where it is, at the same size. Corners of an earlier such picture are followed by optical flow (Lucas
+& Kanade, Proc. IJCAI 1981; Shi & Tomasi, CVPR 1994). A point z above the deck is seen where the ray through it meets the deck,
+q = p + (q - c) z / h for a camera at height h over the place c: while the drone comes down, height and place follow by least
+squares. What fits no place and height moves. The drone's own shadow, drops on the lens and its own feet keep their place in its
+cone, q = c + s h, and count for nothing. So does what seems to be below the deck: the sea, and mirrored things. Several corners
+must agree.
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.detection import NearThing
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+
+_PERIOD_S, _GAP_S, LASTS_S = 0.2, 0.7, 10.0
+"""Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
+_STEP_M, _MESH = 0.016, 10
+"""Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
+_CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
+"""Number of corners, their least distance, and the window that is followed, px."""
+_BACK_PX, _MARGIN = 0.4, 8
+"""Largest difference after following a corner back, and least distance from where the frame ends, px."""
+_KEY_S, _LOWER, _LEFT = 5.0, 0.5, 0.4
+"""Longest time that the same picture is followed, least height in that of the picture, and least share of corners left."""
+_STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
+"""How far beyond the disc what stands out counts (rotor and margin), and what moves. Third: where the ring begins, in radii."""
+_SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
+"""Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
+_READS = 4
+"""Least number of readings of a corner."""
+_STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
+"""Least height of what stands out, and in standard deviations."""
+_STAYS = 4.0
+"""Largest mean square, in variances, that a place and a height leave of a corner that stands."""
+_MOVES_M, _MOVES_TIMES = 0.12, 6.0
+"""Least deviation from the best place and height that is a motion, m, and in standard deviations."""
+_OWN = 0.5
+"""What the drone's own cone leaves of it, in parts of that, where it is the drone's own shadow."""
+_AGREE, _CLUSTER_M = 3, 0.5
+"""Least number of corners that agree, within this distance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AroundMemory:
+    """Corners about the pad, with the sums of their readings, and what was found."""
+
+    at: MonoNs
+    key_at: MonoNs
+    """Exposure of the picture that is followed."""
+    key: U8
+    """That picture, from above."""
+    key_height_m: float
+    corners: F64
+    """Corners in it, (N, 2) px."""
+    uv: F64
+    """Where they were in the last frame that was read, (N, 2) px from above."""
+    sums: F64
+    """(N, 13) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2; and number of readings."""
+    began: int
+    """Number of corners when the picture was taken."""
+    found: NearThing | None = None
+    found_at: MonoNs | None = None
+
+    def near(self, at: MonoNs) -> NearThing | None:
+        """Return what was found lately."""
+        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
+            return None
+        return self.found
+
+
+def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
+    """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
+    since_s = math.inf if memory is None else seconds_between(memory.at, at)
+    if memory is not None and 0.0 <= since_s < _PERIOD_S:
+        return memory
+    camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
+    corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
+    if memory is not None and corner_m < rim_m:
+        return memory
+    centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+    height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
+    above, shown = _from_above(view, pose)
+    found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
+    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv):
+        uv, kept = _followed(memory, above, shown)
+        q = (uv - (len(above) - 1) / 2) * _STEP_M
+        sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
+        new = _judged(sums, q, view.pad.disc_radius_m)
+        found, found_at = (found, found_at) if new is None else (new, at)
+        fresh = (
+            seconds_between(memory.key_at, at) < _KEY_S and _LOWER * memory.key_height_m < height_m < 1.5 * memory.key_height_m
+        )
+        if fresh and len(uv) > _LEFT * memory.began:
+            return AroundMemory(
+                at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
+            )
+    corners = _corners(above, shown, view.pad.disc_radius_m)
+    q = (corners - (len(above) - 1) / 2) * _STEP_M
+    sums = np.zeros((len(q), 13)) + _reading(q, centre[:2], height_m, px_m)
+    return AroundMemory(at, at, above, height_m, corners, corners, sums, len(corners), found, found_at)
+
+
+def _from_above(view: FrameView, pose: PadPose) -> tuple[U8, U8]:
+    """Return the deck about the pad as seen from above, grey, x to the right and y down, and where the frame shows it."""
+    reach_m = view.pad.disc_radius_m + _MOVES_REACH_M
+    nodes = math.ceil(reach_m / (_MESH * _STEP_M))
+    side = np.arange(-nodes, nodes + 1) * _MESH * _STEP_M
+    x, y = np.meshgrid(side, side)
+    points = pose.points(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
+    ahead = points[:, 2] > 0.1
+    uv = np.where(ahead[:, None], view.camera.project(np.where(ahead[:, None], points, 1.0)), -1e4)
+    size = 2 * nodes * _MESH + 1
+    at = np.linspace(0.0, 2.0 * nodes, size, dtype=np.float32)
+    fine_x, fine_y = np.meshgrid(at, at)
+    mesh = uv.reshape(len(side), len(side), 2).astype(np.float32)
+    fine = cv2.remap(mesh, fine_x, fine_y, cv2.INTER_LINEAR)
+    level = 1 if pose.range_m / view.camera.fx < 0.5 * _STEP_M else 0
+    grey = cv2.cvtColor(view.pyramid[level], cv2.COLOR_BGR2GRAY)
+    fine = (fine + 0.5) / (1 << level) - 0.5
+    above = cv2.remap(grey, fine, np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    h, w = grey.shape
+    shown = cv2.inRange(fine, (1.0, 1.0), (w - 2.0, h - 2.0))
+    return np.asarray(above, np.uint8), np.asarray(shown, np.uint8)
+
+
+def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
+    """Return where the memory's corners are in a picture from above, (M, 2) px, and which they are."""
+    start, guess = (each.astype(np.float32)[:, None] for each in (memory.corners, memory.uv))
+    flags = {"winSize": _WINDOW, "maxLevel": 2, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+    to, there, _ = cv2.calcOpticalFlowPyrLK(memory.key, above, start, guess.copy(), **flags)  # type: ignore[call-overload]
+    back, again, _ = cv2.calcOpticalFlowPyrLK(above, memory.key, to, start.copy(), **flags)  # type: ignore[call-overload]
+    uv = to[:, 0].astype(float)
+    good = (there.ravel() > 0) & (again.ravel() > 0) & (np.abs(back - start)[:, 0].max(axis=1) < _BACK_PX)
+    inside = ((uv > _MARGIN) & (uv < len(above) - _MARGIN)).all(axis=1)
+    at = np.rint(np.where(inside[:, None], uv, 0.0)).astype(int)
+    safe = cv2.erode(shown, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
+    kept = np.flatnonzero(good & inside & (safe[at[:, 1], at[:, 0]] > 0))
+    return uv[kept], kept
+
+
+def _corners(above: U8, shown: U8, disc_radius_m: float) -> F64:
+    """Return corners in the ring about the pad, (N, 2) px from above."""
+    middle = (len(above) - 1) // 2
+    mask = cv2.erode(shown, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
+    mask[:_MARGIN], mask[-_MARGIN:], mask[:, :_MARGIN], mask[:, -_MARGIN:] = 0, 0, 0, 0
+    cv2.circle(mask, (middle, middle), math.ceil(_OFF_DISC * disc_radius_m / _STEP_M), 0, -1)
+    found = cv2.goodFeaturesToTrack(above, _CORNERS, 0.02, _APART_PX, mask=mask, blockSize=5)
+    return np.empty((0, 2)) if found is None else found[:, 0].astype(float)
+
+
+def _reading(q: F64, below: F64, height_m: float, px_m: float) -> F64:
+    """Return the weighted sums, (N, 13), of one reading of corners that are seen at places on the deck, (N, 2) m."""
+    sigma = np.sqrt((_SIGMA_PX * px_m) ** 2 + _SIGMA_M**2 + (_SIGMA_AWAY * np.hypot(*q.T)) ** 2)
+    w, off = 1.0 / np.maximum(sigma, 1e-6) ** 2, q - below
+    a = off / max(height_m, 0.05)
+    rows = [
+        np.ones(len(q)), *q.T, *a.T, (a * q).sum(axis=1), (a * a).sum(axis=1), (q * q).sum(axis=1),
+        *(height_m * off).T, np.full(len(q), height_m**2), (off * off).sum(axis=1),
+    ]  # fmt: skip
+    return np.column_stack([np.column_stack(rows) * w[:, None], np.ones(len(q))])
+
+
+def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
+    """Return the nearest thing that several corners agree on."""
+    if not len(sums):
+        return None
+    w = sums[:, 0]
+    mean_q, mean_a = sums[:, 1:3] / w[:, None], sums[:, 3:5] / w[:, None]
+    aa = np.maximum(1e-9, sums[:, 6] - w * np.square(mean_a).sum(axis=1))
+    aq = sums[:, 5] - w * (mean_a * mean_q).sum(axis=1)
+    qq = np.maximum(0.0, sums[:, 7] - w * np.square(mean_q).sum(axis=1))
+    z = aq / aa
+    left = np.maximum(0.0, qq - aq * aq / aa)
+    own = np.maximum(0.0, sums[:, 11] - np.square(sums[:, 8:10]).sum(axis=1) / np.maximum(sums[:, 10], 1e-9))
+    reads = sums[:, 12]
+    often = (reads >= _READS) & (own > _OWN * left)
+    place = mean_q - z[:, None] * mean_a
+    freedom = np.maximum(1.0, 2.0 * reads - 3.0)
+    stands = often & (z > np.maximum(_STANDS_M, _STANDS_SIGMAS / np.sqrt(aa))) & (left < _STAYS * freedom)
+    stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M) & (np.hypot(*place.T) > 0.0)
+    moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
+    best: NearThing | None = None
+    for which, at, height in ((stands, place, z), (moves, q, np.zeros(len(q)))):
+        those, up = at[which], height[which]
+        if len(those) < _AGREE:
+            continue
+        apart = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1))
+        agree = (apart < _CLUSTER_M).sum(axis=1)
+        for k in np.flatnonzero(agree >= _AGREE):
+            of = apart[k] < _CLUSTER_M
+            x, y = np.median(those[of], axis=0).tolist()
+            seen = NearThing(x, y, float(np.median(up[of])))
+            if best is None or seen.from_centre_m < best.from_centre_m:
+                best = seen
+    return best
