@@ -303,6 +303,13 @@ class Pad:
         return TOLD_BY_PARTS if self.markings.is_searched_by_parts else TOLD
 
     @property
+    def clutter_log_odds(self) -> float:
+        """Log-odds against a find of a drawing that clutter is taken for too often to be flown to; 0 where that is accepted."""
+        if self.calibration is None or self.accept_false_pads:
+            return 0.0
+        return math.log(max(1.0, self.calibration.chance / RARE))
+
+    @property
     def is_calibrated(self) -> bool:
         """True if it is known how often clutter is taken for this drawing."""
         return self.calibration is not None and self.calibration.drawing == self.fingerprint
