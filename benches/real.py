@@ -104,7 +104,7 @@ class Looks:
 
 
 ALL_LOOKS: list[Looks] = []
-"""Those of real images."""
+"""Counts of real images, in the order of the parts."""
 
 
 def curve_of(looks: list[Looks]) -> str:

@@ -121,6 +121,23 @@ def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_
     assert odds[2] == pytest.approx(odds[0])
 
 
+def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter() -> None:
+    keys = read_toml(next(p for p in USERS if p.stem == "house"))
+    pad, drawn_alone = Pad.from_mapping({**keys, "polarity": "any"}), Pad.from_mapping(keys)
+    pose = PadPose(Rotation.from_rpy(0.1, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 40.0]))
+    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
+    memory = TrackerMemory()
+    for number, shown in enumerate((cv2.bitwise_not(px), cv2.bitwise_not(px), px)):
+        found, memory = track(TrackerConfig(CAMERA, pad), memory, Frame(STAMP, number, np.asarray(shown, np.uint8)), None)
+        assert found.selected is not None
+        assert found.selected.confidence >= 0.5
+        assert math.dist(found.selected.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+        assert memory.reversed == (number < 2)
+    assert seen(drawn_alone, np.asarray(cv2.bitwise_not(px), np.uint8)) < 0.5
+    cost, cost_alone = (price(of, {}, 14).calibration for of in (pad, drawn_alone))
+    assert (cost.chance, cost.least_support) > (cost_alone.chance, cost_alone.least_support)
+
+
 def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:
     assert len(USERS) == 20
     assert len({kind_of(k) for k in range(VIEWS)}) == 7
