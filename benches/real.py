@@ -9,12 +9,14 @@ the same ranges by the same camera, in drawn light. `--every 4` takes every four
 
 import argparse
 import csv
+import itertools
 import math
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -41,7 +43,9 @@ from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene  # n
 U8 = NDArray[np.uint8]
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DOWN = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
+BINS = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01)
 SURE, RIGHT_RANGE, RIGHT_PLACE, RIGHT_SIZE = 0.5, 0.08, 0.25, 0.25
+USERS = ROOT / "tests" / "pads_of_users"
 SHIPPED = ("thesis", "printed", "icao", "helideck", "hospital", "faa_triangle", "apriltag_nest", "aruco_board")
 MARKER_M = 0.18
 OCTAGON = Camera(640, 480, 597.05, 596.62, 306.02, 221.99, np.array([0.107, 0.0548, -0.00735, 0.00446, 1.309]), DOWN)
@@ -80,10 +84,43 @@ def image(path: Path) -> U8:
     return np.asarray(px, np.uint8)
 
 
+class Looks:
+    """Count finds in images that are each searched on their own, by what they say and whether they are right."""
+
+    def __init__(self, real: bool = False) -> None:
+        self.said: list[tuple[float, bool]] = []
+        if real:
+            ALL_LOOKS.append(self)
+        self.frames = self.right = self.wrong = 0
+
+    def add(self, found: Sighting | None, is_right: Callable[[Sighting], bool]) -> bool:
+        """Count one image, and return whether its find is sure and right."""
+        good = found is not None and is_right(found)
+        if found is not None:
+            self.said.append((found.confidence, good))
+        sure = found is not None and found.confidence >= SURE
+        self.frames, self.right, self.wrong = self.frames + 1, self.right + (sure and good), self.wrong + (sure and not good)
+        return sure and good
+
+
+ALL_LOOKS: list[Looks] = []
+"""Counts of real images, in the order of the parts."""
+
+
+def curve_of(looks: list[Looks]) -> str:
+    """Return for each bin of confidence the mean of what was said, the share that is right, and how many there are."""
+    bins = []
+    for low, high in itertools.pairwise(BINS):
+        own = [one for each in looks for one in each.said if low <= one[0] < high]
+        if own:
+            said, good = np.mean(own, axis=0)
+            bins.append(f"{said:.2f}: {good:.2f} of {len(own)}")
+    return ", ".join(bins) or "no find"
+
+
 def seen(px: U8, camera: Camera, pad: Pad, attitude: Attitude | None = None) -> Sighting | None:
-    """Return the find in an image on its own; None below `SURE`."""
-    found = track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
-    return found if found is not None and found.confidence >= SURE else None
+    """Return the find in an image on its own, at any confidence."""
+    return track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
 
 
 def by_contours(px: U8) -> tuple[F64, float] | None:
@@ -109,6 +146,11 @@ def by_contours(px: U8) -> tuple[F64, float] | None:
     return np.array([u, v]), r
 
 
+def percent(found: Sighting, range_m: float) -> float:
+    """Return the error of a find's range in percent."""
+    return 100.0 * (float(np.linalg.norm(found.d_body_pad_level)) / range_m - 1.0)
+
+
 def share(n: int, of: int) -> str:
     return f"{100 * n / max(1, of):.0f} %"
 
@@ -122,20 +164,19 @@ def photographs(every: int) -> list[Row]:
     folder, camera, pad = needed("pad_photos"), load_camera("photos"), load_pad("printed")
     with (folder / "pose.csv").open() as file:
         rows = list(csv.DictReader(file))[::every]
-    right, wrong, off, theirs, their_off = 0, 0, [], 0, []
-    simulated, simulated_off = 0, list[float]()
+    looks, drawn_looks, off, theirs, their_off, simulated_off = Looks(real=True), Looks(), [], 0, [], list[float]()
     for k, row in enumerate(rows):
         t_cam = np.array([float(row[f"t_cam_{axis}_m"]) for axis in "xyz"])
         px, range_m = image(folder / "images" / row["frame"]), float(np.linalg.norm(t_cam))
-        found = seen(px, camera, pad)
-        good, e = False, math.nan
-        if found is not None:
-            e = 100.0 * (float(np.linalg.norm(found.d_body_pad_level)) / range_m - 1.0)
+
+        def is_right(found: Sighting, t_cam: F64 = t_cam, range_m: float = range_m) -> bool:
             outline = next(f.uv_px for f in found.features if f.label == "disc")
             aside_px = float(np.linalg.norm(np.nanmean(outline, axis=0) - camera.project(t_cam[None])[0]))
-            good = abs(e) < 100 * RIGHT_RANGE and aside_px < RIGHT_PLACE * camera.fx * pad.disc_radius_m / float(t_cam[2])
-        right, wrong = right + good, wrong + (found is not None and not good)
-        off += [e] if good else []
+            near = aside_px < RIGHT_PLACE * camera.fx * pad.disc_radius_m / float(t_cam[2])
+            return near and abs(percent(found, range_m)) < 100 * RIGHT_RANGE
+
+        found = seen(px, camera, pad)
+        off += [percent(found, range_m)] if looks.add(found, is_right) and found is not None else []
         by = by_contours(px)
         if by is not None:
             # It takes the ring's outer edge for the pad: the rim of the disc hardly shows.
@@ -144,78 +185,143 @@ def photographs(every: int) -> list[Row]:
             their_off += [e] if abs(e) < 100 * RIGHT_RANGE else []
         scene = pad_scene(np.random.default_rng([31, k]), camera, pad, float(t_cam[2]), "light", 0.2)
         assert scene.truth is not None
-        drawn = seen(scene.px, camera, pad)
-        if drawn is not None:
-            e = 100.0 * (float(np.linalg.norm(drawn.d_body_pad_level)) / scene.truth.range_m - 1.0)
-            simulated, simulated_off = simulated + (abs(e) < 100 * RIGHT_RANGE), [*simulated_off, e]
+        drawn, true_m = seen(scene.px, camera, pad), scene.truth.range_m
+        if drawn_looks.add(drawn, lambda d, m=true_m: abs(percent(d, m)) < 100 * RIGHT_RANGE) and drawn is not None:
+            simulated_off.append(percent(drawn, true_m))
     n = len(rows)
     return [
-        Row("photographs of the thesis' pad, .5 to 4 m", str(n), f"{share(right, n)} right, {wrong} wrong; {spread(off)}",
-            f"{share(theirs, n)}; {spread(their_off)}", f"{share(simulated, n)}; {spread(simulated_off)}"),
+        Row("photographs of the thesis' pad, .5 to 4 m", str(n),
+            f"{share(looks.right, n)} right, {looks.wrong} wrong; {spread(off)}",
+            f"{share(theirs, n)}; {spread(their_off)}", f"{share(drawn_looks.right, n)}; {spread(simulated_off)}"),
     ]  # fmt: skip
+
+
+def imported(drawing: Path, *words: str) -> Pad | None:
+    """Return the pad that `decklander pad import` makes of a drawing or a photograph; None where it makes none."""
+    with tempfile.TemporaryDirectory() as made:
+        out = Path(made) / "pad.toml"
+        try:
+            code = decklander(["pad", "import", str(drawing), *words, "--out", str(out)])
+        except SystemExit:
+            code = 2
+        return Pad.from_mapping(tomllib.loads(out.read_text()), drawing.stem) if code == 0 else None
+
+
+def outline_of(found: Sighting) -> tuple[F64, float]:
+    """Return the middle of a find's outline in the image and the radius of a circle of its area, px."""
+    lines = {f.label: f.uv_px for f in found.features if len(f.uv_px) > 2}
+    return shape_of(lines["ring"] if "ring" in lines else np.concatenate(list(lines.values())))
+
+
+def shape_of(line: F64) -> tuple[F64, float]:
+    hull = cv2.convexHull(line.astype(np.float32)).reshape(-1, 2)
+    m = cv2.moments(hull)
+    return np.array([m["m10"], m["m01"]]) / max(m["m00"], 1e-9), math.sqrt(max(m["m00"], 1e-9) / math.pi)
+
+
+def lies_at(found: Sighting, centre: F64, radius: float) -> bool:
+    """Return whether a find's outline has this place and size in the image."""
+    place, size = outline_of(found)
+    return float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius and abs(size / radius - 1.0) < RIGHT_SIZE
 
 
 def agh(every: int) -> list[Row]:
     """Show a pad of rings and panels on grass; the camera is not calibrated, so only place and size in the image count."""
     folder = needed("real_pads", "agh")
-    with tempfile.TemporaryDirectory() as made:
-        out = Path(made) / "agh.toml"
-        try:
-            code = decklander(["pad", "import", str(folder / "landing_pad_marker.svg"), "--size-mm", "420", "--out", str(out)])
-        except SystemExit:
-            code = 2
-        if code != 0:
-            return [Row("drone photographs of a user's pad (AGH)", "37", "not tried: no pad file can be made of its drawing")]
-        from companion.settings.load import read_toml
-
-        pad = Pad.from_mapping(read_toml(out), "agh")
+    pad = imported(folder / "landing_pad_marker.svg", "--size-mm", "420")
+    if pad is None:
+        return [Row("drone photographs of a user's pad (AGH)", "37", "not tried: no pad file can be made of its drawing")]
     with (folder / "truth.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["ring_cx_px"]][::every]
-    right = wrong = theirs = 0
-    off = []
+    looks, theirs, off = Looks(real=True), 0, []
     for row in rows:
         px = image(folder / "images" / row["image"])
         centre = np.array([float(row["ring_cx_px"]), float(row["ring_cy_px"])])
         radius = 0.25 * (float(row["ring_axis_1_px"]) + float(row["ring_axis_2_px"]))
         found, by = seen(px, AGH, pad), by_contours(px)
-        if found is not None:
-            ring = next(f.uv_px for f in found.features if f.label == "ring")
-            place = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
-            size = float(np.linalg.norm(ring - place, axis=1).max()) / radius
-            good = float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius and abs(size - 1.0) < RIGHT_SIZE
-            right, wrong = right + good, wrong + (not good)
-            off += [100.0 * (size - 1.0)] if good else []
+        if looks.add(found, partial(lies_at, centre=centre, radius=radius)) and found is not None:
+            off.append(100.0 * (outline_of(found)[1] / radius - 1.0))
         theirs += by is not None and bool(np.linalg.norm(by[0] - centre) < RIGHT_PLACE * radius)
     n = len(rows)
     return [
         Row("drone photographs of a user's pad (AGH), grass", str(n),
-            f"{share(right, n)} at their place, {wrong} sure and wrong; size in the image {spread(off)}",
+            f"{share(looks.right, n)} at their place, {looks.wrong} sure and wrong; size in the image {spread(off)}",
             share(theirs, n)),
     ]  # fmt: skip
 
 
-def strange(every: int) -> list[Row]:
-    """Frames without any pad of ours: sure finds of every shipped pad."""
-    files = [*sorted(needed("not_pads").glob("*.jpg")), *sorted(needed("sea").glob("*.jpg"))]
-    files += sorted(needed("real_pads", "octagon", "images").glob("*.jpg"))
-    files, looks = files[::every], 0
-    false: dict[str, int] = {}
-    for path in files:
-        whole = image(path)
-        px = np.asarray(
-            cv2.resize(whole, (640, round(640 * whole.shape[0] / whole.shape[1])), interpolation=cv2.INTER_AREA), np.uint8
-        )
-        camera = Camera(640, len(px), 512.0, 512.0, 319.5, (len(px) - 1) / 2, np.zeros(5), DOWN)
-        for name in SHIPPED:
-            looks += 1
-            if seen(px, camera, load_pad(name)) is not None:
-                false[name] = false.get(name, 0) + 1
-    named = ", ".join(f"{name} {n}" for name, n in false.items()) or "none"
-    return [
-        Row(
-            f"sea, grass, other pads, rooms; {len(SHIPPED)} shipped pads each", str(len(files)), f"sure of {looks} looks: {named}"
-        )
+def octagons(px: U8) -> list[tuple[F64, float]]:
+    """Return the centres and radii, px, of dark shapes with eight sides: what a user writes for such a pad."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), (5, 5), 0)
+    out = []
+    for block in (51, 151, 301):
+        binary = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 15)
+        for contour in cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+            hull = cv2.convexHull(contour)
+            area, sides = cv2.contourArea(hull), cv2.approxPolyDP(hull, 0.02 * cv2.arcLength(hull, True), True)
+            if area > 300.0 and len(sides) == 8 and cv2.contourArea(contour) > 0.9 * area:
+                out.append(shape_of(hull.reshape(-1, 2)))
+    return out
+
+
+def octagon(every: int) -> list[Row]:
+    """Show a printed octagon whose pad file is made of one photograph, on floors, on a table, and with a finger over the lens.
+
+    The others are judged by dark shapes with eight sides; images without one do not count.
+    """
+    folder = needed("real_pads", "octagon")
+    first = folder / "images" / "samples_img_110.jpg"
+    words = ("--sheet", "--corners", "184,97 357,118 371,350 144,338", "--size-mm", "210x297", "--paints", "2")
+    pad = imported(first, *words)
+    if pad is None:
+        return [Row("photographs of a user's octagon", "294", "not tried: no pad file can be made of its photograph")]
+    looks, off = Looks(real=True), []
+    files = [
+        path for path in [*sorted((folder / "images").glob("*.jpg")), *sorted((folder / "aruco").glob("*.jpg"))] if path != first
     ]
+    files = files[::every]
+    for path in files:
+        px = image(path)
+        shapes = octagons(px)
+        if not shapes:
+            continue
+        h, w = px.shape[:2]
+        camera = OCTAGON if h == OCTAGON.height else Camera(w, h, 0.8 * w, 0.8 * w, (w - 1) / 2, (h - 1) / 2, np.zeros(5), DOWN)
+        found = seen(px, camera, pad)
+        if looks.add(found, lambda f, shapes=shapes: any(lies_at(f, *shape) for shape in shapes)) and found is not None:
+            size = outline_of(found)[1]
+            off.append(min((100.0 * (size / radius - 1.0) for _, radius in shapes), key=abs))
+    return [
+        Row("a user's octagon, its pad file made of one photograph", str(looks.frames),
+            f"{share(looks.right, looks.frames)} at their place, {looks.wrong} sure and wrong; size in the image {spread(off)}",
+            f"judges: an octagon in {looks.frames} of {len(files)}"),
+    ]  # fmt: skip
+
+
+def strange(every: int) -> list[Row]:
+    """Frames without any pad of ours: sure finds of every shipped pad, and of twenty pads as users draw them."""
+    files = [*sorted(needed("not_pads").glob("*.jpg")), *sorted(needed("sea").glob("*.jpg"))]
+    octagons = sorted(needed("real_pads", "octagon", "images").glob("*.jpg"))[::every]
+    users = {file.stem: Pad.from_mapping(tomllib.loads(file.read_text()), file.stem) for file in sorted(USERS.glob("*.toml"))}
+    out = []
+    for title, pads, shown in (
+        (f"{len(SHIPPED)} shipped pads", {name: load_pad(name) for name in SHIPPED}, [*files[::every], *octagons]),
+        (f"{len(users)} users' pads, no octagons", users, files[::every]),
+    ):
+        false, looks = dict[str, int](), Looks(real=True)
+        for path in shown:
+            whole = image(path)
+            size = 640, round(640 * whole.shape[0] / whole.shape[1])
+            px = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8)
+            camera = Camera(640, len(px), 512.0, 512.0, 319.5, (len(px) - 1) / 2, np.zeros(5), DOWN)
+            for name, pad in pads.items():
+                before = looks.wrong
+                looks.add(seen(px, camera, pad), lambda found: False)
+                if looks.wrong > before:
+                    false[name] = false.get(name, 0) + 1
+        named = ", ".join(f"{name} {n}" for name, n in false.items()) or "none"
+        out.append(Row(f"sea, grass, other pads, rooms; {title} each", str(len(shown)), f"sure of {looks.frames} looks: {named}"))
+    return out
 
 
 @lru_cache
@@ -252,6 +358,7 @@ def aruco(every: int) -> list[Row]:
         roll, pitch = (math.radians(a) for a in tilts[f"aruco/{path.name}"])
         attitude = Attitude(STAMP, Rotation.from_rpy(roll, pitch, 0.0), np.eye(3) * math.radians(1.0) ** 2)
         found = seen(px, OCTAGON, marker(), attitude)
+        found = found if found is not None and found.confidence >= SURE else None
         ours, theirs, both = ours + (found is not None), theirs + read, both + (found is not None and read)
         if read and found is not None:
             at = int(np.flatnonzero(np.ravel(ids) == 0)[0])
@@ -305,7 +412,8 @@ def mocap(_: int) -> list[Row]:
 
 
 PARTS: dict[str, Callable[[int], list[Row]]] = {
-    "photographs": photographs, "agh": agh, "strange": strange, "aruco": aruco, "boats": boats, "mocap": mocap,
+    "photographs": photographs, "agh": agh, "octagon": octagon, "strange": strange,
+    "aruco": aruco, "boats": boats, "mocap": mocap,
 }  # fmt: skip
 HEADER = Row("data", "frames", "ours", "OpenCV's own", "the simulator's")
 NOT_AVAILABLE = (
@@ -336,6 +444,11 @@ def main() -> None:
         rows += made
         for row in made:
             print(" | ".join(row.cells()), flush=True)
+    curve = Row(
+        "confidence of all finds above: said, right", str(sum(len(looks.said) for looks in ALL_LOOKS)), curve_of(ALL_LOOKS)
+    )
+    rows.append(curve)
+    print(" | ".join(curve.cells()), flush=True)
     if args.write is not None:
         of = f" --every {args.every}" if args.every > 1 else ""
         lines = [

@@ -37,6 +37,9 @@ def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--corners", metavar="PX", help='pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
         "left, fore right, aft right, aft left",
     )  # fmt: skip
+    p.add_argument(
+        "--sheet", action="store_true", help="the rectangle is the sheet that the pad is printed on: nothing beyond it is painted"
+    )
     p.add_argument("--paints", type=int, default=2, choices=range(2, 6), help="paints in a photograph, the ground's among them")
     p.add_argument("--name", metavar="NAME", help="name of the pad (default: the file's)")
 
@@ -83,7 +86,9 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
         raise BadInput(
             "--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners"
         )
-    return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path))
+    if args.sheet and args.corners is None:
+        raise BadInput("--sheet is a property of the rectangle of --corners: give them, too")
+    return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path), sheet=args.sheet)
 
 
 def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:

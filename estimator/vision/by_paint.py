@@ -59,6 +59,8 @@ class TrackerMemory:
     """The heading at which a pad that looks the same from several was last registered: the belief does not take it."""
     lit: bool = False
     """True if the pad was last seen by its lamps."""
+    reversed: bool = False
+    """True if the light of the pad was last seen reversed; only of pads whose files allow that."""
     deck: DeckMemory | None = None
     """Things seen on the pad; None before its surface was read."""
     around: AroundMemory | None = None

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -86,6 +86,8 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     ground: str = ""
     """The paint of the sheet or the deck around; empty where it is not known."""
     calibration: Calibration | None = None
+    polarity: Literal["drawn", "any"] = "drawn"
+    """Light that it is searched in: "any" is for thermal cameras, which may reverse it, and clutter costs twice as much then."""
     accept_false_pads: bool = False
     """True if the pad is flown to although clutter is taken for it too often."""
 
@@ -263,6 +265,8 @@ class Pad:
     """Rate at which clutter is taken for it; None if unknown."""
     accept_false_pads: bool = False
     """True if it is flown to although clutter is taken for it too often."""
+    reversible: bool = False
+    """True if its light may be reversed, as a thermal camera shows it."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
@@ -286,7 +290,7 @@ class Pad:
         """
         file: PadFile = pad_file(data, where)
         paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
-        known = file.calibration, file.accept_false_pads
+        known = file.calibration, file.accept_false_pads, file.polarity == "any"
         return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground, *known)
 
     @property
@@ -301,6 +305,13 @@ class Pad:
         if self.calibration is not None:
             return self.calibration.least_support
         return TOLD_BY_PARTS if self.markings.is_searched_by_parts else TOLD
+
+    @property
+    def clutter_log_odds(self) -> float:
+        """Log-odds against a find of a drawing that clutter is taken for too often to be flown to; 0 where that is accepted."""
+        if self.calibration is None or self.accept_false_pads:
+            return 0.0
+        return math.log(max(1.0, self.calibration.chance / RARE))
 
     @property
     def is_calibrated(self) -> bool:

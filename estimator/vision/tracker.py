@@ -21,6 +21,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis
 from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, near_enough, sigma_of
@@ -104,7 +105,7 @@ def track(
     if tracker.options.method == "thesis":
         return by_thesis(tracker, frame, attitude), memory
     if not tracker.pad.lamps:
-        return by_paint(tracker, memory, frame, attitude, belief)
+        return _painted(tracker, memory, frame, attitude, belief)
     # Few pads have lamps, and the start of the others need not wait for it.
     from estimator.vision.lamp_sighting import by_lamps, is_dark
 
@@ -113,7 +114,7 @@ def track(
     seen, left = Detection(None, None, MappingProxyType({})), memory
     if tracker.pad.is_identifiable_by_paint and not _is_sure(lit):
         rest = dataclasses.replace(tracker, search_work=tracker.search_work - _LAMPS_WORK) if first else tracker
-        seen, left = by_paint(rest, memory, frame, attitude, belief)
+        seen, left = _painted(rest, memory, frame, attitude, belief)
         if not first and not _is_sure(seen.selected):
             lit = by_lamps(tracker, memory, frame, attitude, belief)
     if lit is None or (seen.selected is not None and seen.selected.confidence >= lit.confidence):
@@ -122,6 +123,26 @@ def track(
     if ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad).excludes(lit):
         return replace(seen, methods=methods, elsewhere=lit), dataclasses.replace(left, lit=memory.lit)
     return Detection(lit, "lamps", methods, seen.opinions, seen.elsewhere), dataclasses.replace(left, lit=_is_sure(lit))
+
+
+def _painted(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> tuple[Detection, TrackerMemory]:
+    """Detect the pad by its paint, and a reversible one in reversed light, too: first in that which it was last seen in."""
+    if not tracker.pad.reversible:
+        return by_paint(tracker, memory, frame, attitude, belief)
+    both = (frame, replace(frame, px=cv2.bitwise_not(frame.px)))
+    half = dataclasses.replace(tracker, search_work=0.5 * tracker.search_work)
+    seen, left = by_paint(half, memory, both[memory.reversed], attitude, belief)
+    left = dataclasses.replace(left, reversed=memory.reversed)
+    if _is_sure(seen.selected):
+        return seen, left
+    other, left_other = by_paint(half, TrackerMemory(deck=memory.deck), both[not memory.reversed], attitude, belief)
+    said, said_other = (0.0 if of.selected is None else of.selected.confidence for of in (seen, other))
+    # A search that was ended by its work goes on in the next frame; after a whole one the other light is searched first.
+    turns = said_other > said or (said_other == said and left.search is FRESH_SEARCH)
+    left = dataclasses.replace(left_other, reversed=not memory.reversed) if turns else left
+    return (other if said_other > said else seen), left
 
 
 def _is_sure(seen: Sighting | None) -> bool:

@@ -249,7 +249,7 @@ def _of_visible(
         return None
     support = found.record["aligned"]["support"]
     most = support_log_odds(float(support["support"]) * float(support["share"]) / view.pad.least_support)
-    odds = min(found.log_odds, most) + prior_log_odds
+    odds = min(found.log_odds, most) + prior_log_odds - view.pad.clutter_log_odds
     if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
         odds += _RINGLESS_LOG_ODDS
     if view.pad.markings.fiducials:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -86,17 +87,20 @@ def test_what_is_no_plain_drawing_is_refused_with_a_cure(text: str, said: str) -
         read_svg(text, "a.svg")
 
 
-def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("half_m", "more"), [(0.2, []), (0.4, ["--sheet"])])
+def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_path: Path, half_m: float, more: list[str]) -> None:
     pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "octagon")))
     pose = PadPose(Rotation.from_rpy(0.2, -0.15, 0.1), np.array([0.02, -0.01, 0.95]))
     camera = replace(CAMERA, width=640, height=360, fx=512.0, fy=512.0, cx=319.5, cy=179.5)
-    sheet = cv2.resize(view(3), (640, 360))
-    px = planted(np.asarray(sheet, np.uint8), camera, pad, pose, np.random.default_rng(1))
-    corners = camera.project(pose.points(np.array([(0.2, -0.2, 0), (0.2, 0.2, 0), (-0.2, 0.2, 0), (-0.2, -0.2, 0)])))
+    around = cv2.resize(view(3), (640, 360))
+    px = planted(np.asarray(around, np.uint8), camera, pad, pose, np.random.default_rng(1))
+    square = half_m * np.array([(1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)])
+    corners = camera.project(pose.points(square))
     picture, out = tmp_path / "photo.png", tmp_path / "mine.toml"
     cv2.imwrite(str(picture), px)
     places = " ".join(f"{u:.2f},{v:.2f}" for u, v in corners)
-    words = ["pad", "import", str(picture), "--corners", places, "--size-mm", "400x400", "--out", str(out)]
+    size = f"{2000 * half_m:g}x{2000 * half_m:g}"
+    words = ["pad", "import", str(picture), "--corners", places, "--size-mm", size, "--out", str(out), *more]
     assert main(words) == 0
     traced_pad = Pad.from_mapping(read_toml(out))
     assert traced_pad.disc_radius_m == pytest.approx(pad.disc_radius_m, rel=0.02)
@@ -104,6 +108,34 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     assert found is not None
     assert found.confidence >= 0.5
     assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+
+
+def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_is_accepted() -> None:
+    pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "house")))
+    pose = PadPose(Rotation.from_rpy(0.0, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 18.0]))
+    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
+    assert pad.calibration is not None
+    often = replace(pad, calibration=msgspec.structs.replace(pad.calibration, chance=RARE * math.exp(6.0)))
+    odds = [math.log(p / (1.0 - p)) for p in (seen(pad, px), seen(often, px), seen(replace(often, accept_false_pads=True), px))]
+    assert odds[1] == pytest.approx(odds[0] - 6.0, abs=0.01)
+    assert odds[2] == pytest.approx(odds[0])
+
+
+def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter() -> None:
+    keys = read_toml(next(p for p in USERS if p.stem == "house"))
+    pad, drawn_alone = Pad.from_mapping({**keys, "polarity": "any"}), Pad.from_mapping(keys)
+    pose = PadPose(Rotation.from_rpy(0.1, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 40.0]))
+    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
+    memory = TrackerMemory()
+    for number, shown in enumerate((cv2.bitwise_not(px), cv2.bitwise_not(px), px)):
+        found, memory = track(TrackerConfig(CAMERA, pad), memory, Frame(STAMP, number, np.asarray(shown, np.uint8)), None)
+        assert found.selected is not None
+        assert found.selected.confidence >= 0.5
+        assert math.dist(found.selected.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+        assert memory.reversed == (number < 2)
+    assert seen(drawn_alone, np.asarray(cv2.bitwise_not(px), np.uint8)) < 0.5
+    cost, cost_alone = (price(of, {}, 14).calibration for of in (pad, drawn_alone))
+    assert (cost.chance, cost.least_support) > (cost_alone.chance, cost_alone.least_support)
 
 
 def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:

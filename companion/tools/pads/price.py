@@ -30,7 +30,7 @@ from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verified
 
 FRAMES = 4.0
-"""Factor from places in one view to places in a frame of 640x360."""
+"""Factor from places in one view to places in a frame of 640x360; twice that for a pad whose light may be reversed."""
 _MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
 CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
@@ -87,7 +87,8 @@ def price(
     shown = {r: [_planted_finds(bare, bare, r, 100 * i + k) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
     clear = [max(find.support for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
     most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
-    least = float(np.clip(tail.exceeded(RARE / FRAMES), fewest, max(fewest, most)))
+    places = 2.0 * FRAMES if pad.reversible else FRAMES
+    least = float(np.clip(tail.exceeded(RARE / places), fewest, max(fewest, most)))
     sure = {r: float(np.mean(_surest(finds, least) >= 0.0)) for r, finds in shown.items()}
     least_px = next((r for r in _RADII_PX if all(sure[s] >= _FOUND for s in _RADII_PX if s >= r)), 0.0)
     taken = []
@@ -95,7 +96,7 @@ def price(
         seen = [_planted_finds(bare, other, radius_px, 900 + k) for k, radius_px in enumerate(_TAKEN_PX)]
         if other.regions != pad.regions and np.any(_surest(seen, least) >= 0.0):
             taken.append(name)
-    chance, nine = (min(1.0, FRAMES * tail.chance(least * (1.0 + odds / support_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))
+    chance, nine = (min(1.0, places * tail.chance(least * (1.0 + odds / support_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))
     calibration = Calibration(round(least, 2), float(f"{chance:.2g}"), least_px, pad.fingerprint)
     return Price(views, (1000.0 * chance, 1000.0 * nine), sure, tuple(taken), calibration)
 

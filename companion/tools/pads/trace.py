@@ -36,6 +36,8 @@ _SPECK_PX = 9
 """Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
 _MARGIN = 0.4
 """Margin of the search around the rectangle of a photograph, in its larger side."""
+_SHEET_MARGIN = -0.02
+"""Margin of a sheet, all around: its curled edge and what lies beyond are not traced."""
 _FIRST_OFF, _GROWS = 0.0012, 1.35
 """First deviation of a traced side over the pad's radius, and its growth until the sides are few enough."""
 
@@ -105,7 +107,9 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
     return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
 
 
-def photographed(px: U8, corners_px: F64 | None, size_m: tuple[float, float], paints: int, where: str) -> Picture:
+def photographed(
+    px: U8, corners_px: F64 | None, size_m: tuple[float, float], paints: int, where: str, *, sheet: bool = False
+) -> Picture:
     """Return a photograph of a pad as a picture.
 
     Args:
@@ -114,6 +118,7 @@ def photographed(px: U8, corners_px: F64 | None, size_m: tuple[float, float], pa
             photograph from straight above.
         size_m: the rectangle's width and length; without one the largest extent of what is painted.
         paints: how many paints there are, that of the ground among them.
+        sheet: whether the rectangle is the sheet that the pad is printed on, and nothing beyond it is painted.
 
     Raises:
         BadInput: the corners are no rectangle that a camera sees.
@@ -123,7 +128,7 @@ def photographed(px: U8, corners_px: F64 | None, size_m: tuple[float, float], pa
             raise BadInput(f"{where}: --corners are not those of a rectangle: give fore left, fore right, aft right, aft left")
         scale = _PHOTO_PX / max(size_m)
         w, h = scale * size_m[0], scale * size_m[1]
-        aside = _MARGIN * max(w, h)
+        aside = (_SHEET_MARGIN if sheet else _MARGIN) * max(w, h)
         to = np.array([(0, 0), (w, 0), (w, h), (0, h)], np.float32) + np.float32(aside)
         H = cv2.getPerspectiveTransform(corners_px.astype(np.float32), to)
         size = round(w + 2 * aside), round(h + 2 * aside)
