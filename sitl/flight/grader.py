@@ -119,7 +119,8 @@ class FlightGrader:
         self._unreached = UnreachedContacts()
         start = world.scenario.start
         highest_m = called_for_m(settings.guidance, start.height_m if start.where == "air" else 0.0)
-        self._motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
+        self.motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
+        """Watches height and standing, also after the outcome."""
         self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
@@ -132,7 +133,7 @@ class FlightGrader:
         truth, reached = self._world.truth(), self._world.reached
         self._watch.step(truth, reached=reached)
         self._unreached.step(truth, reached=reached)
-        self._motion.step(truth, self._world.guidance_phase, reached=reached)
+        self.motion.step(truth, self._world.guidance_phase, reached=reached)
         self._meet(truth)
 
     def _meet(self, truth: Truth) -> None:
@@ -176,7 +177,7 @@ class FlightGrader:
             unreached_m,
             unreached_max_m,
             unreached=unreached,
-            motion=self._motion,
+            motion=self.motion,
         )
         unsafe = (*unsafe, *self._on_things)
         worth, because = grade(
@@ -216,7 +217,7 @@ class FlightGrader:
             refused,
             self._go_arounds,
             tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
-            self._motion.highest_m,
+            self.motion.highest_m,
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:

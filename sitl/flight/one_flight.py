@@ -162,8 +162,8 @@ def fly(
         ending = ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
         if not options.afterwards:
             return ending
-        standing, refused = flight.afterwards()
-    return ending.followed(standing, refused, _cpu_s() - began_s)
+        standing, flown = flight.afterwards()
+    return ending.followed(standing, flown, _cpu_s() - began_s)
 
 
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
