@@ -106,6 +106,8 @@ class FlightGrade:
     cpu_s: float
     highest_m: float | None = None
     """Highest height over the pad while guidance commanded, also after the outcome; None if it never did."""
+    named: tuple[tuple[str, float], ...] = ()
+    """As in `FlightResult`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +202,7 @@ class Ending:
                 "contacts_outside_commit": j.contacts_outside_commit,
                 "go_arounds": j.go_arounds,
                 "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
+                "named": [{"text": said, "at_s": round(at_s, 3)} for said, at_s in j.named],
                 "cpu_s": round(j.cpu_s, 2),
             }
         return out
@@ -218,6 +221,7 @@ class Ending:
         if self.judged is not None:
             j = self.judged
             lines += [f"fault: {kind} from {at_s:.1f} s on" for kind, at_s in j.faults]
+            lines += [f"named at {at_s:.1f} s: {said}" for said, at_s in j.named]
             lines += [f"refused: {j.refused}"] if j.refused else []
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
             if j.grade == "failed" and not j.unsafe:

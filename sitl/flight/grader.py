@@ -10,7 +10,7 @@ from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.faults.kinds import ObjectOnPad
 from sitl.faults.timer import FaultTimer
@@ -34,6 +34,17 @@ from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 _FEET_M = 0.12
 """Reach of a vehicle's feet from its body's origin, m."""
+_BLAMES = frozenset(
+    {
+        IntegrityAlert.CAMERA_FROZEN,
+        IntegrityAlert.IMU_FROZEN,
+        IntegrityAlert.ATTITUDE_FROZEN,
+        IntegrityAlert.IMU_LATE,
+        IntegrityAlert.RANGE,
+        IntegrityAlert.HEIGHT,
+    }
+)
+"""Alerts that name a sensor; the other ones say that two disagree, or that no sensor is meant."""
 
 
 class GradedWorld(Protocol):
@@ -96,6 +107,8 @@ class FlightResult:
     """Each fault that began, in words, and the time at which it began, in seconds after the start."""
     highest_m: float = -math.inf
     """Highest height over the pad while guidance commanded."""
+    named: tuple[tuple[str, float], ...] = ()
+    """What the estimator reported of each sensor that it did not trust, and when first, in seconds after the start."""
 
     @property
     def landed_on_pad(self) -> bool:
@@ -124,6 +137,7 @@ class FlightGrader:
         self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
+        self._named: dict[str, float] = {}
         self._on_things: list[str] = []
         """Contacts with things on the pad."""
         self._contacts = 0
@@ -155,6 +169,9 @@ class FlightGrader:
         goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self._world.guidance_phase))
         self._go_arounds += goes_around and not went_around
         self._reason = decision.reason or self._reason
+        if (belief := decision.belief) is not None:
+            for output in (*belief.lost, *(alert.value for alert in belief.alerts if alert in _BLAMES)):
+                self._named.setdefault(output, seconds_between(self._world.started, self._world.at))
 
     def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> FlightResult:
         """Return the result of the flight so far.
@@ -218,6 +235,7 @@ class FlightGrader:
             self._go_arounds,
             tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
             self.motion.highest_m,
+            tuple(self._named.items()),
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:

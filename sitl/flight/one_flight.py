@@ -181,6 +181,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         scenario.expect,
         cpu_s,
         round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
+        result.named,
     )
     frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
     return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)
