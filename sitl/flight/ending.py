@@ -107,7 +107,7 @@ class FlightGrade:
     highest_m: float | None = None
     """Highest height over the pad while guidance commanded, also after the outcome; None if it never did."""
     named: tuple[tuple[str, float], ...] = ()
-    """As in `FlightResult`."""
+    """Untrusted sensors in words, each with the time in s; see `FlightResult`."""
 
 
 @dataclass(frozen=True, slots=True)

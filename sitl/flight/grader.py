@@ -108,7 +108,7 @@ class FlightResult:
     highest_m: float = -math.inf
     """Highest height over the pad while guidance commanded."""
     named: tuple[tuple[str, float], ...] = ()
-    """What the estimator reported of each sensor that it did not trust, and when first, in seconds after the start."""
+    """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
 
     @property
     def landed_on_pad(self) -> bool:
