@@ -64,6 +64,8 @@ class CampaignTally:
         self._standing_m: list[float] = []
         self._slid_m: list[float] = []
         self._after_refusal: Counter[str] = Counter()
+        self._sensors: Counter[str] = Counter()
+        self._naming = 0
         self._unsafe, self._failed = _Named("unsafe"), _Named("because")
         self._hash = 0
 
@@ -89,6 +91,9 @@ class CampaignTally:
             self._slid_m.append((flight.get("standing") or {}).get("slid_m", 0.0))
         if (later := flight.get("afterwards")) is not None:
             self._after_refusal["in the water" if later["in_water"] else later["vehicle_phase"]] += 1
+        if said := {one["text"].removeprefix("the ").split()[0] for one in flight.get("named", ())}:
+            self._naming += 1
+            self._sensors.update(said)
         own = hashlib.blake2b(f"{job_of(flight).key} {flight['hash']}".encode(), digest_size=_HASH_BITS // 8).digest()
         self._hash = (self._hash + int.from_bytes(own)) % 2**_HASH_BITS
 
@@ -126,6 +131,8 @@ class CampaignTally:
             "standing_worst_m": _quantile(self._standing_m, 1.0),
             "slid_p95_m": _quantile(self._slid_m, 0.95),
             "after_refusal": dict(sorted(self._after_refusal.items())),
+            "flights_naming_a_sensor": self._naming,
+            "named_sensors": dict(sorted(self._sensors.items())),
             "contacts_outside_commit": self.contacts_outside_commit,
             "in_water": self.in_water,
             "unsafe": self.unsafe,
@@ -163,6 +170,8 @@ def in_words(summary: dict[str, Any]) -> str:
     if summary["after_refusal"]:
         counts = ", ".join(f"{n} {what}" for what, n in summary["after_refusal"].items())
         lines.append(f"60 s after the refusal: {counts}")
+    sensors = ", ".join(f"{sensor} in {n}" for sensor, n in summary["named_sensors"].items())
+    lines.append(f"flights in which a sensor was named: {summary['flights_naming_a_sensor']}{f' ({sensors})' if sensors else ''}")
     lines.append(
         f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
         f"unsafe flights {summary['unsafe']}"

@@ -1,4 +1,4 @@
-"""Flight after the outcome: where the vehicle stands on the deck, and how a refused one behaves.
+"""Flight after the outcome: where the vehicle stands on the deck, and how one that is still in the air behaves.
 
 The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind
 that it was refused for, over a ship that goes on.
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.flight.safety import outside_commit
+from sitl.flight.safety import MotionWatch, dangers
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
 
 STANDS_AFTER_S = 5.0
 """Time after the contact at which the place of a vehicle on the deck is measured."""
 WATCHED_S = 60.0
-"""Time for which a refused vehicle is watched."""
+"""Time for which a vehicle is watched that is still in the air."""
 _ON_DECK = (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
 
 
@@ -57,7 +57,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Aftermath:
-    """Flight of a vehicle after it refused to land."""
+    """Flight of a vehicle that was in the air at the outcome."""
 
     watched_s: float
     phase: str | None
@@ -73,7 +73,9 @@ class Aftermath:
     """Number of contacts, with deck or water."""
     in_water: bool
     unsafe: tuple[str, ...]
-    """Unsafe events, one line each."""
+    """Unsafe events after the outcome, one line each."""
+    at_most_m: float = -math.inf
+    """Highest height over the pad of the whole flight, as `MotionWatch` measures it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""
@@ -119,14 +121,17 @@ def standing_of(truth: Truth, disc_radius_m: float) -> Standing | None:
 
 
 class AftermathWatch:
-    """Watches a refused vehicle.
+    """Watches a vehicle that is in the air at the outcome.
 
     Args:
-        truth: its state when it was refused.
+        truth: its state then.
+        outcome: in words.
+        motion: goes on watching its height and standing, stepped by its owner.
     """
 
-    def __init__(self, truth: Truth) -> None:
-        self._began, self._known = truth.at, len(truth.contacts)
+    def __init__(self, truth: Truth, outcome: str, motion: MotionWatch) -> None:
+        self._began, self._known, self._outcome = truth.at, len(truth.contacts), outcome
+        self._motion, self._before = motion, motion.unsafe
         self._lowest_m, self._highest_m, self._farthest_m = math.inf, -math.inf, 0.0
         self._reached = True
         self.step(truth, reached=True)
@@ -157,11 +162,7 @@ class AftermathWatch:
         self.step(truth, reached=self._reached)
         new = truth.contacts[self._known :]
         water = any(contact.surface == "water" for contact in new)
-        unsafe = [] if died is None else [f"refused, and then the service died in flight: {died}"]
-        if self._reached and water:
-            unsafe.append("refused, and then came down in the water")
-        elif self._reached and (strays := outside_commit(new)):
-            unsafe.append(f"refused, and then touched the deck {strays} times with turning motors")
+        unsafe = dangers(None, new if self._reached else (), died, motion=self._motion)
         d = truth.d_body_pad_level
         return Aftermath(
             seconds_between(self._began, truth.at),
@@ -173,5 +174,6 @@ class AftermathWatch:
             float(np.hypot(d[0], d[1])),
             len(new),
             water,
-            tuple(unsafe),
+            tuple(f"{self._outcome}, and then {line}" for line in unsafe if line not in self._before),
+            self._motion.highest_m,
         )

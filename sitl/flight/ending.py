@@ -105,7 +105,9 @@ class FlightGrade:
     expect: str
     cpu_s: float
     highest_m: float | None = None
-    """Highest height over the pad while guidance commanded; None if it never did."""
+    """Highest height over the pad while guidance commanded, also after the outcome; None if it never did."""
+    named: tuple[tuple[str, float], ...] = ()
+    """Untrusted sensors in words, each with the time in s; see `FlightResult`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,7 @@ class Ending:
     standing: Standing | None = None
     """Place of the vehicle 5 s after the contact; None if it does not stand, or if nobody looked."""
     aftermath: Aftermath | None = None
-    """Flight after a refusal; None if it was not refused, or if nobody looked."""
+    """Flight after the outcome; None if it was not in the air then, or if nobody looked."""
 
     @property
     def contact(self) -> Contact | None:
@@ -150,12 +152,16 @@ class Ending:
         """Return the ending with what came after the outcome, and the CPU time of both; a graded flight may fail by it."""
         judged = None if self.judged is None else replace(self.judged, cpu_s=cpu_s)
         unsafe = () if aftermath is None else aftermath.unsafe
+        if judged is not None and aftermath is not None and math.isfinite(aftermath.at_most_m):
+            judged = replace(judged, highest_m=round(aftermath.at_most_m, 3))
         if judged is not None and unsafe:
             judged = replace(
                 judged, grade="failed", because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
             )
         elif judged is not None and standing is not None and not standing.on_pad and judged.grade == "on pad":
             judged = replace(judged, grade="failed", because=standing.in_words())
+        elif judged is not None and aftermath is not None and standing is None and judged.grade == "on pad":
+            judged = replace(judged, grade="failed", because=f"it does not stand: {aftermath.in_words()}")
         return replace(self, standing=standing, aftermath=aftermath, judged=judged)
 
     @property
@@ -196,6 +202,7 @@ class Ending:
                 "contacts_outside_commit": j.contacts_outside_commit,
                 "go_arounds": j.go_arounds,
                 "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
+                "named": [{"text": said, "at_s": round(at_s, 3)} for said, at_s in j.named],
                 "cpu_s": round(j.cpu_s, 2),
             }
         return out
@@ -214,6 +221,7 @@ class Ending:
         if self.judged is not None:
             j = self.judged
             lines += [f"fault: {kind} from {at_s:.1f} s on" for kind, at_s in j.faults]
+            lines += [f"named at {at_s:.1f} s: {said}" for said, at_s in j.named]
             lines += [f"refused: {j.refused}"] if j.refused else []
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
             if j.grade == "failed" and not j.unsafe:

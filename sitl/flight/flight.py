@@ -17,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.health import Health
-from companion.base.mission import FLOWN, REFUSALS
+from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.arbiter import OperatorArbiter
@@ -48,6 +48,7 @@ from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
 from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
 from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.flight.safety import IN_THE_AIR
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, camera_model
@@ -214,23 +215,23 @@ class Flight:
         return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
 
     def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
-        """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was refused.
+        """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was in the air.
 
-        The service of a refused vehicle goes on as a daemon does. A vehicle on the deck is left to feet and friction. The result
-        of the flight and what observers received are those of the outcome.
+        The service of a vehicle in the air goes on as a daemon does. A vehicle on the deck is left to feet and friction. The
+        result of the flight and what observers received are those of the outcome.
         """
-        world, refused = self.world, None
+        world, flown, outcome = self.world, None, self._pilot.outcome
         self._observers, self._on_fusion = (), []
-        if self._pilot.outcome in REFUSALS and not self._gone:
-            watch, going = AftermathWatch(world.truth()), True
+        if outcome is not None and world.phase in IN_THE_AIR and not self._gone:
+            watch, going = AftermathWatch(world.truth(), outcome.value, self._grader.motion), True
             while going and world.at < watch.ends:
                 going = self._tick() is not None
                 if self._ticks % _WATCH_EACH == 0:
                     watch.step(world.truth(), reached=world.reached)
-            refused = watch.result(world.truth(), world.guidance_phase, None if going else self._grader.died)
+            flown = watch.result(world.truth(), world.guidance_phase, None if going else self._grader.died)
         elif (touch := world.truth().touchdown) is not None:
             world.advance(after(touch.at, STANDS_AFTER_S))
-        return standing_of(world.truth(), world.pad.disc_radius_m), refused
+        return standing_of(world.truth(), world.pad.disc_radius_m), flown
 
     def _tick(self) -> MonoNs | None:
         """Run one tick; return its instant, None where the service died in it."""

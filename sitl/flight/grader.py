@@ -10,7 +10,7 @@ from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.solids import Solid
 from sitl.faults.kinds import Bystander, ObjectOnPad
@@ -35,6 +35,17 @@ from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 _FEET_M = 0.12
 """Reach of a vehicle's feet from its body's origin, m."""
+_BLAMES = frozenset(
+    {
+        IntegrityAlert.CAMERA_FROZEN,
+        IntegrityAlert.IMU_FROZEN,
+        IntegrityAlert.ATTITUDE_FROZEN,
+        IntegrityAlert.IMU_LATE,
+        IntegrityAlert.RANGE,
+        IntegrityAlert.HEIGHT,
+    }
+)
+"""Alerts that name a sensor; the other ones say that two disagree, or that no sensor is meant."""
 
 
 class GradedWorld(Protocol):
@@ -97,6 +108,8 @@ class FlightResult:
     """Each fault that began, in words, and the time at which it began, in seconds after the start."""
     highest_m: float = -math.inf
     """Highest height over the pad while guidance commanded."""
+    named: tuple[tuple[str, float], ...] = ()
+    """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
 
     @property
     def landed_on_pad(self) -> bool:
@@ -120,10 +133,12 @@ class FlightGrader:
         self._unreached = UnreachedContacts()
         start = world.scenario.start
         highest_m = called_for_m(settings.guidance, start.height_m if start.where == "air" else 0.0)
-        self._motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
+        self.motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
+        """Watches height and standing, also after the outcome."""
         self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
         self._reason = ""
         self._go_arounds = 0
+        self._named: dict[str, float] = {}
         self._on_things: list[str] = []
         """Contacts with things on the pad and about it."""
         self._flew_into: str | None = None
@@ -134,7 +149,7 @@ class FlightGrader:
         truth, reached = self._world.truth(), self._world.reached
         self._watch.step(truth, reached=reached)
         self._unreached.step(truth, reached=reached)
-        self._motion.step(truth, self._world.guidance_phase, reached=reached)
+        self.motion.step(truth, self._world.guidance_phase, reached=reached)
         self._meet(truth)
 
     def _meet(self, truth: Truth) -> None:
@@ -165,6 +180,9 @@ class FlightGrader:
         goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self._world.guidance_phase))
         self._go_arounds += goes_around and not went_around
         self._reason = decision.reason or self._reason
+        if (belief := decision.belief) is not None:
+            for output in (*belief.lost, *(alert.value for alert in belief.alerts if alert in _BLAMES)):
+                self._named.setdefault(output, seconds_between(self._world.started, self._world.at))
 
     def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> FlightResult:
         """Return the result of the flight so far.
@@ -187,7 +205,7 @@ class FlightGrader:
             unreached_m,
             unreached_max_m,
             unreached=unreached,
-            motion=self._motion,
+            motion=self.motion,
         )
         unsafe = (*unsafe, *self._on_things)
         worth, because = grade(
@@ -227,7 +245,8 @@ class FlightGrader:
             refused,
             self._go_arounds,
             tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
-            self._motion.highest_m,
+            self.motion.highest_m,
+            tuple(self._named.items()),
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:

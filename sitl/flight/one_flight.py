@@ -162,8 +162,8 @@ def fly(
         ending = ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
         if not options.afterwards:
             return ending
-        standing, refused = flight.afterwards()
-    return ending.followed(standing, refused, _cpu_s() - began_s)
+        standing, flown = flight.afterwards()
+    return ending.followed(standing, flown, _cpu_s() - began_s)
 
 
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
@@ -181,6 +181,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         scenario.expect,
         cpu_s,
         round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
+        result.named,
     )
     frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
     return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)

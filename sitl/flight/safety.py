@@ -52,7 +52,8 @@ GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
 either lands or refuses."""
-_IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+"""Phases of a vehicle whose motors carry it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ class SightWatch:
                 self._unreached_at_m, self._unreached_since = at_m, truth.at
             if seconds_between(self._unreached_since, truth.at) <= MET_AFTER_S:
                 self.deck_fell_m_s = max(self.deck_fell_m_s, float(truth.v_pad_ned[2]))
-            if truth.phase in _IN_THE_AIR:
+            if truth.phase in IN_THE_AIR:
                 self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
             return
         if self._unreached_at_m is not None:
@@ -115,7 +116,7 @@ class SightWatch:
                 self._lost_at_m = self._lost_at_m[0] + height_m, self._lost_at_m[1] + altitude_m
             self._unreached_at_m = None
         blind_s = seconds_between(self._seen_at, truth.at)
-        if blind_s <= BLIND_AFTER_S or truth.phase not in _IN_THE_AIR:
+        if blind_s <= BLIND_AFTER_S or truth.phase not in IN_THE_AIR:
             self._lost_at_m = None
             return
         if self._lost_at_m is None:
@@ -147,7 +148,7 @@ class MotionWatch:
         Args:
             phase: phase of guidance, None where no service runs.
         """
-        if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in _IN_THE_AIR:
+        if phase is None or phase in PERSON_PHASES or not reached or truth.phase not in IN_THE_AIR:
             self._stands_since = None
             return
         height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])

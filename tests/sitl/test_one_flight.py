@@ -10,6 +10,7 @@ from companion.cli import main as cli
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
+from sitl.campaign.summary import CampaignTally, in_words
 from sitl.flight.flight import Flight
 from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
 from sitl.flight.safety import Grade
@@ -108,3 +109,22 @@ def test_a_sea_that_rises_faster_than_the_drone_climbs_does_not_reach_it_at_the_
     assert ending.judged is not None
     assert ending.judged.contacts_outside_commit == 0
     assert ending.outcome in (FlightOutcome.LANDED, FlightOutcome.REFUSED), "a deck that outruns the climb is refused"
+
+
+def test_a_campaign_counts_the_flights_in_which_a_sensor_was_named() -> None:
+    settings = settings_for(short(), None)
+    stuck = {"kind": "accelerometer", "at_s": 1.0, "frozen": True}
+    flights = [
+        fly("near", short(duration_limit_s=2.0, faults=faults), 3, settings, perception="model").as_json()
+        for faults in ([], [stuck])
+    ]
+    assert flights[0]["named"] == []
+    (named,) = flights[1]["named"]
+    assert named["text"] == "the accelerometer repeats its readings; flying without it"
+    assert 1.0 < named["at_s"] < 1.3
+    counted = CampaignTally()
+    for flight in flights:
+        counted.take({**flight, "hash": ""})
+    summary = counted.summary("near", "model", 1.0)
+    assert (summary["flights_naming_a_sensor"], summary["named_sensors"]) == (1, {"accelerometer": 1})
+    assert "flights in which a sensor was named: 1 (accelerometer in 1)" in in_words(summary)

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, after
 from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.safety import MotionWatch
 from sitl.scenario.scenario import Scenario, from_mapping, load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
 from sitl.scenario.wrong_model import SPREADS, WrongModel
@@ -24,6 +25,7 @@ from sitl.sea.sea import WMO_3700_M
 from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.logged_motion import read_log
 from sitl.world.stage import airframe, true_camera
+from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
 from tests.sitl.near import NEAR
 from tests.sitl.test_world import CALM, run, with_
@@ -172,18 +174,57 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     later = ending["afterwards"]
     assert later["watched_s"] == pytest.approx(2.0, abs=0.01)
     assert later["farthest_m"] >= later["end_m"] > 0.0
+    assert ending["highest_m"] >= later["lowest_m"], "the height is watched to the end"
     assert ending["duration_s"] < 40.0
+
+
+def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
+    scenario = near()
+    ending = fly("near", scenario, 1, settings_for(scenario, None), "truth")
+    assert ending.judged is not None
+    assert (ending.judged.grade, ending.aftermath) == ("on pad", None)
+    world = World(CALM, seed=1)
+    flies = AftermathWatch(world.truth(), "landed", MotionWatch(7.0, 0.1)).result(world.truth(), "landed", None)
+    assert flies.unsafe == ()
+    again = ending.followed(None, flies, 0.0)
+    assert again.judged is not None
+    assert (again.judged.grade, again.judged.because[:16]) == ("failed", "it does not stan")
 
 
 def test_a_refused_vehicle_that_falls_is_unsafe() -> None:
     world = World(CALM, seed=1)
-    watch = AftermathWatch(world.truth())
+    watch = AftermathWatch(world.truth(), "refused", MotionWatch(7.0, 0.1))
     world.land()
     run(world, 12.0)
     watch.step(world.truth(), reached=True)
     reported = watch.result(world.truth(), "refused", None)
     assert reported.contacts == 1
-    assert reported.unsafe == ("refused, and then touched the deck 1 times with turning motors",)
+    assert [line[:29] for line in reported.unsafe] == ["refused, and then touched the"]
+
+
+def test_a_refused_vehicle_that_climbs_or_stands_with_turning_motors_is_unsafe() -> None:
+    world = World(CALM, seed=1)
+    motion = MotionWatch(1.0, 0.1)
+    start = world.truth()
+    start = msgspec.structs.replace(start, contacts=(Touchdown(start.at, "pad", np.zeros(3), 0.0, 0.0, 0.2, 0.1),))
+
+    def step(at_s: float, height_m: float) -> Truth:
+        at = np.array([0.0, 0.0, -height_m])
+        now = msgspec.structs.replace(
+            start, at=after(start.at, at_s), p_body_ned=at, p_pad_ned=np.zeros(3), v_body_ned=np.zeros(3)
+        )
+        motion.step(now, "gave_up", reached=True)
+        return now
+
+    step(0.0, 4.5)
+    watch = AftermathWatch(start, "gave_up", motion)
+    high = watch.result(step(1.0, 4.6), "gave_up", None).unsafe
+    assert high == ("gave_up, and then flew 4.6 m high, where 1.0 m are the most that is called for",)
+    for n in range(8):
+        last = step(2.0 + 0.5 * n, 0.12)
+    reported = watch.result(last, "gave_up", None)
+    assert reported.at_most_m == pytest.approx(4.6)
+    assert reported.unsafe[1:] == ("gave_up, and then stood on the deck for 3.5 s with turning motors",)
 
 
 def log_line(t_s: float, north_m: float, height_m: float, quality: int = 4) -> str:

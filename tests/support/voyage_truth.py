@@ -57,6 +57,7 @@ PLATFORM = HullResponse(1.2, 0.6, 0.2, 0.2)
 
 SEAS: dict[str, tuple[HullResponse, tuple[tuple[float, float, float], ...]]] = {
     "calm": (FERRY, ()),
+    "moored": (FERRY, ()),
     "jonswap": (FERRY, ((1.5, 7.0, 3.3),)),
     "small boat": (BOAT, ((0.5, 3.5, 3.3),)),
     "platform": (PLATFORM, ((0.4, 9.0, 7.0),)),
@@ -78,7 +79,7 @@ class VoyageScene:
     imu_hz: float = 100.0
     sighting_hz: float = 15.0
     speed_m_s: float | None = None
-    """None draws one of 0.5 to 2."""
+    """None draws one of 0.5 to 2; 0 with the sea "moored"."""
     turn_deg_s: float | None = None
     """None: 3 with the sea "turning", else 0. The sense is drawn."""
     hidden_delay_s: float = 0.03
@@ -138,7 +139,8 @@ class Voyage:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 41])
         t = np.arange(-_MARGIN_S, scene.duration_s + _MARGIN_S, _STEP_S)
-        speed = float(rng.uniform(0.5, 2.0)) if scene.speed_m_s is None else scene.speed_m_s
+        drawn = 0.0 if scene.sea == "moored" else float(rng.uniform(0.5, 2.0))
+        speed = drawn if scene.speed_m_s is None else scene.speed_m_s
         turn = (3.0 if scene.sea == "turning" else 0.0) if scene.turn_deg_s is None else scene.turn_deg_s
         turn = math.radians(turn) * float(rng.choice([-1.0, 1.0]))
         # Every other ship begins to turn in the middle of the flight, over four seconds.
