@@ -15,6 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyais
 
 from companion.settings.load import read_camera
 from drivers.camera.images import ImageRefused, decode
@@ -26,6 +27,7 @@ from drivers.nmea.sentences import NmeaReader
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import GeoFix, Range
 from estimator.contracts.time import MonoNs
+from fuzz.nmea import sealed
 from fuzz.target import SHARED_MEMORY, Choices, Target, refused
 from tests.support import foreign_logs as made
 
@@ -75,7 +77,7 @@ def _camera(path: Path, _: Tell) -> set[float]:
 
 
 def _places(path: Path, _: Tell) -> set[float]:
-    reader, out = NmeaReader(0), set()
+    reader, out = NmeaReader(_MMSI), set()
     for n, line in enumerate(path.read_bytes().splitlines(keepends=True)):
         for sample in reader.samples(line, MonoNs(1_000_000_000 + 200_000_000 * n)):
             if isinstance(sample, GeoFix):
@@ -141,6 +143,16 @@ def _jpeg_records() -> tuple[bytes, ...]:
     return (*out, data[at:-2], data[-2:])
 
 
+def _ais_records() -> tuple[bytes, ...]:
+    out = []
+    for n in range(15):
+        kind, talker, sentence = _AIS_KINDS[n % len(_AIS_KINDS)]
+        fields = {"lat": 54.5 + 0.01 * n, "lon": 10.2, "speed": 4.0, "course": 90.0, "heading": 91, "second": 4 * n}
+        parts = pyais.encode_dict({"type": kind, "mmsi": _MMSI + n // 12, "shipname": "DECK", **fields}, talker, sentence)
+        out.append("".join(part + "\r\n" for part in parts).encode())
+    return tuple(out)
+
+
 def _lines(text: bytes) -> tuple[bytes, ...]:
     return tuple(text.splitlines(keepends=True))
 
@@ -160,6 +172,9 @@ distortion_coefficients:
 """
 _PARAMETERS = b"".join(b"INS_TEST_%d,%d.25\n" % (n, n) for n in range(12))
 _TABLE = b"#timestamp [ns],filename\n" + b"".join(b"%d,%d.png\n" % (1_700_000_000_000_000_000 + n * 10**8, n) for n in range(6))
+_MMSI = 211_234_560
+_AIS_KINDS = ((1, "AI", "VDM"), (3, "AI", "VDO"), (18, "BS", "VDM"), (19, "AI", "VDM"), (5, "AI", "VDM"))
+"""Kinds of reports and talkers: of both classes, the long one of class B, and one without a place."""
 _NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,54{n:02d}.4000,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(12))
 
 
@@ -195,6 +210,7 @@ def grammars() -> dict[str, Grammar]:
         "nmea": Grammar(
             FileKind.SENTENCES, _lines(_NMEA.encode()), _places, True, true={round(54 + (n + 0.4) / 60, 4) for n in range(12)}
         ),
+        "ais": Grammar(FileKind.SENTENCES, _ais_records(), _places, True, true={round(54.5 + 0.01 * n, 4) for n in range(12)}),
         "jpeg": Grammar(FileKind.OTHER, _jpeg_records(), _picture),
         "folder": Grammar(None, _lines(_TABLE), _folder, True, (b"time_s,source\n",), {float(n) for n in range(6)}),
     }  # fmt: skip
@@ -231,7 +247,9 @@ def _filled(record: bytes, text: bool, which: int, choices: Choices) -> bytes:
     if text:
         words = record.split(b",")
         words[which % len(words)] = _EXTREME[choices.number(1) % len(_EXTREME)]
-        return b",".join(words)
+        line = b",".join(words)
+        # A sentence with a wrong checksum is refused for that alone.
+        return sealed(line.partition(b"*")[0]) + b"\r\n" if line[:1] in (b"$", b"!") else line
     at, bits = choices.number(1) % max(1, len(record)), _BITS[choices.number(1) % len(_BITS)]
     return record[:at] + bits + record[at + 8 :]
 

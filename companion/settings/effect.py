@@ -124,7 +124,7 @@ _RULES = (
     ),
     _Rule(
         "camera.repeat",
-        lambda s: s.camera.source != "stream" or s.camera.is_address,
+        lambda s: s.camera.source != "stream" or s.camera.is_live,
         "camera.source and camera.device do not name a video file",
     ),
     _Rule(

@@ -1,5 +1,6 @@
 """The options of a camera that is not part of the vehicle: what the table [camera] says of a device, a stream or a file."""
 
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from msgspec import Struct
@@ -40,7 +41,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         str,
         text(
             "of v4l2: a path under /dev/v4l/by-id or a part of its name; of gstreamer: the pipeline up to raw frames, as "
-            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...) or a file",
+            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), a named pipe or a file",
             4096,
             shortest=0,
             public=True,
@@ -114,9 +115,9 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         self.control_values()
 
     @property
-    def is_address(self) -> bool:
-        """True if the device is a live stream, as opposed to a file."""
-        return "://" in self.device
+    def is_live(self) -> bool:
+        """True if the device is an address, the description of one (.sdp) or a named pipe, as opposed to a file."""
+        return "://" in self.device or self.device.lower().endswith(".sdp") or Path(self.device).is_fifo()
 
     def control_values(self) -> dict[str, int | bool | str]:
         """Return the controls by name: whole numbers, true or false, or an entry of the control's menu by its label.

@@ -5,15 +5,18 @@ async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
 
 A file is played at its own speed. A live stream's clock stamps its frames, where its container has one (RTP, MPEG-TS, FLV); it is
-mapped to ours by the least delay measured. What a demuxer makes up for a stream without times (MJPEG over HTTP, raw H.264) is not
-used: such a frame is stamped by the arrival of its first byte. A frame that lay in the kernel's buffer before it was read arrived
-at some instant since the reader last waited: its stamp is the middle of that time, and its standard deviation covers it.
+mapped to ours by the least delay measured. What a demuxer makes up for a stream without times (MJPEG over HTTP, TCP or a pipe,
+raw H.264) is not used: such a frame is stamped by the arrival of its first byte, and a JPEG is given out at its end mark. FFmpeg
+gives out a frame of many streams when the first byte of the next one arrives, or that of the one after: its arrival is that of
+its own. A frame that lay in the kernel's buffer before it was read arrived at some instant since the reader last waited: its
+stamp is the middle of that time, and its standard deviation covers it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
@@ -31,10 +34,11 @@ from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure import ExposureDrive
-from drivers.camera.images import ImageRefused
+from drivers.camera.images import ImageRefused, claimed_size, decode
+from drivers.camera.live_bytes import Arrival, ArrivalClock, JpegSplitter, LiveBytes
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.videos import MOST_PACKET_BYTES, has_times, open_video, predicts_frames
+from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.reconnect import BackOff, reconnect
 from drivers.running_beside import running_beside
@@ -46,9 +50,11 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 Packet: TypeAlias = "AnyPacket[VideoStream]"
 
 _LIVE = {"fflags": "nobuffer", "flags": "low_delay", "rtsp_transport": "tcp", "analyzeduration": "1000000"}
-_BY_LENGTH = frozenset({"mpjpeg"})
-"""Formats without times whose frames carry their length; the end of others is known only when the next one begins."""
-_BACKLOG_MOST, _WAITED_S = 300, 0.001
+_DESCRIBED = {"protocol_whitelist": "file,udp,rtp"}
+"""FFmpeg's protocols for streams that a file (.sdp) describes."""
+_PLAIN = ("http://", "https://", "tcp://")
+"""Addresses whose bytes may be JPEGs one after another."""
+_BACKLOG_MOST = 300
 """FFmpeg reads seconds of a stream to find its format. The arrival of those frames is unknown: without times in the container
 they are not given out, until one has been waited for so long, or this many have passed."""
 _ARRIVAL_SIGMA_S = 0.008
@@ -61,9 +67,7 @@ _BUFFERED_MOST_S = 0.5
 class _Image:
     px: NDArray[np.uint8]
     pts_s: float | None
-    received_at: MonoNs
-    buffered_s: float
-    """The longest time for which it may have lain in the buffer before `received_at`."""
+    arrival: Arrival
 
 
 class StreamChannel:
@@ -75,6 +79,7 @@ class StreamChannel:
         self._clock = clock
         self._camera = camera
         self._seq = 0
+        self._live = options.is_live
 
     async def run(self) -> None:
         """Read frames until the stream breaks or the file ends.
@@ -91,8 +96,8 @@ class StreamChannel:
             self._camera.down = None
             while True:
                 await self._play(reader, pool)
-                if not self._o.repeat or self._o.is_address:
-                    reason = "failed" if self._o.is_address else "ended"
+                if not self._o.repeat or self._live:
+                    reason = "failed" if self._live else "ended"
                     raise CameraLost(reason, f"{self._o.device}: the stream is over")
                 await loop.run_in_executor(pool, reader.rewind)
         finally:
@@ -109,8 +114,8 @@ class StreamChannel:
         )
         clocks = ClockMap(known)
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
-            self._camera.count_damage(o.device, image.received_at)
-            if o.is_address:
+            self._camera.count_damage(o.device, image.arrival.received_at)
+            if self._live:
                 stamp = self._live_stamp(image, clocks)
             else:
                 pts_s = self._seq / reader.rate_hz if image.pts_s is None else image.pts_s
@@ -126,11 +131,12 @@ class StreamChannel:
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
     def _live_stamp(self, image: _Image, clocks: ClockMap) -> Stamp:
+        received_at, buffered_s = image.arrival.received_at, image.arrival.buffered_s
         if image.pts_s is None or not 0 <= image.pts_s < 1e9:
-            measured_at = after(image.received_at, -self._o.latency_s - image.buffered_s / 2)
-            sigma_s = math.hypot(self._o.latency_sigma_s, _ARRIVAL_SIGMA_S, image.buffered_s / math.sqrt(12))
-            return Stamp(measured_at, image.received_at, sigma_s, "arrival")
-        return clocks.stamp(round(image.pts_s * 1e9), image.received_at)
+            measured_at = after(received_at, -self._o.latency_s - buffered_s / 2)
+            sigma_s = math.hypot(self._o.latency_sigma_s, _ARRIVAL_SIGMA_S, buffered_s / math.sqrt(12))
+            return Stamp(measured_at, received_at, sigma_s, "arrival")
+        return clocks.stamp(round(image.pts_s * 1e9), received_at)
 
 
 class _Reader:
@@ -141,52 +147,72 @@ class _Reader:
         self._size = size
         self._clock = clock
         self._counters = counters
+        self._live = options.is_live
         self._container: InputContainer | None = None
+        self._bytes: LiveBytes | None = None
+        self._jpegs: JpegSplitter | None = None
         self._packets: Iterator[Packet] = iter(())
         self._ready: list[_Image] = []
         self._waiting = True
         self._timed = True
-        self._at_once = True
-        self._newest: tuple[MonoNs, float] | None = None
-        self._emptied_at = clock.now()
+        self._held: deque[Arrival] = deque()
+        """Arrivals of the newest packets. FFmpeg held them back, and the first byte of each gave out an earlier one."""
+        self._held_most = 0
+        self._arrivals = ArrivalClock(clock)
         self._backlog = 0
         self.rate_hz = 30.0
         self.coded = False
 
     def open(self) -> None:
         o = self._o
-        if not o.is_address and not Path(o.device).is_file():
+        if not self._live and not Path(o.device).is_file():
             raise BadInput(f"{o.device}: no such file")
-        silence_s = o.silence_s
         try:
+            if self._live and self._open_bytes():
+                return
             self._container = open_video(
-                o.device,
+                o.device if self._bytes is None else self._bytes,
                 self._size,
-                options=_LIVE if o.is_address else {},
-                codec_options={"err_detect": "explode"} if o.is_address else {},
-                timeout=(silence_s, silence_s) if o.is_address else None,
+                options=_LIVE | ({} if "://" in o.device else _DESCRIBED) if self._live else {},
+                codec_options={"err_detect": "explode"} if self._live else {},
+                timeout=(o.silence_s, o.silence_s) if self._live else None,
             )
         except ImageRefused as why:
-            if o.is_address:
+            if self._live:
                 raise CameraLost("failed", f"{o.device}: {why}") from why
             raise BadInput(f"{o.device}: {why}") from why
-        except FFmpegError as why:
-            if o.is_address:
+        except (FFmpegError, OSError) as why:
+            if self._live:
                 raise CameraLost("absent", f"{o.device}: {why.strerror}") from why
             raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
         if not self._container.streams.video:
             raise BadInput(f"{o.device}: there is no video in it")
         self.coded = predicts_frames(self._container)
         self._timed = has_times(self._container)
-        self._backlog = _BACKLOG_MOST if o.is_address and not self._timed else 0
-        self._at_once = self._timed or self._container.format.name in _BY_LENGTH
+        self._held_most = packets_held(self._container) if self._live else 0
+        self._backlog = _BACKLOG_MOST if self._live and not self._timed else 0
         stream = self._container.streams.video[0]
-        stream.thread_type = "SLICE" if o.is_address else "AUTO"
+        stream.thread_type = "SLICE" if self._live else "AUTO"
         rate = stream.average_rate
         self.rate_hz = float(rate) if rate else 30.0
         if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
             self.rate_hz = 30.0
         self._begin()
+
+    def _open_bytes(self) -> bool:
+        """Open a stream that may be of JPEGs, and return whether it is; FFmpeg reads what else is in it."""
+        device = self._o.device
+        if not (device.lower().startswith(_PLAIN) or Path(device).is_fifo()):
+            return False
+        self._bytes = LiveBytes(device, self._o.silence_s)
+        if self._bytes.holds_jpegs():
+            self._timed, self._jpegs = False, JpegSplitter()
+            self._arrivals = ArrivalClock(self._clock)
+            return True
+        if device.lower().startswith("http"):  # a playlist names further addresses, and a file may be read from its end
+            self._bytes.close()
+            self._bytes = None
+        return False
 
     def rewind(self) -> None:
         assert self._container is not None
@@ -203,22 +229,49 @@ class _Reader:
         while not self._ready:
             asked = self._clock.now()
             try:
-                packet = next(self._packets)
-            except StopIteration:
-                return None
+                more = self._next_packet(asked) if self._jpegs is None else self._next_bytes(self._jpegs, asked)
             except FFmpegError as why:
                 reason = "silent" if isinstance(why, av.error.ExitError | av.error.TimeoutError) else "failed"
                 raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
-            now = self._clock.now()
-            if seconds_between(asked, now) > _WAITED_S:
-                self._backlog, self._emptied_at = 0, now
-            newest = now, seconds_between(self._emptied_at, now)
-            # A packet whose end is the begin of the next one is given out when that begins: its own begin gave the last one out.
-            began, self._newest = (newest if self._at_once else self._newest or newest), newest
-            self._decode(packet, *began)
+            if not more:
+                return None
         return self._ready.pop(0)
 
-    def _decode(self, packet: Packet, received_at: MonoNs, buffered_s: float) -> None:
+    def _next_bytes(self, jpegs: JpegSplitter, asked: MonoNs) -> bool:
+        assert self._bytes is not None
+        piece = self._bytes.next()
+        for jpeg, began in jpegs.jpegs(piece, self._arrivals.now(asked)):
+            self._counters.buffers += 1
+            width, height = claimed_size(jpeg) or (0, 0)
+            try:
+                if not 0 < width * height <= most_pixels(self._size):
+                    raise ImageRefused(f"{width}x{height} px")
+                px = decode(jpeg)
+            except ImageRefused:
+                self._counters.frames_damaged += 1
+                continue
+            self._give(px, None, began)
+        return bool(piece)
+
+    def _next_packet(self, asked: MonoNs) -> bool:
+        packet = next(self._packets, None)
+        if packet is None:
+            return False
+        newest = self._arrivals.now(asked)
+        if newest.waited:
+            self._backlog = 0
+        self._held.append(newest)
+        self._decode(packet, self._held.popleft() if len(self._held) > self._held_most else self._held[0])
+        return True
+
+    def _give(self, px: NDArray[np.uint8], pts_s: float | None, arrival: Arrival) -> None:
+        if self._backlog or (self._live and not self._timed and arrival.buffered_s > _BUFFERED_MOST_S):
+            self._backlog = max(0, self._backlog - 1)
+            self._counters.frames_overtaken += 1
+        else:
+            self._ready.append(_Image(px, pts_s, arrival))
+
+    def _decode(self, packet: Packet, began: Arrival) -> None:
         flush = packet.size == 0
         self._counters.buffers += not flush
         if packet.size > MOST_PACKET_BYTES:
@@ -241,16 +294,12 @@ class _Reader:
                 self._counters.frames_damaged += 1
                 self._waiting = True
                 continue
-            if self._backlog or (self._o.is_address and not self._timed and buffered_s > _BUFFERED_MOST_S):
-                self._backlog = max(0, self._backlog - 1)
-                self._counters.frames_overtaken += 1
-                continue
-            px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
-            self._ready.append(_Image(px, image.time if self._timed else None, received_at, buffered_s))
+            self._give(np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8), image.time if self._timed else None, began)
 
     def close(self) -> None:
-        if self._container is not None:
-            self._container.close()
+        for opened in (self._container, self._bytes):
+            if opened is not None:
+                opened.close()
 
 
 @asynccontextmanager

@@ -1,6 +1,7 @@
 """Open video files and streams with a bound on their frame size, which the decoder obeys before it allocates memory."""
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import av
 from av.container import InputContainer
@@ -11,8 +12,19 @@ MOST_PACKET_BYTES = 32 << 20
 """Largest size of an encoded frame, bytes: that of an uncompressed one of 10 million pixels."""
 _NO_TIMES = 0x80
 """FFmpeg's flag AVFMT_NOTIMESTAMPS."""
+_PARSED_IN = frozenset({"mpegts", "rtp", "rtsp", "sdp"})
+_PARSED = frozenset({"h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "h263", "mjpeg"})
+_PID_LEAST = 16
+"""A stream within a transport stream has its PID as number, and that is no lower."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
+
+
+class Readable(Protocol):
+    """Bytes that FFmpeg reads."""
+
+    def read(self, most: int, /) -> bytes:
+        """Return at most so many bytes; none at the end."""
 
 
 def most_pixels(size: tuple[int, int] | None) -> int:
@@ -25,20 +37,31 @@ def has_times(container: InputContainer) -> bool:
     return not container.format.flags & _NO_TIMES
 
 
+def packets_held(container: InputContainer) -> int:
+    """Return how many frames of a live stream arrive, or begin to, before FFmpeg gives one out.
+
+    Its parsers end a frame where the next one begins, in streams whose packets are no frames; MPEG-TS ends a packet so as well.
+    """
+    stream = container.streams.video[0]
+    parsed = not has_times(container) or container.format.name in _PARSED_IN
+    in_transport_stream = container.format.name == "mpegts" or (container.format.name == "rtp" and stream.id >= _PID_LEAST)
+    return int(parsed and stream.codec_context.name in _PARSED) + in_transport_stream
+
+
 def predicts_frames(container: InputContainer) -> bool:
     """Return whether the video's codec predicts frames from one another."""
     return not container.streams.video[0].codec_context.codec.intra_only
 
 
 def open_video(
-    source: str,
+    source: str | Readable,
     size: tuple[int, int] | None = None,
     *,
     options: Mapping[str, str] | None = None,
     codec_options: Mapping[str, str] | None = None,
     timeout: tuple[float, float] | None = None,
 ) -> InputContainer:
-    """Open a file or an address; a frame above the bound then fails to decode.
+    """Open a file, an address or an object with `read`; a frame above the bound then fails to decode.
 
     Args:
         size: width and height that are expected; None where they are not known.
@@ -51,7 +74,7 @@ def open_video(
         ImageRefused: the frames are larger than the bound; the text gives the reason.
     """
     bound = {"max_pixels": str(most_pixels(size))}
-    container = av.open(source, options={**(options or {}), **bound}, timeout=timeout)
+    container: InputContainer = av.open(source, "r", options={**(options or {}), **bound}, timeout=timeout)
     for stream in container.streams.video:
         codec = stream.codec_context
         codec.options = {**(codec_options or {}), **bound}

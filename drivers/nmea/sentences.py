@@ -56,7 +56,7 @@ _COURSE_FROM_M_S = 0.3
 """Speed below which a receiver may leave the course out."""
 _AIS_NO_PLACE, _AIS_RECKONED = {61: "typed_in", 63: "no_fix"}, 62
 """Seconds of the minute above 60, which say how the transponder has its place."""
-_AIS_REPORTS = (1, 2, 3, 18)
+_AIS_REPORTS = (1, 2, 3, 18, 19)
 
 REFUSED_FOR = {
     "no_fix": "the receiver has no fix",
@@ -124,7 +124,7 @@ class NmeaReader:
         if line.startswith("!"):
             return self._counted("AIS", self._ais(line, received_at))
         kind = line[3:6]
-        if kind not in self._table:
+        if kind not in self._table or line[1] == "P":  # a vendor's own, as Garmin's PGRMC, is none of these
             self.refused["other_sentence"] += 1
             return []
         return self._counted(kind, self._table[kind](pynmea2.parse(line, check=True), received_at))

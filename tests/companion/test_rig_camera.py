@@ -30,8 +30,8 @@ def test_the_table_is_what_the_driver_takes() -> None:
     camera = from_mapping(with_keys(source="v4l2", device="usb-Cam", controls="gain=3, auto_exposure=Manual Mode"), "x").camera
     assert isinstance(camera, CameraOptions)
     assert camera.control_values() == {"gain": 3, "auto_exposure": "Manual Mode"}
-    assert not camera.is_address
-    assert from_mapping(with_keys(source="stream", device="rtsp://cam/1"), "x").camera.is_address
+    assert not camera.is_live
+    assert from_mapping(with_keys(source="stream", device="rtsp://cam/1"), "x").camera.is_live
 
 
 def test_controls_are_numbers_truth_values_or_labels() -> None:

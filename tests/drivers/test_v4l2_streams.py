@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import socket
 import threading
 import time
@@ -14,8 +15,11 @@ import av
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.camera.live_bytes import Arrival, JpegSplitter
 from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost
 from drivers.camera.video_source import open_camera
@@ -129,9 +133,9 @@ def number_in(frame: Frame) -> int:
 
 def parts(kind: str, n: int) -> list[bytes]:
     """Return the bytes of `n` numbered frames, one entry a frame, in a stream whose container holds no times."""
-    if kind == "mjpeg":
+    if kind != "h264":
         jpegs = [cv2.imencode(".jpg", numbered(i))[1].tobytes() for i in range(n)]
-        return [b"--f\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(j), j) for j in jpegs]
+        return [b"--f\r\nContent-Type: image/jpeg\r\n\r\n%s" % j for j in jpegs] if kind == "mjpeg" else jpegs
     coder = av.CodecContext.create("libx264", "w")
     coder.width, coder.height, coder.pix_fmt, coder.framerate = W, H, "yuv420p", Fraction(25)
     coder.options = {"preset": "ultrafast", "tune": "zerolatency", "g": "10"}
@@ -171,7 +175,7 @@ async def stamped(kind: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the errors of the timestamps of a stream that is played, s, and the standard deviations that they state."""
     gaps_s = [0.0] * 100 + [0.02 if n % 40 < 20 else 0.055 for n in range(60)]
     sent: dict[int, int] = {}
-    errors, sigmas, number = [], [], 0
+    errors, sigmas, ahead, number = [], [], [], 0
     with playing(kind, gaps_s, sent) as address:
         async with (
             asyncio.timeout(60),
@@ -182,9 +186,12 @@ async def stamped(kind: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
                     frame = await camera.frames.get()
                     number = number_in(frame)
                     assert frame.stamp.source == "arrival"
+                    if kind == "mjpeg" and number > 100:
+                        ahead.append(max(sent) - number)
                     errors.append((frame.stamp.measured_at - sent[number]) * 1e-9)
                     sigmas.append(frame.stamp.sigma_s)
     assert len(errors) > 20
+    assert not ahead or np.median(ahead) == 0, "a JPEG that is complete waits for the next one"
     return np.array(errors), np.array(sigmas)
 
 
@@ -201,6 +208,97 @@ async def test_a_stream_without_times_is_stamped_by_arrival(kind: str) -> None:
     else:
         pytest.fail(f"the timestamps err by {np.abs(errors).round(3)} s and state {sigmas.round(3)}")
     assert sigmas.min() < 0.015
+
+
+@pytest.mark.parametrize(("kind", "form"), [("udp", "mpegts"), ("rtp", "rtp")])
+async def test_frames_that_ffmpeg_holds_back_are_stamped_by_their_own_arrival(kind: str, form: str, tmp_path: Path) -> None:
+    """FFmpeg gives out a frame of these streams when the next one arrives, or the one after that: 0.1 or 0.2 s late here."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1] & ~1
+    device = f"udp://127.0.0.1:{port}"
+    if kind == "rtp":
+        described = tmp_path / "camera.sdp"
+        device = str(described)
+        described.write_text(
+            f"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video {port} RTP/AVP 96\n"
+            "a=rtpmap:96 H264/90000\na=fmtp:96 packetization-mode=1\n"
+        )
+    sent: dict[int, int] = {}
+    ends = threading.Event()
+
+    def play() -> None:
+        with av.open(f"{kind}://127.0.0.1:{port}?pkt_size=1316", "w", format=form) as out:
+            made = out.add_stream("libx264", rate=10, options={"preset": "ultrafast", "tune": "zerolatency", "g": "5"})
+            made.width, made.height, made.pix_fmt, made.time_base = W, H, "yuv420p", Fraction(1, 10)
+            for n in range(200):
+                frame = av.VideoFrame.from_ndarray(cv2.cvtColor(numbered(n), cv2.COLOR_GRAY2BGR), format="bgr24")
+                frame.pts, sent[n] = n, time.monotonic_ns()
+                out.mux(made.encode(frame))
+                if ends.wait(0.1):
+                    return
+
+    errors: list[float] = []
+    thread = threading.Thread(target=play)
+    async with asyncio.timeout(60), open_camera(stream(device), None, CLOCK) as camera:
+        thread.start()
+        try:
+            while len(errors) < 30:
+                frame = await camera.frames.get()
+                assert frame.stamp.source == "synced"
+                errors.append((frame.stamp.measured_at - sent[number_in(frame)]) * 1e-9)
+        finally:
+            ends.set()
+            await asyncio.to_thread(thread.join)
+    assert abs(float(np.median(errors[10:]))) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["jpegs", "h264"])
+async def test_a_named_pipe_is_a_live_stream(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "camera"
+    os.mkfifo(path)
+    sent: dict[int, int] = {}
+
+    def play() -> None:
+        with contextlib.suppress(BrokenPipeError), path.open("wb", buffering=0) as out:
+            for number, part in enumerate(parts(kind, 120)):
+                time.sleep(0.03)
+                sent[number] = time.monotonic_ns()
+                out.write(part)
+
+    thread = threading.Thread(target=play)
+    errors: list[float] = []
+    async with asyncio.timeout(60), open_camera(stream(path), None, CLOCK) as camera:
+        thread.start()
+        with contextlib.suppress(CameraLost):
+            while len(errors) < 40:
+                frame = await camera.frames.get()
+                errors.append((frame.stamp.measured_at - sent[number_in(frame)]) * 1e-9)
+    await asyncio.to_thread(thread.join)
+    assert abs(float(np.median(errors))) < 0.02
+
+
+@given(st.integers(1, 5000), st.binary(max_size=40), st.booleans())
+def test_jpegs_are_cut_out_whole_however_the_bytes_come(step: int, between: bytes, thumbnail: bool) -> None:
+    between = between.replace(b"\xff", b"\n")
+    jpegs = parts("jpegs", 5)
+    if thumbnail:  # one within a JPEG's head, with an end mark of its own
+        inner = b"\xff\xe1%s%s" % ((len(jpegs[0]) + 2).to_bytes(2, "big"), jpegs[0])
+        jpegs = [jpeg[:2] + inner + jpeg[2:] for jpeg in jpegs]
+    data, splitter, out = between + between.join(jpegs), JpegSplitter(), []
+    for at in range(0, len(data), step):
+        piece = data[at : at + step]
+        out += [(jpeg, came.buffered_s) for jpeg, came in splitter.jpegs(piece, Arrival(CLOCK.now(), at, waited=True))]
+    assert [jpeg for jpeg, _ in out] == jpegs
+    begins = [len(between) * (n + 1) + sum(map(len, jpegs[:n])) for n in range(5)]
+    assert all(begin - step < at <= begin + 2 for (_, at), begin in zip(out, begins, strict=True))
+
+
+def test_a_jpeg_without_its_end_ends_where_the_next_begins() -> None:
+    jpegs = parts("jpegs", 3)
+    torn = jpegs[1][:-40]
+    out = [jpeg for jpeg, _ in JpegSplitter().jpegs(jpegs[0] + torn + jpegs[2], Arrival(CLOCK.now(), 0.0, waited=True))]
+    assert out == [jpegs[0], torn, jpegs[2]]
 
 
 async def test_a_camera_that_is_not_there_is_waited_for() -> None:

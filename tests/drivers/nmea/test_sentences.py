@@ -69,7 +69,8 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
     assert degrees(fix) == pytest.approx([54.4, 10.2], abs=1e-5)
     assert moving.v_vessel_ned == pytest.approx([0.0, 3.0 * KNOT_M_S, 0.0], abs=1e-6)
     assert pointing.heading_rad == pytest.approx(math.radians(100.0))
-    assert [type(s) for s in reader.samples(ais(type=18, heading=511, speed=102.3), NOW)] == [GeoFix]
+    for class_b in (18, 19):
+        assert [type(s) for s in reader.samples(ais(type=class_b, heading=511, speed=102.3), NOW)] == [GeoFix]
     assert reader.samples(ais(mmsi=MMSI + 1), NOW) == []
     assert reader.samples(ais(lat=91, lon=181), NOW) == []
     assert reader.refused == {"other_ship": 1, "no_fix": 1}
@@ -103,6 +104,7 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
         (ais(second=61), "typed_in"),
         (ais(second=63), "no_fix"),
         (line("GPGSV,3,1,11,03,03,111,00"), "other_sentence"),
+        (line("PGRMC,A,110.1,100,6378137.0,298.257,0.0,0.0,0.0,A,3,1,1,4,30"), "other_sentence"),
         (b"A" * 3000, "too_long"),
     ],
 )
