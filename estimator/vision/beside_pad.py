@@ -35,7 +35,7 @@ _BACK_PX, _MARGIN = 0.4, 8
 _KEY_S, _LOWER, _LEFT = 5.0, 0.5, 0.4
 """Longest time that the same picture is followed, least height in that of the picture, and least share of corners left."""
 _STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
-"""Distances beyond the disc within which what stands out counts (rotor and margin), and what moves; the ring's start, in radii."""
+"""Distances beyond the disc within which what stands out (rotor and margin) and what moves counts; the ring's start, in radii."""
 _SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
 """Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
 _READS = 4
