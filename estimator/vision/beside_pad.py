@@ -35,7 +35,7 @@ _BACK_PX, _MARGIN = 0.4, 8
 _KEY_S, _LOWER, _LEFT = 5.0, 0.5, 0.4
 """Longest time that the same picture is followed, least height in that of the picture, and least share of corners left."""
 _STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
-"""How far beyond the disc what stands out counts (rotor and margin), and what moves. Third: where the ring begins, in radii."""
+"""Distances beyond the disc within which what stands out (rotor and margin) and what moves counts; the ring's start, in radii."""
 _SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
 """Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
 _READS = 4
@@ -47,7 +47,7 @@ _STAYS = 4.0
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
 """Least deviation from the best place and height that is a motion, m, and in standard deviations."""
 _OWN = 0.5
-"""What the drone's own cone leaves of it, in parts of that, where it is the drone's own shadow."""
+"""Part that the drone's own cone leaves of the deviation, where it is the drone's own shadow."""
 _AGREE, _CLUSTER_M = 3, 0.5
 """Least number of corners that agree, within this distance."""
 
@@ -60,12 +60,12 @@ class AroundMemory:
     key_at: MonoNs
     """Exposure of the picture that is followed."""
     key: U8
-    """That picture, from above."""
+    """The picture itself, from above."""
     key_height_m: float
     corners: F64
     """Corners in it, (N, 2) px."""
     uv: F64
-    """Where they were in the last frame that was read, (N, 2) px from above."""
+    """Their places in the last frame that was read, (N, 2) px from above."""
     sums: F64
     """(N, 13) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2; and number of readings."""
     began: int

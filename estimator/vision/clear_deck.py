@@ -168,7 +168,7 @@ def _read(pyramid: Pyramid, level: int, camera: Camera, points: F64) -> tuple[ND
 def _after(
     memory: DeckMemory | None, pad: Pad, values: NDArray[np.uint8], shown: NDArray[np.bool_], blur_m: float, at: MonoNs
 ) -> DeckMemory:
-    """Return the memory with the values of the cells, (cells, 3), of which some are shown."""
+    """Return the memory with the cells' values, (cells, 3)."""
     blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
     nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
     bright = np.zeros((ACROSS, ACROSS), np.uint8)

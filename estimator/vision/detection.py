@@ -174,7 +174,7 @@ class NearThing(Struct, frozen=True):
     right_m: float
     """The same to starboard of the arrow."""
     height_m: float
-    """How far it stands out of the deck; 0 for what moves, whose height is not known."""
+    """Height that it stands out of the deck; 0 for what moves, whose height is not known."""
 
     @property
     def from_centre_m(self) -> float:

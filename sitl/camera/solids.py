@@ -25,7 +25,7 @@ class Solid:
     height_m: float
     """Height of its top over the deck."""
     to_m: tuple[float, float] | None = None
-    """Where it turns; None for a body at rest."""
+    """Place where it turns; None for a body at rest."""
     speed_m_s: float = 0.0
 
     @staticmethod

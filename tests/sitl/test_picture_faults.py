@@ -61,7 +61,7 @@ def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
         (ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
         (ObjectOnPad(at_s=0.1, thing="crate", brightness=0.9, right_m=0.39, size_m=0.3), 1.0, 0.0, (0.001, 0.03)),
         (ObjectOnPad(at_s=0.1, thing="wet patch", forward_m=-0.78, size_m=0.4), 0.0, 2.0, (0.001, 0.03)),
-        (Bystander(at_s=0.1, thing="box", right_m=0.78, width_m=0.4, height_m=0.4), 2.0, 0.0, (0.001, 0.06)),
+        (Bystander(at_s=0.1, thing="box", right_m=0.78, width_m=0.4, height_m=0.1), 2.0, 0.0, (0.001, 0.03)),
         (OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
         (Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
     ],

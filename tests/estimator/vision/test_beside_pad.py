@@ -1,4 +1,4 @@
-"""What stands out of the deck about the pad or moves is seen; what is painted there and what light does is not."""
+"""Things that stand out of the deck about the pad or move are seen; what is painted there and what light does is not."""
 
 import math
 
