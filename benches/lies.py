@@ -12,6 +12,7 @@ dimensions during the freeze, and the share of it inside the central 95 % of chi
 """
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -59,6 +60,7 @@ def row(name: str, base: str, first: int, seeds: int) -> tuple[str, int]:
     for seed in range(first, first + seeds):
         flight = fly(name, scenario, seed, settings, perception="model").as_json()
         verdict = verdict_of(flight)
+        print(f"{name}, seed {seed}: {verdict} after {flight['duration_s']:.0f} s", file=sys.stderr)
         counts[verdict] += 1
         latest_s, highest_m = max(latest_s, flight["duration_s"]), max(highest_m, flight.get("highest_m") or 0.0)
         if verdict not in ("landed", "refused"):

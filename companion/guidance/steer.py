@@ -280,7 +280,8 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
 def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the least height over the deck at which a held vehicle stays, m."""
     if p.state in _REFUSED:
-        return max(float(held[2]), o.tries.safe_height_m + s.knowledge.outrun_m)
+        # A place that was lost and is held anew lies higher each time: waves lift the vehicle meanwhile.
+        return max(min(float(held[2]), p.entered_height_m), o.tries.safe_height_m + s.knowledge.outrun_m)
     return max(float(held[2]), min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)))
 
 

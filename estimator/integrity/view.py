@@ -38,6 +38,8 @@ _LATE_S, _LAG_ALIKE, _LAG_BETTER = 0.06, 0.8, 0.05
 """Least delay that makes an alert, least correlation with it, and how much better its square is than that without delay."""
 _LAG_TURNED_RAD = 0.03
 """Root of the sum of squares of the rotations that show a delay."""
+_LAG_FROM_M = 1.0
+"""Least distance to the pad: nearer, a drone's way aside moves the pad more than its lean does, and later."""
 _LAG_LASTS = 15
 """Number of sightings in a row that show it."""
 
@@ -86,7 +88,8 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
     if abs(np.diff(found - expected, axis=0)).max() < _JUMP_RAD:
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
         moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
-        state = _lagged(state, np.array(at, float) * 1e-9, expected, found)
+        if distance_m > _LAG_FROM_M:
+            state = _lagged(state, np.array(at, float) * 1e-9, expected, found)
     return state._replace(
         bearings=bearings, frozen=still, moments=moments, reversed=moments is not None and _is_reversed(moments)
     )

@@ -261,6 +261,18 @@ def test_what_was_lifted_over_its_held_height_lets_a_rising_deck_come_up(
     assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
 
 
+@pytest.mark.parametrize(("entered_m", "climbs_m_s"), [(5.0, 0.0), (7.5, 0.3), (math.inf, 0.6)])
+def test_a_refused_vehicle_that_lost_its_place_and_holds_another_goes_no_higher_than_where_it_was_refused(
+    entered_m: float, climbs_m_s: float
+) -> None:
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 8.0)))
+    p = Progress(State.REFUSED, automatic=True, begun=True, held=np.array([0.0, 0.0, 8.0]), entered_height_m=entered_m)
+    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
+    found = allowed(up, p, s, guided(), over_ground=False)
+    assert isinstance(found, Lean)
+    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+
+
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
 def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, over: bool) -> None:
     found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))

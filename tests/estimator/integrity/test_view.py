@@ -89,3 +89,10 @@ def test_an_attitude_a_tenth_of_a_second_late_against_the_image_is_known_within_
         found = [one.late_s for one in watched(seed, False, math.radians(3.0), np.eye(3), 3.0, 6.0, late_s)]
         assert all((s != 0.0) is known for s in found[90:])
         assert not known or abs(found[-1] - late_s) <= 0.021
+
+
+def test_close_to_the_pad_a_way_aside_is_no_delay() -> None:
+    """The pad's bearing is the vehicle's way aside there, which follows its lean late."""
+    for height_m, known in ((0.9, False), (1.1, True)):
+        found = [one.late_s for one in watched(1, False, math.radians(3.0), np.eye(3), height_m, 6.0, 0.1)]
+        assert any(found[90:]) is known
