@@ -41,7 +41,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         str,
         text(
             "of v4l2: a path under /dev/v4l/by-id or a part of its name; of gstreamer: the pipeline up to raw frames, as "
-            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), a named pipe or a file",
+            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), a "
+            "named pipe or a file",
             4096,
             shortest=0,
             public=True,
