@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -42,7 +43,7 @@ from tests.support.processes import decklander, started
 
 HOST = "127.0.0.1"
 DELAY_S = 0.04
-"""From mid-exposure to the first byte, s, which the service's settings state."""
+"""Delay from mid-exposure to the first byte, s; the settings state it."""
 LASTING_S = 75.0
 KINDS = (
     "mjpeg-10", "mjpeg-15", "mjpeg-20", "mjpeg-24", "mjpeg-30", "mjpeg-varying", "mjpeg-nolength-15", "mjpeg-nolength-30",
@@ -69,9 +70,9 @@ def number_of(px: NDArray[np.uint8]) -> int:
 class Outlet:
     """Sends frames in the way of one kind to two readers."""
 
-    def __init__(self, kind: str, folder: Path, stack: ExitStack) -> None:
-        self._kind = kind
-        self._queues: list[deque[bytes]] = []
+    def __init__(self, kind: str, folder: Path, stack: ExitStack, leaves: Callable[[int], None]) -> None:
+        self._kind, self._leaves = kind, leaves
+        self._queues: list[deque[tuple[int, bytes]]] = []
         self._came = threading.Condition()
         self._encoder = Encoder(640, 360, 30.0, 4000.0) if kind.startswith("h264") else None
         self._muxers: list[tuple[av.container.OutputContainer, av.VideoStream]] = []
@@ -88,7 +89,12 @@ class Outlet:
             self.devices = [f"{scheme}://{HOST}:{door.getsockname()[1]}/"] * 2
             threading.Thread(target=self._serve, args=(door,), daemon=True).start()
 
-    def _queue(self) -> deque[bytes]:
+    @property
+    def timed(self) -> bool:
+        """True if the stream carries the times of exposure."""
+        return bool(self._muxers)
+
+    def _queue(self) -> deque[tuple[int, bytes]]:
         self._queues.append(deque(maxlen=8))
         return self._queues[-1]
 
@@ -126,16 +132,18 @@ class Outlet:
             while True:
                 client.sendall(self._next(mine))
 
-    def _write(self, path: str, mine: deque[bytes]) -> None:
+    def _write(self, path: str, mine: deque[tuple[int, bytes]]) -> None:
         with suppress(OSError), open(path, "wb", buffering=0) as out:
             mine.clear()
             while True:
                 out.write(self._next(mine))
 
-    def _next(self, mine: deque[bytes]) -> bytes:
+    def _next(self, mine: deque[tuple[int, bytes]]) -> bytes:
         with self._came:
             self._came.wait_for(lambda: mine)
-            return mine.popleft()
+            number, data = mine.popleft()
+        self._leaves(number)
+        return data
 
     def encode(self, px: NDArray[np.uint8]) -> bytes:
         """Return a frame's bytes."""
@@ -147,7 +155,7 @@ class Outlet:
         length = b"" if "nolength" in self._kind else b"Content-Length: %d\r\n" % len(jpeg)
         return b"--f\r\nContent-Type: image/jpeg\r\n%s\r\n%s\r\n" % (length, jpeg)
 
-    def send(self, data: bytes, px: NDArray[np.uint8], at_s: float) -> None:
+    def send(self, number: int, data: bytes, px: NDArray[np.uint8], at_s: float) -> None:
         """Send a frame that was exposed at `at_s`."""
         for out, made in self._muxers:
             frame = av.VideoFrame.from_ndarray(px, format="bgr24")
@@ -156,7 +164,7 @@ class Outlet:
                 out.mux(packet)
         with self._came:
             for queue in self._queues:
-                queue.append(data)
+                queue.append((number, data))
             self._came.notify_all()
 
 
@@ -167,6 +175,10 @@ class Stamps:
     exposed: dict[int, int] = field(default_factory=dict)
     errors: list[float] = field(default_factory=list)
     sigmas: list[float] = field(default_factory=list)
+
+    def leaves(self, number: int) -> None:
+        """Note that a frame leaves now: a host that is late with it is no error of its stamp."""
+        self.exposed[number] = SystemClock().now() - round(1e9 * DELAY_S)
 
 
 class FilmedByStream(ArDroneServer):
@@ -185,13 +197,14 @@ class FilmedByStream(ArDroneServer):
             period_s = rng.uniform(0.033, 0.1) if rate == "varying" else 1.0 / float(rate)
             due = type(due)(max(due, clock.now() - round(1e9 * period_s)) + round(1e9 * period_s))
             image = await loop.run_in_executor(pool, self.world.expose())
-            px, number = marked(image.px, number % (1 << _BITS)), number + 1
+            number = (number + 1) % (1 << _BITS)
+            px = marked(image.px, number)
             data = await loop.run_in_executor(pool, self.outlet.encode, px)
             await clock.sleep(max(0.0, DELAY_S - seconds_between(image.exposed_at, clock.now())))
-            # A host too slow for the delay is no error of the stamps: the truth is the instant of sending less the delay.
-            self.stamps.exposed[(number - 1) % (1 << _BITS)] = clock.now() - round(1e9 * DELAY_S)
+            if self.outlet.timed:
+                self.stamps.exposed[number] = image.exposed_at
             at_s = seconds_between(began, image.exposed_at) + 1.0
-            await loop.run_in_executor(pool, self.outlet.send, data, px, at_s)
+            await loop.run_in_executor(pool, self.outlet.send, number, data, px, at_s)
 
 
 async def read(device: str, stamps: Stamps) -> None:
@@ -213,7 +226,7 @@ async def fly(kind: str, seed: int) -> str:
         folder = Path(name)
         world = World(load("demo"), seed, start=clock.now())
         drone = FilmedByStream(world, HOST, Ports(0, 0, 0, 0), clock, truth_path=folder / "truth")
-        drone.kind, drone.stamps, drone.outlet = kind, stamps, Outlet(kind, folder, stack)
+        drone.kind, drone.stamps, drone.outlet = kind, stamps, Outlet(kind, folder, stack, stamps.leaves)
         async with drone:
             ports = drone.ports
             keys = "\n".join(f"{name}_port = {getattr(ports, name)}" for name in ("navdata", "video", "at", "control"))

@@ -5,7 +5,7 @@
 
 `companion.settings.model` has the keys; docs/configuration.md is their page.
 
-Camera files of others are read as well: those of ROS (camera_info), OpenCV (FileStorage in YAML or XML) and Kalibr (camchain).
+Camera files of others are read as well: those of ROS (camera_info), OpenCV (FileStorage: YAML, XML, JSON) and Kalibr (camchain).
 They say nothing of the mount: the camera then looks straight down with the nose at the image's top. A fisheye (ROS and Kalibr:
 equidistant; OpenCV: fisheye_model) is read as it is. A rational lens is fitted by Brown's, and refused where that does not fit.
 
@@ -48,8 +48,8 @@ _GRID = 25
 _BROWN = {"plumb_bob", "radtan", "opencv", "none", ""}
 _FISHEYE = {"equidistant", "fisheye", "kannala_brandt"}
 _SIZE = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
-_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M1", "intrinsics")
-_COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "D1", "distortion_coeffs")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "M1", "mtx", "intrinsics")
+_COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "d", "D1", "dist", "distortion_coeffs")
 
 
 def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
@@ -59,11 +59,15 @@ def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
         BadInput: a part is lacking, or it is of a lens that our model does not fit.
     """
     begin = text.lstrip("\ufeff \r\n\t")
-    if begin.startswith("<"):
+    if begin.startswith("# oST"):
+        raise BadInput(f"{path}: the INI form of ROS is not read: give the YAML file, which its calibrator writes beside it")
+    if begin.startswith(("<", "{")):
         return _mapping(_stored(path, begin), path)
     if path.suffix.lower() in (".yaml", ".yml") or begin.startswith("%YAML"):
-        head = "" if begin.startswith("%YAML") else "%YAML:1.0\n---\n"
-        return _mapping(_stored(path, head + begin.removeprefix("---\n")), path)
+        document = re.split(r"^---\s*$", begin, maxsplit=2, flags=re.MULTILINE)
+        # A message that was printed ends with this line, and the next one may follow.
+        text = next((part for part in document if part.strip() and not part.startswith("%YAML")), "")
+        return _mapping(_stored(path, "%YAML:1.0\n---\n" + re.sub(r"^- ", "  - ", text.lstrip("\r\n"), flags=re.MULTILINE)), path)
     return None
 
 
@@ -102,6 +106,8 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
     data = found[cameras[0]] if cameras else found
     if (model := data.get("camera_model", "pinhole")) != "pinhole":
         raise BadInput(f"{path}: camera_model {model!r} is not read; pinhole is")
+    if any(data.get(key) not in (None, 0.0, 1.0) for key in ("binning_x", "binning_y")):
+        raise BadInput(f"{path}: its frames are binned: give the camera_info of the frames as they are")
     numbers = _numbers(_first(data, _MATRIX))
     if len(numbers) not in (4, 9):
         raise BadInput(f"{path}: it has no camera matrix (camera_matrix or intrinsics) of four or nine numbers")

@@ -29,6 +29,8 @@ _HEAD = 1 << 16
 _BEFORE_MOST = 64
 """The bytes that a bridge may put before a JPEG."""
 _WHITE = 255.0
+_FLOAT_MOST = 2.0
+"""Floats go from 0 to 1 and a highlight above it, or they are a camera's whole numbers."""
 _GAP = bytes(24)
 """Zeros that are no coded data of the usual tables: eight coefficients each of -1 in three bytes, and a block has 63."""
 _USUAL_AC = bytes.fromhex("7d01020300041105122131410613516107")
@@ -206,12 +208,12 @@ def _largest_value(data: bytes | memoryview, px: NDArray[np.generic]) -> float:
         return float(max(1, int(words[2])))
     if px.dtype == np.uint8:
         return _WHITE
-    if not np.issubdtype(px.dtype, np.unsignedinteger):
-        return 1.0  # floats go from 0 to 1
     if head.startswith(b"\x89PNG") and 0 < (at := head.find(b"sBIT")) < len(head) - 4 and 8 <= head[at + 4] <= 16:
         return float((1 << head[at + 4]) - 1)
-    most = int(px.max())
-    return float(next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if most < 1 << bits))
+    most = float(px.max())
+    if not np.issubdtype(px.dtype, np.unsignedinteger) and not most > _FLOAT_MOST:
+        return 1.0
+    return float(next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if most < 1 << bits or bits == 16))
 
 
 def load(path: Path) -> bytes:

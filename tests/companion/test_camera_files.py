@@ -35,7 +35,7 @@ def test_a_lens_with_k3_does_not_fit_kalibr() -> None:
         foreign(bent, "kalibr")
 
 
-@pytest.mark.parametrize("suffix", ["yml", "xml"])
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
 def test_opencv_s_own_files_are_read(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"camera.{suffix}"
     store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -45,6 +45,37 @@ def test_opencv_s_own_files_are_read(suffix: str, tmp_path: Path) -> None:
     store.write("distortion_coefficients", np.array(BENT)[:, None])
     store.release()
     assert read_camera(path) == CAMERA
+
+
+PRINTED = """header:
+  stamp:
+    sec: 0
+height: 480
+width: 640
+distortion_model: plumb_bob
+{d}: {coefficients}
+{k}: [510.25, 0.0, 318.75, 0.0, 511.5, 243.125, 0.0, 0.0, 1.0]
+binning_x: {binned}
+---
+"""
+
+
+def test_a_camera_info_is_read_as_ros_prints_its_message(tmp_path: Path) -> None:
+    path, lines = tmp_path / "camera.yaml", "".join(f"\n- {k}" for k in BENT)
+    path.write_text(2 * PRINTED.format(d="d", coefficients=lines, k="k", binned=0))
+    assert read_camera(path) == CAMERA
+    path.write_text(PRINTED.format(d="D", coefficients=list(BENT), k="K", binned=0))
+    assert read_camera(path) == CAMERA
+    path.write_text(PRINTED.format(d="D", coefficients=list(BENT), k="K", binned=2))
+    with pytest.raises(BadInput, match="binned"):
+        read_camera(path)
+
+
+def test_the_ini_form_of_ros_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "ost.txt"
+    path.write_text("# oST version 5.0 parameters\n\n[image]\n\nwidth\n640\n")
+    with pytest.raises(BadInput, match="give the YAML file"):
+        read_camera(path)
 
 
 @pytest.mark.parametrize("lens", ["equidistant", "rational_polynomial"])
