@@ -7,7 +7,6 @@ from benches.false_pads import best_scores, photographs, scene_of, sure_of
 from tests.support.hard_light import HARD
 from tests.support.pad_scenes import DATA, load_camera
 
-
 SUREST = {
     41000: (1, 61, 85, 88), 41001: (2, 5, 14, 25, 65, 84), 41002: (9, 32, 36, 60, 65, 83, 86, 93), 41003: (0, 15, 60, 64),
     41005: (12, 20, 85, 94), 41006: (31, 88, 99), 41007: (1, 6, 40, 60), 41008: (46, 66, 70, 94), 41009: (9, 12, 52, 53, 96),
