@@ -18,42 +18,51 @@ EVIDENCE = tuple(name.removeprefix("EVIDENCE_").lower() for name in CORE.names("
 FITTED, HAND_SET = EVIDENCE[:EVIDENCE_FITTED], EVIDENCE[EVIDENCE_FITTED:]
 """Inputs with fitted weights, and inputs with weights set by hand."""
 _HAND_SET = {
+    "no_ring": -3.0,
     "no_h": -2.5,
+    "disc_unseen": -1.5,
     "painted": 1.5,
+    "no_disc": -4.0,
     "h_contrast_odd": -4.0,
     "disagrees": -2.0,
+    "not_brighter": -2.0,
     "corner": -3.0,
     "edges_astray": -8.0,
     "h_astray": -8.0,
+    "half_disagrees": -0.7,
     "no_h_in_view": -6.0,
     "h_disagrees": -8.0,
 }
 """Log-odds of further inputs, set by hand because too few of the fit's false candidates look like the pad.
 
-Without any one of them a thing is taken for the pad that once was (tests/benches/test_false_pads.py), or more right poses are
-denied: `python -m benches.verification_fit --ablate`.
-
+no_ring: the ring is out of view, does not show, or is not of the ring's paint; an H on something green may be of any size.
 no_h: the H does not show, nor the arrowhead; a ring on something green may be anything.
+disc_unseen: the edge of a nearby disc is in view and has no contrast.
 painted: ring and H of a distant pad show in their paints; a helipad's ring on green is off by half of the distance from disc to H
 and more.
+no_disc: a distant disc does not stand out from its surroundings; none of 177 right registrations of whole discs had this, and 90
+of 223 without a pad.
 h_contrast_odd: a distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations
 had this, two of them of half-covered pads.
 disagrees: fewer pixels of a distant pad agree with the drawing than of all but two of 659 right registrations; a life raft with a
 stripe has 0.45.
+not_brighter: what is drawn as a distant H is not brighter than the disc in every channel, where the paints are; of 850 right
+registrations in all lights 12 were so, three of them sure, and of 12 rafts and helipads 7.
 corner: a corner of a nearby H is in view, and the edge of the disc does not show; a green hexagon with a ring and an arrow may
 show as much.
-edges_astray: the edges of a nearby pad with a disc are displaced by more than its pose, its blur and their noise explain; of 473
-right registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had
-1 px.
+edges_astray: the edges of a nearby pad with a disc are displaced by more than its pose, its blur and their noise explain; of 473 right
+registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
-them; so was another H on green. Of a drawing without disc and ring its polygons are the H: a square frame with another mark in it.
+them; so was another H on green, and a square frame with another mark in it, whose polygons are the H.
+half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
+clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 no_h_in_view: neither the H nor the arrowhead of a nearby pad is in view or shows, and it has no fiducials; so were 3 of 3,552
 right registrations, and 14 of 31 green discs with a ring and glare that had 0.5 and more, cut by the frame or a presumed cover.
 h_disagrees: half of a distant pad's pixels disagree with the drawing, by the fraction of the H's edges that do so, too. It lowers
 8 of 18 such discs in glare, and 6 of 2,364 right registrations, below 0.5. Not without colour, where the ring may be burnt out.
 """
 
-_UNTRACKED = ("no_h", "corner", "edges_astray", "h_astray", "no_h_in_view", "h_disagrees")
+_UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_disagrees", "no_h_in_view", "h_disagrees")
 """Inputs that count only while no track has confirmed the pad before."""
 
 _COEFFICIENTS = np.array(

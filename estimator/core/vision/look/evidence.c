@@ -12,20 +12,36 @@ enum { DISC = 0, RING = 1, ARROW = 2, H = 3, CHANNELS = 3 };
 static const double SNR_SEEN = 5.0, INLIERS_SEEN = 0.5, LIKENESS_SEEN = 0.4;
 /* Factor on the visible fraction: a kind of edge counts as fully in view from a fifth on. */
 static const double TELLING = 5.0;
+/* Gains of the better half of a ring between which it counts as increasingly visible, and what remains of the missing ring if a
+ * quarter of it agrees. */
+static const double RING_GAIN_LOW = 1.6, RING_GAIN_HIGH = 2.2, HALF_A_RING = 0.4;
+/* Contrast of the disc to its surroundings over the H's to the disc: 0.15 on a grey deck, less on a dark one. */
+static const double PLAIN_DISC = 0.1;
+/* Contrast of a disc without colour over its deviation up to which it counts as none, and from which as one. */
+static const double SNR_GREY_HIDDEN = 10.0, SNR_GREY_SHOWN = 20.0;
 /* Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
  * or four times as much. */
 static const double H_OVER_RING_LOW = 0.6, H_OVER_RING_HIGH = 3.0;
 /* Share of an H that is in view from which it would show. */
 static const double H_IN_VIEW = 0.02;
-/* Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which it does not. */
-static const double DISAGREES = 0.45, AGREES = 0.485;
+/* Share of a nearby ring that is in view, up to which it says nothing about the H. */
+static const double RING_IN_VIEW = 0.02;
 /* Share of a nearby H that is in view, up to which it is only a corner, and from which it is not. Of 490 right registrations
  * from 0.2 m on two showed less than 0.28 of an H. */
 static const double CORNER = 0.2, NO_CORNER = 0.3;
+/* Share of a distant pad's pixels that agree with the drawing, up to which it surely disagrees, and from which it does not. */
+static const double DISAGREES = 0.45, AGREES = 0.485;
+/* Share of agreeing pixels in these two cases, for light that hardly follows the drawing. A fit that does not settle leaves half of them. */
+static const double HALF_DISAGREES = 0.52, MOST_AGREE = 0.7;
 /* Share of a distant pad's pixels that agree with the drawing, up to which half of them disagree, and from which fewer do. */
 static const double HALF_AGREES = 0.5, MORE_AGREES = 0.52;
-/* Share of a nearby ring that is in view, up to which it says nothing about the H. */
-static const double RING_IN_VIEW = 0.02;
+/* Score of the template up to which the light hardly follows the drawing, and from which it does. */
+static const double HARDLY_FOLLOWS = 0.0, FOLLOWS = 1.0;
+/* Contrast of such a disc over its deviation up to which it does not outweigh that rejection, and from which it does. */
+static const double SNR_DULL = 20.5, SNR_CLEAR = 30.0;
+/* The logarithm of the H's least contrast in any channel, up to which it surely is not brighter than the disc, and from which it
+ * is. In haze the least of right registrations that are sure is -1.9. */
+static const double NOT_BRIGHTER = -2.6, BRIGHTER = -2.1;
 /* Share of an H's edges that agree, where nothing else shows, up to which it surely is another H, and from which it is not. */
 static const double OTHER_H = 0.8, THIS_H = 0.95;
 /* Unexplained displacement of the edges, rms, px, up to which they are in place, and from which they are not. */
@@ -72,6 +88,30 @@ static void orange_off(const pad_judge *judge, const registration *found, double
     }
 }
 
+/* How surely there is no ring: less so if enough of it is in view and half of that is clear, because the rest may be covered. */
+static double no_ring(const registration *found, const aligned_pad *aligned)
+{
+    const edge_support *ring = &found->edges[RING];
+    if (is_seen(ring)) {
+        return 0.0;
+    }
+    if (found->dense) {
+        return 1.0;
+    }
+    const int half = ring->in_view > 0.25 && ring->snr > 2.0 * SNR_SEEN && ring->likeness > 0.8 && ring->inliers > 0.25;
+    return (half ? HALF_A_RING : 1.0) * between(RING_GAIN_LOW, RING_GAIN_HIGH, aligned->features[FEATURE_RING]);
+}
+
+/* How surely the disc's contrast is less than a third of that of its kind of paint. A grey disc may be as bright as any deck: there a
+ * faint disc is a disc as long as its edge shows. */
+static double no_disc(const pad_judge *judge, const registration *found)
+{
+    const edge_support *disc = &found->edges[DISC];
+    const double h = fmax(contrast(&found->edges[H]), LEAST_CONTRAST);
+    const double less = within(0.0, 1.0, 2.0 * (log(PLAIN_DISC * h / fmax(contrast(disc), NO_CONTRAST)) - 0.5));
+    return judge->disc_has_colour ? less : less * between(SNR_GREY_HIDDEN, SNR_GREY_SHOWN, disc->snr);
+}
+
 /* How surely the H shows less or more than the ring beside it implies. */
 static double h_contrast_odd(const registration *found)
 {
@@ -79,16 +119,34 @@ static double h_contrast_odd(const registration *found)
     return within(0.0, 1.0, 2.0 * fmax(log(H_OVER_RING_LOW * ring / h), log(h / (H_OVER_RING_HIGH * ring))));
 }
 
+/* How surely the H's paint is not brighter than the disc's in some channel, although the pad's is in all. */
+static double not_brighter(const pad_judge *judge, const aligned_pad *aligned)
+{
+    for (int c = 0; c < CHANNELS; c++) {
+        if (judge->orange_side[c] < 0.0) {
+            return 0.0;
+        }
+    }
+    return between(NOT_BRIGHTER, BRIGHTER, aligned->features[FEATURE_WHITE]);
+}
+
 /* Evidence for a pad whose disc has few pixels, where contrasts say more than shapes. */
-static void from_afar(const pad_judge *judge, const registration *found, double template_score, double out[EVIDENCE])
+static void from_afar(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double template_score,
+                      double out[EVIDENCE])
 {
     const int has_both = judge->has_ring && judge->has_letters, shown = is_seen(&found->edges[RING]) && is_seen(&found->edges[H]);
     out[EVIDENCE_DENSE] = 1.0;
     out[EVIDENCE_DENSE_INLIERS] = found->inliers;
     out[EVIDENCE_DENSE_TEMPLATE_SCORE] = template_score;
     out[EVIDENCE_DISAGREES] = between(DISAGREES, AGREES, found->inliers);
+    out[EVIDENCE_HALF_DISAGREES] = between(HALF_DISAGREES, MOST_AGREE, found->inliers) *
+                                   between(HARDLY_FOLLOWS, FOLLOWS, template_score) *
+                                   between(SNR_DULL, SNR_CLEAR, found->edges[DISC].snr);
     if (judge->has_field) {
         out[EVIDENCE_DENSE_DISC] = within(-1.0, 1.0, 0.5 * log(fmax(found->edges[DISC].snr, 1e-3) / SNR_SEEN));
+    }
+    if (judge->has_field && judge->has_letters) {
+        out[EVIDENCE_NO_DISC] = no_disc(judge, found);
     }
     if (judge->has_letters && judge->disc_has_colour) {
         out[EVIDENCE_H_DISAGREES] = between(HALF_AGREES, MORE_AGREES, found->inliers) * (1.0 - found->edges[H].inliers);
@@ -100,7 +158,21 @@ static void from_afar(const pad_judge *judge, const registration *found, double 
         /* A life raft's dark rim is off by 0.6 in red alone; of 150 right registrations at 8 to 26 m one in ten is off by 0.37. */
         out[EVIDENCE_PAINTED] = shown ? fmax(0.0, 1.0 - 2.0 * fmax(off[0], fmax(off[1], off[2]))) : 0.0;
         out[EVIDENCE_H_CONTRAST_ODD] = h_contrast_odd(found);
+        out[EVIDENCE_NOT_BRIGHTER] = not_brighter(judge, aligned);
     }
+}
+
+/* Evidence for a pad whose edges are apart. */
+static void from_near(const pad_judge *judge, const registration *found, double disc_shown, double out[EVIDENCE])
+{
+    const edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];
+    const int other = is_seen(disc) || (is_seen(ring) && ring->in_view > RING_IN_VIEW) || is_seen(&found->edges[ARROW]);
+    out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
+    out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
+    /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
+    out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
+    out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
+    out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
 }
 
 void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const registration *found, const aligned_pad *aligned,
@@ -128,18 +200,12 @@ void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const
     evidence[EVIDENCE_H_UNSEEN] = is_seen(h) ? 0.0 : -in_view[H];
     evidence[EVIDENCE_RMS] = -fmin(1.0, found->edge_rms_px);
     evidence[EVIDENCE_VISIBLE] = found->visible;
+    evidence[EVIDENCE_NO_RING] = judge->has_ring ? no_ring(found, aligned) : 0.0;
     evidence[EVIDENCE_NO_H] = judge->has_letters && h->in_view > H_IN_VIEW && no_h_shows(found);
     if (found->dense) {
-        from_afar(judge, found, score, evidence);
+        from_afar(judge, found, aligned, score, evidence);
     } else {
-        /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
-        evidence[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
-        const int other =
-            is_seen(&edges[DISC]) || (is_seen(&edges[RING]) && edges[RING].in_view > RING_IN_VIEW) || is_seen(&edges[ARROW]);
-        evidence[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
-        evidence[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(&edges[DISC]) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
-        evidence[EVIDENCE_NO_H_IN_VIEW] =
-            judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
+        from_near(judge, found, in_view[DISC], evidence);
     }
     *log_odds = 0.0;
     for (int i = 0; i < EVIDENCE; i++) {
