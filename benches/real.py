@@ -260,7 +260,7 @@ def octagons(px: U8) -> list[tuple[F64, float]]:
             hull = cv2.convexHull(contour)
             area, sides = cv2.contourArea(hull), cv2.approxPolyDP(hull, 0.02 * cv2.arcLength(hull, True), True)
             if area > 300.0 and len(sides) == 8 and cv2.contourArea(contour) > 0.9 * area:
-                out.append(shape_of(hull.reshape(-1, 2)))
+                out.append(shape_of(np.asarray(hull.reshape(-1, 2), float)))
     return out
 
 

@@ -50,7 +50,7 @@ not_brighter: what is drawn as a distant H is not brighter than the disc in ever
 registrations in all lights 12 were so, three of them sure, and of 12 rafts and helipads 7.
 corner: a corner of a nearby H is in view, and the edge of the disc does not show; a green hexagon with a ring and an arrow may
 show as much.
-edges_astray: the edges of a nearby pad with a disc are displaced by more than its pose, its blur and their noise explain; of 473 right
+edges_astray: the edges of a nearby pad with a disc are displaced by more than pose, blur and noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
 them; so was another H on green, and a square frame with another mark in it, whose polygons are the H.
