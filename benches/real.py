@@ -151,6 +151,10 @@ def percent(found: Sighting, range_m: float) -> float:
     return 100.0 * (float(np.linalg.norm(found.d_body_pad_level)) / range_m - 1.0)
 
 
+def has_range(found: Sighting, range_m: float) -> bool:
+    return abs(percent(found, range_m)) < 100 * RIGHT_RANGE
+
+
 def share(n: int, of: int) -> str:
     return f"{100 * n / max(1, of):.0f} %"
 
@@ -186,7 +190,7 @@ def photographs(every: int) -> list[Row]:
         scene = pad_scene(np.random.default_rng([31, k]), camera, pad, float(t_cam[2]), "light", 0.2)
         assert scene.truth is not None
         drawn, true_m = seen(scene.px, camera, pad), scene.truth.range_m
-        if drawn_looks.add(drawn, lambda d, m=true_m: abs(percent(d, m)) < 100 * RIGHT_RANGE) and drawn is not None:
+        if drawn_looks.add(drawn, partial(has_range, range_m=true_m)) and drawn is not None:
             simulated_off.append(percent(drawn, true_m))
     n = len(rows)
     return [
@@ -225,6 +229,10 @@ def lies_at(found: Sighting, centre: F64, radius: float) -> bool:
     return float(np.linalg.norm(place - centre)) < RIGHT_PLACE * radius and abs(size / radius - 1.0) < RIGHT_SIZE
 
 
+def lies_at_any(found: Sighting, shapes: list[tuple[F64, float]]) -> bool:
+    return any(lies_at(found, *shape) for shape in shapes)
+
+
 def agh(every: int) -> list[Row]:
     """Show a pad of rings and panels on grass; the camera is not calibrated, so only place and size in the image count."""
     folder = needed("real_pads", "agh")
@@ -260,7 +268,7 @@ def octagons(px: U8) -> list[tuple[F64, float]]:
             hull = cv2.convexHull(contour)
             area, sides = cv2.contourArea(hull), cv2.approxPolyDP(hull, 0.02 * cv2.arcLength(hull, True), True)
             if area > 300.0 and len(sides) == 8 and cv2.contourArea(contour) > 0.9 * area:
-                out.append(shape_of(hull.reshape(-1, 2)))
+                out.append(shape_of(np.asarray(hull.reshape(-1, 2), float)))
     return out
 
 
@@ -288,7 +296,7 @@ def octagon(every: int) -> list[Row]:
         h, w = px.shape[:2]
         camera = OCTAGON if h == OCTAGON.height else Camera(w, h, 0.8 * w, 0.8 * w, (w - 1) / 2, (h - 1) / 2, np.zeros(5), DOWN)
         found = seen(px, camera, pad)
-        if looks.add(found, lambda f, shapes=shapes: any(lies_at(f, *shape) for shape in shapes)) and found is not None:
+        if looks.add(found, partial(lies_at_any, shapes=shapes)) and found is not None:
             size = outline_of(found)[1]
             off.append(min((100.0 * (size / radius - 1.0) for _, radius in shapes), key=abs))
     return [

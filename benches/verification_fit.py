@@ -5,7 +5,8 @@ every stage is an example; it is right if its pose keeps the verification's clai
 ridge; false candidates with a high score count several times, since a false pad costs more than a missed one. The output is the
 coefficients in the form of estimator/vision/detect/verification.py, and the result on frames that were not used for the fit. With
 `--registered` the examples are the registrations of the best candidates, on other frames, and the coefficients belong to
-estimator/vision/register/fit_verification.py.
+estimator/vision/register/fit_verification.py. `--ablate` fits nothing: it prints what is lost without each input whose weight is
+set by hand, on frames of pads and of green discs with a ring in glare, and how right each confidence is.
 """
 
 import argparse
@@ -24,16 +25,19 @@ sys.path.insert(0, str(ROOT))
 
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.detect.acquire import acquire  # noqa: E402
+from estimator.vision.by_paint import WORTH_A_TRY  # noqa: E402
+from estimator.vision.detect.acquire import acquire, search  # noqa: E402
 from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.detect.verification import FEATURES  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.fit_verification import FITTED  # noqa: E402
+from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHED, support_log_odds  # noqa: E402
 from estimator.vision.register.look import look  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions  # noqa: E402
+from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
+from estimator.vision.verified import verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
-from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene  # noqa: E402
 
 F64 = NDArray[np.float64]
 _CHUNK = 50
@@ -88,11 +92,7 @@ def registered_examples(seed: int) -> F64:
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
     for frame, with_pad, pad, scene in scenes(seed):
-        attitude = None
-        if scene.R_level_body is not None:
-            stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
-            attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
-        orientation = Orientation.of(attitude, math.radians(2.0))
+        orientation = Orientation.of(_attitude(scene), math.radians(2.0))
         for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
             found = look(FrameView(Pyramid(scene.px), camera, pad), c.pose, orientation, RegistrationOptions(coarse=False))
             if found is None:
@@ -100,6 +100,58 @@ def registered_examples(seed: int) -> F64:
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
             rows.append([frame, float(right), float(with_pad), *found.evidence[: len(FITTED)]])
     return np.array(rows).reshape(-1, 3 + len(FITTED))
+
+
+def finds(chunk: int) -> list[F64]:
+    """Return right (1 or 0), the log-odds of the evidence, their bound, what is added to them, and the inputs set by hand."""
+    cv2.setNumThreads(1)
+    camera, rows = load_camera("sim"), []
+    for i in range(_CHUNK):
+        rng = np.random.default_rng([0xAB1A, chunk, i])
+        pad, shows = load_pad(("thesis", "printed")[i // 3 % 2]), i % 3 != 0
+        height = float(np.exp(rng.uniform(math.log(0.2 if shows else 1.0), math.log(25.0))))
+        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if shows else ring_scene(rng, camera, height)
+        view = FrameView(Pyramid(scene.px), camera, pad)
+        orientation = Orientation.of(_attitude(scene), math.radians(2.0))
+        for c in search(view, scene.R_level_body, budget=FRAME_WORK).candidates[:2]:
+            found = verified(view, c.pose, orientation, cut=c.cut) if c.score >= WORTH_A_TRY else None
+            if found is None:
+                continue
+            of, support = found.found, found.found.record["aligned"]["support"]
+            right = scene.truth is not None and keeps_claim(of.pose, scene.truth, camera, pad, of.yaw_ambiguous)
+            most = support_log_odds(float(support["support"]) * float(support["share"]) / pad.least_support)
+            said = min(max(found.confidence, 1e-13), 1.0 - 1e-13)
+            added = math.log(said / (1.0 - said)) - min(of.log_odds, most)
+            rows.append(np.array([right, of.log_odds, most, added, *of.evidence[len(FITTED) :]], float))
+    return rows
+
+
+def ablate(chunks: range, workers: int) -> None:
+    """Print right finds below 0.5 and false ones from 0.5 and 0.2 up: as it is, and without each input set by hand."""
+    with multiprocessing.Pool(workers) as pool:
+        data = np.array([row for part in pool.imap(finds, chunks) for row in part])
+    right, odds, most, added, hand = data[:, 0] > 0.0, data[:, 1], data[:, 2], data[:, 3], data[:, 4:]
+    print(f"{len(chunks) * _CHUNK} frames from chunk {chunks.start}: {right.sum()} right finds, {(~right).sum()} false")
+    print("without         right below .5   false from .5   from .2")
+    for name in ("", *HAND_SET):
+        less = hand[:, HAND_SET.index(name)] * SEARCHED[len(FITTED) + HAND_SET.index(name)] if name else 0.0
+        said = 1.0 / (1.0 + np.exp(-np.clip(np.minimum(odds - less, most) + added, -30.0, 30.0)))
+        missed, false = (right & (said < 0.5)).sum(), [(~right & (said >= level)).sum() for level in (0.5, 0.2)]
+        print(f"{name or '-':16s} {missed:12d} {false[0]:15d} {false[1]:9d}")
+        if not name:
+            called = said
+    print("called      n   right")
+    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.001)):
+        k = (called >= low) & (called < high)
+        if k.any():
+            print(f"{low:.1f}-{min(high, 1):.1f} {int(k.sum()):6d}  {right[k].mean():.3f}   (mean called {called[k].mean():.3f})")
+
+
+def _attitude(scene: PadScene) -> Attitude | None:
+    if scene.R_level_body is None:
+        return None
+    stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+    return Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
@@ -137,8 +189,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=6000)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--registered", action="store_true")
+    parser.add_argument("--ablate", action="store_true", help="print what each input set by hand is worth")
+    parser.add_argument("--first", type=int, default=0, help="chunk of 50 frames to begin with, of --ablate")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
     args = parser.parse_args()
+    if args.ablate:
+        ablate(range(args.first, args.first + max(1, args.frames // _CHUNK)), args.workers)
+        return
     names, work, first = (FITTED, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)

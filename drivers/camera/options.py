@@ -41,8 +41,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         str,
         text(
             "of v4l2: a path under /dev/v4l/by-id or a part of its name; of gstreamer: the pipeline up to raw frames, as "
-            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), a "
-            "named pipe or a file",
+            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), "
+            "a named pipe or a file",
             4096,
             shortest=0,
             public=True,
@@ -73,8 +73,8 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     latency_s: Annotated[
         float,
         number(
-            "v4l2: how much later than half an exposure after its middle the kernel stamps (or after half an exposure before it, "
-            "where the driver stamps the start); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
+            "v4l2: delay of the kernel's stamp after the end of the exposure (after its start, "
+            "where the driver stamps that); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
             "the start of the exposure; stream: from mid-exposure to arrival",
             "s",
             -0.1,

@@ -28,7 +28,7 @@ _HAND_SET = {
     "not_brighter": -2.0,
     "corner": -3.0,
     "edges_astray": -8.0,
-    "h_astray": -3.5,
+    "h_astray": -8.0,
     "half_disagrees": -0.7,
     "no_h_in_view": -6.0,
     "h_disagrees": -8.0,
@@ -50,10 +50,10 @@ not_brighter: what is drawn as a distant H is not brighter than the disc in ever
 registrations in all lights 12 were so, three of them sure, and of 12 rafts and helipads 7.
 corner: a corner of a nearby H is in view, and the edge of the disc does not show; a green hexagon with a ring and an arrow may
 show as much.
-edges_astray: the edges of a nearby pad are displaced by more than its pose, its blur and their noise explain; of 473 right
+edges_astray: the edges of a nearby pad with a disc are displaced by more than pose, blur and noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
-them; so was another H on green.
+them; so was another H on green, and a square frame with another mark in it, whose polygons are the H.
 half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
 clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 no_h_in_view: neither the H nor the arrowhead of a nearby pad is in view or shows, and it has no fiducials; so were 3 of 3,552

@@ -169,7 +169,8 @@ static void from_near(const pad_judge *judge, const registration *found, double 
     const int other = is_seen(disc) || (is_seen(ring) && ring->in_view > RING_IN_VIEW) || is_seen(&found->edges[ARROW]);
     out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
     out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
-    out[EVIDENCE_EDGES_ASTRAY] = between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px);
+    /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
+    out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
     out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
     out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
 }
