@@ -1,4 +1,4 @@
-"""The guide for an AR.Drone, flown as it stands: its settings and its commands in their order, on the simulated drone's sockets."""
+"""The guide for an AR.Drone, flown as it stands: its settings and commands in their order, on the simulated drone's sockets."""
 
 import json
 import os
