@@ -28,11 +28,14 @@ class Errors(NullObserver):
 
 
 def test_a_tilted_body_is_not_distinguished_from_a_biased_accelerometer_by_standing_still() -> None:
-    """A seed whose accelerometers are off by two sigma; a filter that learns from its own corrections is at 10, not at 3."""
+    """Two seeds whose accelerometers are off by two sigma; a filter that learns from its own corrections is at 10, not at 3."""
     scenario = msgspec.structs.replace(load_scenario("calm"), duration_limit_s=30.0)
     settings = msgspec.structs.replace(SIM, guidance=msgspec.structs.replace(SIM.guidance, start="signal"))
-    errors, perception = Errors(), perceive("model")
-    errors.flight = Flight(scenario, 7, settings, perception.pilot(settings), observers=[errors], perception=perception)
-    errors.flight.run()
-    assert len(errors.nees) > 300
-    assert np.mean(errors.nees) < 8.0
+    means = []
+    for seed in (1, 7):
+        errors, perception = Errors(), perceive("model")
+        errors.flight = Flight(scenario, seed, settings, perception.pilot(settings), observers=[errors], perception=perception)
+        errors.flight.run()
+        assert len(errors.nees) > 300
+        means.append(np.mean(errors.nees))
+    assert max(means) < 8.0
