@@ -30,7 +30,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
         "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
         "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
-        "record": ("companion.cli.record", "inspect, cut, repair, export and import recordings"),
+        "record": ("companion.cli.record", "inspect, cut, repair, export, import and upload recordings"),
     },
     "fly": {
         "run": ("companion.cli.run", "run the landing service"),

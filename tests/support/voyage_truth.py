@@ -79,7 +79,7 @@ class VoyageScene:
     imu_hz: float = 100.0
     sighting_hz: float = 15.0
     speed_m_s: float | None = None
-    """None draws one of 0.5 to 2; 0 with the sea "moored"."""
+    """None draws one of 0.5 to 2; it is 0 with the sea "moored", whatever is given."""
     turn_deg_s: float | None = None
     """None: 3 with the sea "turning", else 0. The sense is drawn."""
     hidden_delay_s: float = 0.03
@@ -139,8 +139,8 @@ class Voyage:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 41])
         t = np.arange(-_MARGIN_S, scene.duration_s + _MARGIN_S, _STEP_S)
-        drawn = 0.0 if scene.sea == "moored" else float(rng.uniform(0.5, 2.0))
-        speed = drawn if scene.speed_m_s is None else scene.speed_m_s
+        given = 0.0 if scene.sea == "moored" else scene.speed_m_s
+        speed = float(rng.uniform(0.5, 2.0)) if given is None else given
         turn = (3.0 if scene.sea == "turning" else 0.0) if scene.turn_deg_s is None else scene.turn_deg_s
         turn = math.radians(turn) * float(rng.choice([-1.0, 1.0]))
         # Every other ship begins to turn in the middle of the flight, over four seconds.
