@@ -25,10 +25,15 @@ HOST = "127.0.0.1"
 STEP_S = 0.00125
 
 
+NOISE = np.random.default_rng(1)
+"""Noise of its IMU, as SITL adds it: without one a steady descent repeats its readings to the bit, as a dead sensor does."""
+
+
 def state_of(said: dict[str, Any]) -> BodyState:
     """Return the state in a line of JSON."""
     imu = said["imu"]
     p, v, w, f = (np.array(x) for x in (said["position"], said["velocity"], imu["gyro"], imu["accel_body"]))
+    w, f = w + 0.002 * NOISE.standard_normal(3), f + 0.03 * NOISE.standard_normal(3)
     return BodyState(said["timestamp"], p, v, Rotation.from_quat(said["quaternion"]), w, f, said.get("rng_1"))
 
 
