@@ -153,7 +153,7 @@ def _export(args: argparse.Namespace) -> int:
 def _upload(args: argparse.Namespace) -> int:
     if args.each is not None and not 1.0 <= args.each <= 86_400.0:
         raise BadInput("--each must be 1 to 86400 seconds")
-    to, missing = storage(args.to), 0
+    to = storage(args.to)
     while True:
         missing = 0
         for done in upload(args.folder, to):

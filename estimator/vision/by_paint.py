@@ -167,7 +167,9 @@ def by_paint(
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     best = registered.settled().tracked
     deck, about = _deck_of(now, best, belief), memory.around
-    if best is not None and best.found is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS:
+    shows = best is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS
+    # The frame in which the surface is read has cost enough: the surroundings follow in the next one.
+    if best is not None and best.found is not None and shows and deck is memory.deck:
         about = around(about, now.view, best.found.pose, frame.stamp.measured_at)
     check = _checked(deck, about, frame.stamp.measured_at)
     found = None if best is None else _outlined(best, check, tracker.camera)

@@ -94,10 +94,11 @@ def finished(path: Path) -> bool:
 
 def _sent(path: Path, to: Storage) -> str | None:
     """Send a recording and compare what arrived; return why it is not there, else None."""
-    digest, there = _digest(path.open("rb")), to.at(path.name)
+    there = to.at(path.name)
     if not to.system.exists(there) or to.system.size(there) != path.stat().st_size:
         to.system.makedirs(to.root, exist_ok=True)
         to.system.put_file(str(path), there)
+    digest = _digest(path.open("rb"))
     if _digest(to.system.open(there, "rb")) != digest:
         to.system.rm_file(there)
         return "what the storage gives back differs; it is sent again"
