@@ -7,7 +7,9 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,8 +18,8 @@ from tests.support.processes import started
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
 CLI = (sys.executable, "-m", "companion.cli.main")
-LANDS_S, ANSWERS_S = 90.0, 60.0
-"""Limits for a busy machine."""
+LANDS_S, ANSWERS_S, BEGINS = 90.0, 60.0, 3
+"""Limits for a busy machine. One that starves the service for seconds makes it give up, rightly; its advice is to begin again."""
 
 
 def commands() -> list[str]:
@@ -25,7 +27,7 @@ def commands() -> list[str]:
     return [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(420)
 def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path: Path) -> None:
     block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
@@ -38,20 +40,18 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
             [*CLI, *words, *named], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=ANSWERS_S, check=False
         )
 
-    def wait_until_flying(flying: bool) -> None:
+    def status_once(done: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         ends = time.monotonic() + LANDS_S
         while time.monotonic() < ends:
             answer = cli("fly", "status", "--json")
-            if answer.returncode == 0 and json.loads(answer.stdout)["flying"] is flying:
-                return
-            time.sleep(1.0)
-        raise AssertionError(
-            f"never {'flying' if flying else 'on the ground'}: {answer.stdout}{answer.stderr}{(tmp_path / 'log').read_text()}"
-        )
+            if answer.returncode == 0 and done(status := json.loads(answer.stdout)):
+                return status
+            time.sleep(3.0)
+        raise AssertionError(f"{answer.stdout}{answer.stderr}{(tmp_path / 'log').read_text()}")
 
     drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]
     drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
-    with started(drone, stdin=subprocess.PIPE, lasting_s=280) as emulator:
+    with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
         assert emulator.stdout is not None
         ports = json.loads(emulator.stdout.readline())["ports"]
         with socket.create_server(("127.0.0.1", 0)) as free_port:
@@ -68,14 +68,18 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
         assert todo.pop(0) == "decklander run --config rig.toml"
         with (
             (tmp_path / "log").open("w") as log,
-            started([*CLI, "run", "--config", "rig.toml"], cwd=tmp_path, env=environment, stdout=log, stderr=log, lasting_s=280),
+            started([*CLI, "run", "--config", "rig.toml"], cwd=tmp_path, env=environment, stdout=log, stderr=log, lasting_s=400),
         ):
-            wait_until_flying(True)  # the simulated drone begins in the air
+            status_once(lambda status: status["flying"])  # the simulated drone begins in the air
             assert [line.split()[2] if len(line.split()) > 2 else "keys" for line in todo] == ["takeoff", "keys", "begin", "land"]
             takeoff, _, begin, land = ([*line.split()[1:]] for line in todo)
-            assert cli(*begin).returncode == 0
-            wait_until_flying(False)
+            for _ in range(BEGINS):
+                assert cli(*begin).returncode == 0
+                if not status_once(lambda status: not status["flying"] or status["phase"] == "gave up")["flying"]:
+                    break
+            else:
+                raise AssertionError((tmp_path / "log").read_text())
             for order in (takeoff, land):
                 done = cli(*order)
                 assert done.returncode == 0, done.stdout + done.stderr
-            wait_until_flying(False)
+            status_once(lambda status: not status["flying"])
