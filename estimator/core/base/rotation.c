@@ -1,78 +1,8 @@
-/* Products of vectors and rotations, exponential and logarithm of rotations, angles. */
+/* Exponential and logarithm of rotations, angles. */
 
 #include "base/rotation.h"
 
 #include <math.h>
-
-void product(const double A[9], const double B[9], double AB[9])
-{
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            AB[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j];
-        }
-    }
-}
-
-void product_of_transposed(const double A[9], const double B[9], double AB[9])
-{
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            AB[3 * i + j] = A[i] * B[j] + A[3 + i] * B[3 + j] + A[6 + i] * B[6 + j];
-        }
-    }
-}
-
-void rotated(const double A[9], const double v[3], double Av[3])
-{
-    for (int i = 0; i < 3; i++) {
-        Av[i] = dot(A + 3 * i, v);
-    }
-}
-
-void rotated_back(const double A[9], const double v[3], double Av[3])
-{
-    for (int i = 0; i < 3; i++) {
-        Av[i] = A[i] * v[0] + A[3 + i] * v[1] + A[6 + i] * v[2];
-    }
-}
-
-void skew(const double v[3], double K[9])
-{
-    const double k[9] = {0.0, -v[2], v[1], v[2], 0.0, -v[0], -v[1], v[0], 0.0};
-    for (int i = 0; i < 9; i++) {
-        K[i] = k[i];
-    }
-}
-
-double dot(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-void cross(const double a[3], const double b[3], double out[3])
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-void transposed(const double A[9], double At[9])
-{
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            At[3 * i + j] = A[3 * j + i];
-        }
-    }
-}
-
-void product_by_transposed(const double A[9], const double B[9], double AB[9])
-{
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            AB[3 * i + j] = dot(A + 3 * i, B + 3 * j);
-        }
-    }
-}
 
 double wrapped(double angle)
 {
