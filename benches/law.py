@@ -3,13 +3,15 @@
     python -m benches.law [--response NAME]
 
 The rows leave parts of the law out, or let the vehicle answer otherwise than its response file says. Both come from
-`companion.guidance.margins`.
+`companion.guidance.margins`. The second table sets the law beside the bound: the linear-quadratic-Gaussian controller, which has
+the vehicle and the disturbances exactly and keeps no margins, at the law's amount of tilt and at three times as much.
 """
 
 import argparse
 import math
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +20,62 @@ from msgspec import structs
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins
+from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins, stationary
+from companion.guidance.riccati import observer, regulator
+from companion.guidance.tilt_model import tilt_model
 from companion.settings.load import find_file, read_toml, shipped_response
-from companion.settings.response import Response, response_from_mapping
+from companion.settings.response import Response, TiltResponse, response_from_mapping
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
+
+SURROUNDINGS = {
+    "sea_state_4": AxisDisturbances(),
+    # What pushed 8 flights of weather_4 over their last 8 s: 0.5 m/s^2 along the wind, half of it gone after 0.3 s.
+    "weather_4": AxisDisturbances(gust_m_s2=GaussMarkov(0.35, 1.5), downwash_m_s2=GaussMarkov(0.33, 0.15)),
+}
+
+
+def bound(tilt: TiltResponse, around: AxisDisturbances, cost: float) -> tuple[float, float]:
+    """Return the standard deviations of place, m, and commanded tilt, m/s^2, of the LQG controller of one axis.
+
+    Args:
+        cost: metres of place that cost as much as 1 m/s^2 of tilt.
+
+    Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, sec. 8.2.
+    """
+    vehicle, pushes = tilt_model(tilt, PERIOD_S), (around.gust_m_s2, around.downwash_m_s2, around.deck_m_s2)
+    own = len(vehicle.A)
+    n, exo = own + len(pushes), slice(own, None)
+    keep = np.array([math.exp(-PERIOD_S / push.time_s) for push in pushes])
+    A, B, Q, wanted, C = np.zeros((n, n)), np.zeros((n, 1)), 1e-12 * np.eye(n), 1e-12 * np.eye(n), np.zeros((4, n))
+    A[:own, :own], A[exo, exo], B[:own, 0] = vehicle.A, np.diag(keep), vehicle.B
+    A[1, 1] -= PERIOD_S * around.drag_1_s
+    A[0, exo], A[1, exo] = 0.5 * PERIOD_S**2, PERIOD_S
+    Q[exo, exo] += np.diag(np.array([push.sigma for push in pushes]) ** 2 * (1.0 - keep**2))
+    wanted[0, 0] = 1.0
+    # Measured are place, speed, tilt, and the acceleration by tilt and air.
+    C[[0, 1, 2, 3], [0, 1, 2, 2]], C[3, own : own + 2] = 1.0, -1.0
+    # Errors of place and speed last for some cycles; one cycle's counts as the law's observer counts it.
+    R = np.diag([10.0 * around.place_m.sigma**2, 10.0 * around.speed_m_s.sigma**2, 1e-6, around.sample_m_s2**2])
+    K, L = regulator(A, B, wanted, np.array([[cost**2]])), observer(A, C, Q, R)
+    M = np.block([[A, -B @ K], [L @ C @ A, A - B @ K - L @ C @ A]])
+    by_push, by_error = np.vstack([np.eye(n), L @ C]), np.vstack([np.zeros((n, 4)), L])
+    X = stationary(M, by_push @ Q @ by_push.T + by_error @ R @ by_error.T)
+    return math.sqrt(X[0, 0]), math.sqrt((K @ X[n:, n:] @ K.T)[0, 0])
+
+
+def _bounds(tilt: TiltResponse) -> Iterator[str]:
+    yield f"\n{'':38s} {'cm a side':>9s} {'median':>8s} {'p95':>7s} {'tilt m/s^2':>11s}\n"
+    for name, around in SURROUNDINGS.items():
+        law = margins(tilt, around=around)
+        rows = [(f"{name}: the law", law.error_m, law.command_m_s2)]
+        tried = [bound(tilt, around, cost) for cost in np.geomspace(1.0, 1e-4, 200)]
+        for times in (1.0, 3.0):
+            rows.append((f"bound, {times:g} times the tilt", *min(tried, key=lambda b: abs(b[1] - times * law.command_m_s2))))
+        for what, error, lean in rows:
+            yield f"{what:38s} {1e2 * error:9.2f} {118 * error:8.2f} {245 * error:7.2f} {lean:11.2f}\n"
 
 
 def step_cost_s(response: Response, steps: int = 2000) -> float:
@@ -85,6 +136,7 @@ def main() -> int:
         out.write(_row(f"tilt {share:g} times as quick, unknown", margins(tilt, other)))
     double = AxisDisturbances(gust_m_s2=GaussMarkov(0.42, 2.0))
     out.write(_row("gusts doubled", margins(tilt, around=double)))
+    out.writelines(_bounds(tilt))
     out.write(f"\none step of the controller: {1e6 * step_cost_s(response):.0f} us\n")
     return 0 if whole.stable and whole.delay_s >= 0.06 else 1
 

@@ -60,6 +60,8 @@ class AxisDisturbances(NamedTuple):
     sample_m_s2: float = 0.043
     """One sample of the accelerometer."""
     drag_1_s: float = 0.35
+    downwash_m_s2: GaussMarkov = GaussMarkov(0.0, 0.15)
+    """Turbulence of the own downwash and of the hull's wake over the deck."""
 
 
 class LoopMargins(NamedTuple):
@@ -77,6 +79,8 @@ class LoopMargins(NamedTuple):
     error_m: float
     """Standard deviation of the place, one axis, in the given surroundings."""
     speed_m_s: float
+    command_m_s2: float
+    """Standard deviation of the commanded tilt."""
 
 
 def margins(
@@ -98,8 +102,7 @@ def margins(
     """
     loop = _closed(assumed, true or assumed, weights, noise, delay_line, around or AxisDisturbances())
     L = _open_loop(*loop.broken)
-    error_m, speed_m_s = loop.errors()
-    return LoopMargins(loop.stable, *by_frequency(*L), error_m, speed_m_s)
+    return LoopMargins(loop.stable, *by_frequency(*L), *loop.errors())
 
 
 def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
@@ -144,18 +147,22 @@ class _ClosedLoop(NamedTuple):
 
     M: F64
     Q: F64
+    command: F64
+    """The row that gives the commanded tilt of the loop's state."""
+    sampled_m_s2: float
+    """The commanded tilt by one sample of the accelerometer."""
     broken: tuple[F64, F64, F64, F64, F64, F64, F64]
 
     @property
     def stable(self) -> bool:
         return float(np.abs(np.linalg.eigvals(self.M)).max()) < 1.0
 
-    def errors(self) -> tuple[float, float]:
-        """Return the standard deviations of place, m, and speed, m/s; inf if the loop is unstable."""
+    def errors(self) -> tuple[float, float, float]:
+        """Return the standard deviations of place, m, speed, m/s, and commanded tilt, m/s^2; inf if the loop is unstable."""
         if not self.stable:
-            return math.inf, math.inf
-        error_m, speed_m_s = np.sqrt(np.diagonal(stationary(self.M, self.Q))[:2]).tolist()
-        return error_m, speed_m_s
+            return math.inf, math.inf, math.inf
+        X = stationary(self.M, self.Q)
+        return math.sqrt(X[0, 0]), math.sqrt(X[1, 1]), math.sqrt(self.command @ X @ self.command + self.sampled_m_s2**2)
 
 
 def _closed(
@@ -190,12 +197,15 @@ def _closed(
     measured = np.zeros((5, a_plant))
     measured[[0, 1, 2, 3, 4], [0, 1, 2, 3, 2]] = 1.0
 
-    exo = (around.gust_m_s2, around.tilt_m_s2, around.place_m, around.speed_m_s, around.accel_m_s2, around.deck_m_s2)
+    exo = (
+        around.gust_m_s2, around.tilt_m_s2, around.place_m, around.speed_m_s, around.accel_m_s2, around.deck_m_s2,
+        around.downwash_m_s2,
+    )  # fmt: skip
     e = len(exo)
     by_exo, sensed = np.zeros((a_plant, e)), np.zeros((5, e))
-    push = np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    push = np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 1.0, -1.0])
     by_exo[0], by_exo[1] = 0.5 * PERIOD_S**2 * push, PERIOD_S * push
-    sensed[0, 2] = sensed[1, 3] = sensed[4, 4] = sensed[4, 0] = 1.0
+    sensed[0, 2] = sensed[1, 3] = sensed[4, 4] = sensed[4, 0] = sensed[4, 6] = 1.0
     sensed[4, 1] = -1.0
     keep = np.diag([math.exp(-PERIOD_S / w.time_s) for w in exo])
     B = vehicle.B[:, None]
@@ -211,7 +221,8 @@ def _closed(
         Q[a_plant + i, a_plant + i] = w.sigma**2 * (1.0 - keep[i, i] ** 2)
     white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
     Q += around.sample_m_s2**2 * np.outer(white, white)
-    return _ClosedLoop(M, Q, (A, vehicle.B, measured, Ac, Bc, Cc, Dc))
+    command = np.concatenate([Dc @ measured, Dc @ sensed, Cc])
+    return _ClosedLoop(M, Q, command, around.sample_m_s2 * Dc[4], (A, vehicle.B, measured, Ac, Bc, Cc, Dc))
 
 
 def stationary(M: F64, Q: F64) -> F64:
