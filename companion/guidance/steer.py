@@ -130,7 +130,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.PRESS if estimate is not None:
             level = np.array(estimate.d_body_pad_level)
             # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
-            level_off = None if s.wind is not None and s.wind.leans_far else 0.0
+            level_off = None if s.wind is not None and s.wind.drags else 0.0
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
         case State.PRESS | State.DOWN:
             # The thesis' way ends in the air; every other one comes here by a contact.
