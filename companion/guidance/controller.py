@@ -57,7 +57,7 @@ class AtContact(Struct, frozen=True):
     sigma_m: float
     """Standard deviation of the place, one axis: what the filter does not know, and the gusts until then."""
     gust_m_s: float = 0.0
-    """How far the air's speed is off its mean now."""
+    """Difference of the air's present speed from its mean."""
     gust_most_m_s: float = math.inf
     """The largest such difference that the gusts before explain."""
 

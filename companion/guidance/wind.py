@@ -25,7 +25,7 @@ GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
 """Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _QUICK_S = 0.1
-"""The same for a gust that has just begun, s."""
+"""Time constant that shows a gust which has just begun, s."""
 _BEGINS_SIGMAS, _BEGINS_M_S2 = 6.0, 1.0
 """Standard deviations of the gusts, and the least push, beyond which the air's push is another gust than those before."""
 _GAP_MAX_S = 0.5
@@ -60,7 +60,7 @@ class WindOverDrone(NamedTuple):
     push_rad: float = 0.0
     """The tilt that the present push of the air takes, a gust's as well."""
     begins_m_s: float = 0.0
-    """How far the air's present speed is off the mean."""
+    """Difference of the air's present speed from its mean."""
     begins_most_m_s: float = math.inf
     """The largest such difference that the gusts before explain."""
 
