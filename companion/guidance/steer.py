@@ -281,29 +281,35 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     if estimate is None:
         return command
     if p.state is State.INTERCEPT and o.mission != "thesis":
-        _, least_m = _over_waves_m(s, o)
+        needs_m = max(_clear_m(s, o), _waits_m(s, o))
     elif p.held is None or p.state in _CLIMBS_WHERE_HELD:
         return command
     else:
-        least_m = _held_height_m(p, p.held, s, o)
+        needs_m = _held_height_m(p, p.held, s, o)
     # Out of sight only a height that is surely there counts.
     sure_m = estimate.height_m - (0.0 if fit else 2.0 * math.sqrt(estimate.cov.item(2, 2)))
-    return _following_less(command, sure_m - least_m, over_ground=over_ground)
+    # A deck that falls need not be followed where a swell is known to come up again.
+    return _following_less(command, sure_m - needs_m, sure_m - min(needs_m, o.tries.safe_height_m), over_ground=over_ground)
 
 
-def _over_waves_m(s: GuidanceCycle, o: GuidanceOptions) -> tuple[float, float]:
-    """Return the heights over the deck at which it may wait, and to which no wave brings the deck up, m."""
-    waits_m = o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
-    return min(o.tries.safe_height_m, waits_m), max(o.tries.safe_height_m, waits_m) + s.knowledge.outrun_m
+def _waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the height over the deck at which it may wait for the forecast waves, m."""
+    return o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
+
+
+def _clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the height over the deck that no swell takes from a drone which climbs before it, m."""
+    return o.tries.safe_height_m + s.knowledge.outrun_m
 
 
 def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return the least height over the deck at which a held vehicle stays, m: higher up it need not follow the deck."""
-    waits_m, clear_m = _over_waves_m(s, o)
-    return clear_m if p.state in _REFUSED else min(clear_m, max(float(held[2]), waits_m))
+    """Return the height over the deck up to which a held vehicle follows it, m."""
+    if p.state in _REFUSED:
+        return _clear_m(s, o)
+    return min(_clear_m(s, o), max(float(held[2]), min(o.tries.safe_height_m, _waits_m(s, o))))
 
 
-def _following_less(command: Command, over_m: float, *, over_ground: bool) -> Command:
+def _following_less(command: Command, over_m: float, falling_over_m: float, *, over_ground: bool) -> Command:
     """Return the command with less of its vertical rate, the higher the vehicle is over the height that it needs.
 
     A deck that falls is followed less far than one that rises, and out of sight it moves only in the forecast. Without this a
@@ -311,14 +317,16 @@ def _following_less(command: Command, over_m: float, *, over_ground: bool) -> Co
 
     Args:
         over_m: height over the needed one, m.
+        falling_over_m: height over the one from which a falling deck is not followed, m.
         over_ground: whether the vehicle's driver adds the deck's velocity to a velocity, which then stays as it is.
     """
     if not isinstance(command, Velocity | Lean) or (over_ground and isinstance(command, Velocity)):
         return command
     v = np.array(command.v_level)
-    if over_m <= 0.0 or v[2] == 0.0:
+    beyond_m = falling_over_m if v[2] > 0.0 else over_m
+    if beyond_m <= 0.0 or v[2] == 0.0:
         return command
-    v[2] *= max(0.0, 1.0 - over_m / _FREE_M)
+    v[2] *= max(0.0, 1.0 - beyond_m / _FREE_M)
     return replace(command, v_level=v)
 
 

@@ -264,6 +264,18 @@ def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(
     assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
 
 
+def test_a_swell_that_outruns_the_climb_is_followed_up_and_not_down() -> None:
+    p = Progress(State.REFUSED, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.6]), np.zeros(3), 1e-9 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    for height_m, up, down in ((2.0, 1.0, 1.0), (2.5, 1.0, 0.5), (5.0, 1.0, 0.0), (5.5, 0.5, 0.0)):
+        s = GuidanceCycle(ns(NOW), replace(known((0.0, 0.0, height_m)), outrun_m=3.0, deck=falls))
+        for rate, share in ((-0.6, up), (0.6, down)):
+            command = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, rate]), 0.0)
+            found = allowed(command, p, s, guided(), over_ground=False)
+            assert isinstance(found, Lean)
+            assert found.v_level[2] == pytest.approx(rate * share, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("state", "age_s"), [(State.INTERCEPT, 0.1), (State.HOLD_BLIND, 4.0), (State.REFUSED, 0.1), (State.ABORTED, 2.0)]
 )
