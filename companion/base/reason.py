@@ -88,6 +88,7 @@ class ReasonCause(Enum):
     HEADING = "the heading is {measured:.0f} deg off the arrow (limit {limit:g} deg)"
     HEADING_TURNED = "the arrow turned by {measured:.0f} deg between two estimates"
     WIND = "{measured:.1f} m/s of wind over the drone, {detail}: its tilt can fly {limit:.1f}"
+    GUST = "a gust began, {measured:.1f} m/s off the mean wind (usual: {limit:.1f})"
     BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
 
 
@@ -101,6 +102,7 @@ CONDITIONS = frozenset(
         ReasonCause.DECK_RISE,
         ReasonCause.DECK_FALL,
         ReasonCause.WIND,
+        ReasonCause.GUST,
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,
         ReasonCause.ON_PAD,

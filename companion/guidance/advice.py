@@ -66,6 +66,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.TIME_LOCK: _CLOCK,
     _C.HEADING: "Let the ship keep her course; check the compass if the ship does not turn.",
     _C.HEADING_TURNED: "Check the pad's arrow: is it worn, wet or half hidden?",
+    _C.GUST: "Wait until the squall has passed.",
     _C.WIND: "Wait for less wind, or let the ship run with it.",
     _C.BATTERY: "Land by hand where it is safest, and charge.",
 }

@@ -56,6 +56,10 @@ class AtContact(Struct, frozen=True):
     """Speed along the deck."""
     sigma_m: float
     """Standard deviation of the place, one axis: what the filter does not know, and the gusts until then."""
+    gust_m_s: float = 0.0
+    """Difference of the air's present speed from its mean."""
+    gust_most_m_s: float = math.inf
+    """The largest such difference that the gusts before explain."""
 
 
 class Knowledge(Struct, frozen=True):

@@ -391,8 +391,11 @@ class LandingGuidance:
         ahead = self._law.ahead(self._law_memory, seen, left_s)
         if ahead is None:
             return None
-        gust_m_s2 = 0.0 if self._air is None else self._air.gust_m_s * self._tilt.drag_1_s
-        return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), limits.gusts_m(gust_m_s2, left_s)))
+        air = self._air
+        if air is None:
+            return AtContact(*ahead, limits.sigma_m(estimate))
+        gusts_m = limits.gusts_m(air.gust_m_s * self._tilt.drag_1_s, left_s)
+        return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), gusts_m), air.begins_m_s, air.begins_most_m_s)
 
     def command(self, knowledge: Knowledge) -> Command | None:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""

@@ -210,6 +210,7 @@ def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> l
     return [
         (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m, SIGMAS_AHEAD * ahead.sigma_m), looser * limits.error_m),
         (ReasonCause.SPEED_AHEAD, ahead.speed_m_s, looser * limits.relative_speed_m_s),
+        (ReasonCause.GUST, ahead.gust_m_s, ahead.gust_most_m_s),
     ]
 
 

@@ -130,7 +130,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.PRESS if estimate is not None:
             level = np.array(estimate.d_body_pad_level)
             # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
-            level_off = None if s.wind is not None and s.wind.leans_far else 0.0
+            level_off = None if s.wind is not None and s.wind.drags else 0.0
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
         case State.PRESS | State.DOWN:
             # The thesis' way ends in the air; every other one comes here by a contact.
@@ -231,7 +231,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
-    # A drone that was lifted stays up: nothing commands it down again, only a deck that rises comes nearer (`_climbing_less`).
+    # A drone that was lifted stays up: nothing commands it down again, only a deck that rises comes nearer (`_following_less`).
     wanted = np.array([held[0], held[1], max(estimate.height_m, _held_height_m(p, held, s, o))])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     turns = _yaw_rad(s, o, estimate) if p.state is State.HOLD_BLIND and o.tries.heading == "across" else None
@@ -239,9 +239,14 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
 
 
 def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return how fast a refused drone without sight climbs: once by the safe height, out of reach of a deck that comes up."""
+    """Return how fast a refused drone without sight climbs, out of reach of a deck that comes up.
+
+    At most by the safe height, and to twice that from a height that was seen.
+    """
     since_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
-    return o.tries.climb_m_s if since_s * o.tries.climb_m_s < o.tries.safe_height_m else 0.0
+    known_m = p.entered_height_m if math.isfinite(p.entered_height_m) and not p.was_silent else 0.0
+    most_m = o.tries.safe_height_m - max(0.0, known_m - o.tries.safe_height_m)
+    return o.tries.climb_m_s if since_s * o.tries.climb_m_s < most_m else 0.0
 
 
 def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:
@@ -272,34 +277,56 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
         return command
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)
     command = never_lower(command, s.knowledge, fit=fit, over_ground=over_ground)
-    if not fit or s.estimate is None or p.held is None or p.state in _CLIMBS_WHERE_HELD:
+    estimate = usable(s, o.tries, o.stale_after_s)
+    if estimate is None:
         return command
-    return _climbing_less(command, s.estimate.height_m - _held_height_m(p, p.held, s, o), over_ground=over_ground)
+    if p.state is State.INTERCEPT and o.mission != "thesis":
+        needs_m = max(_clear_m(s, o), _waits_m(s, o))
+    elif p.held is None or p.state in _CLIMBS_WHERE_HELD:
+        return command
+    else:
+        needs_m = _held_height_m(p, p.held, s, o)
+    # Out of sight only a height that is surely there counts.
+    sure_m = estimate.height_m - (0.0 if fit else 2.0 * math.sqrt(estimate.cov.item(2, 2)))
+    # A deck that falls need not be followed where a swell is known to come up again.
+    return _following_less(command, sure_m - needs_m, sure_m - min(needs_m, o.tries.safe_height_m), over_ground=over_ground)
+
+
+def _waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the height over the deck at which it may wait for the forecast waves, m."""
+    return o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
+
+
+def _clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the height over the deck that no swell takes from a drone which climbs before it, m."""
+    return o.tries.safe_height_m + s.knowledge.outrun_m
 
 
 def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return the least height over the deck at which a held vehicle stays, m."""
+    """Return the height over the deck up to which a held vehicle follows it, m."""
     if p.state in _REFUSED:
-        # A place that was lost and is held anew lies higher each time: waves lift the vehicle meanwhile.
-        return max(min(float(held[2]), p.entered_height_m), o.tries.safe_height_m + s.knowledge.outrun_m)
-    return max(float(held[2]), min(o.tries.safe_height_m, o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)))
+        return _clear_m(s, o)
+    return min(_clear_m(s, o), max(float(held[2]), min(o.tries.safe_height_m, _waits_m(s, o))))
 
 
-def _climbing_less(command: Command, over_m: float, *, over_ground: bool) -> Command:
-    """Return the command with less climb, the higher the vehicle is over the height that it holds.
+def _following_less(command: Command, over_m: float, falling_over_m: float, *, over_ground: bool) -> Command:
+    """Return the command with less of its vertical rate, the higher the vehicle is over the height that it needs.
 
-    A deck that falls is followed less far than one that rises. Without this a held vehicle goes up with each wave, without end.
+    A deck that falls is followed less far than one that rises, and out of sight it moves only in the forecast. Without this a
+    vehicle goes up with each wave, without end.
 
     Args:
-        over_m: height over the held one, m.
+        over_m: height over the needed one, m.
+        falling_over_m: height over the one from which a falling deck is not followed, m.
         over_ground: whether the vehicle's driver adds the deck's velocity to a velocity, which then stays as it is.
     """
     if not isinstance(command, Velocity | Lean) or (over_ground and isinstance(command, Velocity)):
         return command
     v = np.array(command.v_level)
-    if over_m <= 0.0 or v[2] >= 0.0:
+    beyond_m = falling_over_m if v[2] > 0.0 else over_m
+    if beyond_m <= 0.0 or v[2] == 0.0:
         return command
-    v[2] *= max(0.0, 1.0 - over_m / _FREE_M)
+    v[2] *= max(0.0, 1.0 - beyond_m / _FREE_M)
     return replace(command, v_level=v)
 
 

@@ -248,7 +248,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
     if may_stay and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
     # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
-    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.leans_far else 1.0)
+    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
     if p.state is State.PRESS and in_state_s >= press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 

@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.view import FieldOfView
@@ -23,6 +24,10 @@ MEAN_S = 5.0
 GUST_SIGMAS = 2.5
 _SMOOTH_S = 0.3
 """Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
+_QUICK_S = 0.1
+"""Time constant that shows a gust which has just begun, s."""
+_BEGINS_SIGMAS, _BEGINS_M_S2 = 6.0, 1.0
+"""Standard deviations of the gusts, and the least push, beyond which the air's push is another gust than those before."""
 _GAP_MAX_S = 0.5
 _DRAGGED_M = 0.06
 """Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
@@ -52,6 +57,12 @@ class WindOverDrone(NamedTuple):
     """The turn that brings the wider side of the camera's field into the wind, clockwise positive."""
     known: bool = True
     """True if it was watched for long enough to judge by it; before, it says where to look and how to turn."""
+    push_rad: float = 0.0
+    """The tilt that the present push of the air takes, a gust's as well."""
+    begins_m_s: float = 0.0
+    """Difference of the air's present speed from its mean."""
+    begins_most_m_s: float = math.inf
+    """The largest such difference that the gusts before explain."""
 
     def aim_level(self, feet_below_m: float) -> tuple[float, float]:
         """Return where the pad's centre is wanted at the contact, forward and right, m.
@@ -68,6 +79,11 @@ class WindOverDrone(NamedTuple):
         return self.lean_rad > _FAR_RAD
 
     @property
+    def drags(self) -> bool:
+        """True if a level vehicle would be dragged over the deck, by the wind or by a gust."""
+        return max(self.lean_rad, self.push_rad) > _FAR_RAD
+
+    @property
     def too_strong(self) -> bool:
         return self.known and self.speed_m_s > self.limit_m_s
 
@@ -78,6 +94,8 @@ class WindWatch(Struct, frozen=True):
     at: MonoNs | None = None
     known_s: float = 0.0
     """Time that has been watched."""
+    quick: tuple[float, float] = (0.0, 0.0)
+    """The newest push."""
     smooth: tuple[float, float] = (0.0, 0.0)
     mean: tuple[float, float] = (0.0, 0.0)
     before: tuple[float, float] = (0.0, 0.0)
@@ -98,17 +116,20 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     dt = 0.0 if watch.at is None else seconds_between(watch.at, now)
     if not 0.0 < dt <= _GAP_MAX_S:
         fresh = watch.at is None
-        return WindWatch(now, watch.known_s, (north, east) if fresh else watch.smooth, watch.mean, watch.before, watch.var)
+        return replace(watch, at=now, quick=(north, east), smooth=(north, east) if fresh else watch.smooth)
     known_s = watch.known_s + dt
-    quick, slow = 1.0 - math.exp(-dt / _SMOOTH_S), dt / min(MEAN_S, known_s)
-    smooth = watch.smooth[0] + quick * (north - watch.smooth[0]), watch.smooth[1] + quick * (east - watch.smooth[1])
+    slow = dt / min(MEAN_S, known_s)
+    quick, smooth = (
+        (was[0] + share * (north - was[0]), was[1] + share * (east - was[1]))
+        for was, share in ((watch.quick, 1.0 - math.exp(-dt / _QUICK_S)), (watch.smooth, 1.0 - math.exp(-dt / _SMOOTH_S)))
+    )
     off = smooth[0] - watch.mean[0], smooth[1] - watch.mean[1]
     mean = watch.mean[0] + slow * off[0], watch.mean[1] + slow * off[1]
     before = watch.before[0] + slow * (mean[0] - watch.before[0]), watch.before[1] + slow * (mean[1] - watch.before[1])
     # A steady change is no gust. What of the difference has gone into the mean is none either (Welford's update of a variance).
     gust = off[0] - watch.mean[0] + watch.before[0], off[1] - watch.mean[1] + watch.before[1]
     var = watch.var + slow * (0.5 * (1.0 - slow) * (gust[0] ** 2 + gust[1] ** 2) - watch.var)
-    return WindWatch(now, known_s, smooth, mean, before, max(0.0, var))
+    return WindWatch(now, known_s, quick, smooth, mean, before, max(0.0, var))
 
 
 def wind_over_drone(
@@ -139,6 +160,9 @@ def wind_over_drone(
         watch.known_s >= MEAN_S and lean_rad > _SPENT * most_rad,
         0.0 if view is None else _turn_across_rad(math.atan2(right, forward), view),
         watch.known_s >= MEAN_S,
+        math.atan(math.hypot(*watch.quick) / G_M_S2),
+        math.dist(watch.quick, watch.mean) / tilt.drag_1_s,
+        max(_BEGINS_M_S2, _BEGINS_SIGMAS * gust) / tilt.drag_1_s,
     )
 
 

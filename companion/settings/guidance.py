@@ -131,7 +131,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["hold", "return"],
         choice(
             "what a drone does that refused or gave up, once it is as high as it goes around: hold over the pad, or fly back by "
-            "the autopilot's own return; an AR.Drone has none and holds"
+            "the autopilot's own return, to home or a rally point (set one: home may be at sea); an AR.Drone has none and holds"
         ),
     ] = "hold"
     controller: Annotated[

@@ -24,6 +24,8 @@ _ALIVE_S = 1.0
 _MOST = 4
 _SEEN_AT_LEAST = 3
 _ESTABLISHED = 8
+_CHOSEN = 30
+"""Number of sightings up to which a track may go on at another place that is seen more often: which pad came first was chance."""
 
 
 class Place(NamedTuple):
@@ -95,10 +97,12 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
             return tracks, True
     candidates = _with(tracks.candidates, last, known, seen, expected)
     chosen = candidates[-1]
+    # No one has flown by the track yet, so the candidate with more sightings becomes the pad.
     if tracks.n < _ESTABLISHED:
-        # No one has flown by the track yet, so the candidate with more sightings becomes the pad.
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
+    elif tracks.n < _CHOSEN and chosen.n_alone > tracks.n and _alone(chosen, candidates):
+        return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(chosen, candidates, o):
         another = chosen.apart_m >= 0.5 * o.pads_apart_m
         return Tracks(tracks.number + another, chosen.n, seen), True
@@ -113,9 +117,12 @@ def fused(tracks: Tracks, seen: Place) -> Tracks:
 
 
 def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:
-    seen = chosen.last.t
-    alone = all(c is chosen or c.n < _SEEN_AT_LEAST or seen - c.last.t > _ALIVE_S * 1e9 for c in candidates)
-    return alone and chosen.n_alone >= _ESTABLISHED and seen - chosen.first >= o.adopt_s * 1e9
+    lasts = chosen.n_alone >= _ESTABLISHED and chosen.last.t - chosen.first >= o.adopt_s * 1e9
+    return lasts and _alone(chosen, candidates)
+
+
+def _alone(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...]) -> bool:
+    return all(c is chosen or c.n < _SEEN_AT_LEAST or chosen.last.t - c.last.t > _ALIVE_S * 1e9 for c in candidates)
 
 
 def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:

@@ -93,6 +93,12 @@ def shut(
         ({"contact": AtContact(0.0, 0.0, 0.039)}, {"contact": AtContact(0.0, 0.0, 0.041)}, ReasonCause.ERROR_AHEAD, 0.08),
         ({"contact": AtContact(0.05, 0.0, 0.03)}, {"contact": AtContact(0.056, 0.0, 0.03)}, ReasonCause.ERROR_AHEAD, 0.08),
         ({"contact": AtContact(0.0, 0.199, 0.0)}, {"contact": AtContact(0.0, 0.201, 0.0)}, ReasonCause.SPEED_AHEAD, 0.2),
+        (
+            {"contact": AtContact(0.0, 0.0, 0.0, 1.9, 2.0)},
+            {"contact": AtContact(0.0, 0.0, 0.0, 2.1, 2.0)},
+            ReasonCause.GUST,
+            2.0,
+        ),
         ({"deck": tilted(1.7, -1.8)}, {"deck": tilted(1.8, -1.8)}, ReasonCause.DECK_TILT, 2.5),
         ({"deck": tilted(down_m_s=1.19)}, {"deck": tilted(down_m_s=1.21)}, ReasonCause.DECK_RATE, 1.2),
         ({"deck": tilted(down_m_s=-1.19)}, {"deck": tilted(down_m_s=-1.21)}, ReasonCause.DECK_RATE, 1.2),
@@ -170,7 +176,7 @@ def test_the_commit_has_limits_of_its_own() -> None:
 def test_a_commit_ends_on_the_error_to_come_while_a_climb_comes_before_the_contact() -> None:
     for height_m, ends in ((0.3, True), (CONE.feet_below_m + 0.1, False)):
         one = estimate(NOW, (0.0, 0.0, height_m))
-        for contact in (AtContact(0.13, 0.0, 0.0), AtContact(0.0, 0.31, 0.0)):
+        for contact in (AtContact(0.13, 0.0, 0.0), AtContact(0.0, 0.31, 0.0), AtContact(0.0, 0.0, 0.0, 3.1, 3.0)):
             found = commit(ns(NOW), one, Knowledge(ns(NOW), one, at_contact=contact), LIMITS, CONE)
             assert (found is not None) is ends
         calm = Knowledge(ns(NOW), one, at_contact=AtContact(0.11, 0.29, 0.0))

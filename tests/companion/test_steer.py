@@ -242,35 +242,57 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
 
 
 @pytest.mark.parametrize(
-    ("state", "age_s", "over_m", "climbs_m_s"),
+    ("state", "held_m", "height_m", "age_s", "share"),
     [
-        (State.REFUSED, 0.0, 0.0, 0.6), (State.ABORTED, 0.0, 0.5, 0.3), (State.HOLD_BLIND, 0.0, 1.5, 0.0),
-        (State.REFUSED, 0.9, 1.5, 0.6), (State.ANOTHER_PAD, 0.0, 1.5, 0.6), (State.COMMIT, 0.9, 1.5, 0.6),
+        (State.REFUSED, 5.0, 2.0, 0.0, 1.0), (State.REFUSED, 5.0, 2.5, 0.0, 0.5), (State.ABORTED, 1.5, 2.0, 0.0, 0.5),
+        (State.ABORTED, 5.0, 4.0, 0.0, 0.0), (State.HOLD_BLIND, 5.0, 3.1, 0.0, 0.0), (State.HOLD_BLIND, 5.0, 3.1, 0.9, 0.5),
+        (State.INTERCEPT, None, 1.9, 0.0, 1.0), (State.INTERCEPT, None, 2.25, 0.0, 0.75), (State.ANOTHER_PAD, 5.0, 6.0, 0.0, 1.0),
+        (State.COMMIT, 5.0, 6.0, 0.9, 1.0),
     ],
 )  # fmt: skip
-def test_what_was_lifted_over_its_held_height_lets_a_rising_deck_come_up(
-    state: State, age_s: float, over_m: float, climbs_m_s: float
+def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(
+    state: State, held_m: float | None, height_m: float, age_s: float, share: float
 ) -> None:
-    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 5.0 + over_m), age=age_s))
-    p = Progress(state, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    """2 m is the safe height, and a height by an old sighting counts less two standard deviations of 0.3 m."""
+    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, height_m), age=age_s, sigma=0.3))
+    p = Progress(state, automatic=True, begun=True, held=None if held_m is None else np.array([0.0, 0.0, held_m]))
     up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
     found = allowed(up, p, s, guided(), over_ground=True)
     assert isinstance(found, Lean)
-    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+    assert found.v_level[2] == pytest.approx(-0.6 * share)
     by_driver = Velocity(np.array([0.0, 0.0, -0.6]), 0.0)
     assert allowed(by_driver, p, s, guided(), over_ground=True) is by_driver, "its driver adds the deck's velocity"
 
 
-@pytest.mark.parametrize(("entered_m", "climbs_m_s"), [(5.0, 0.0), (7.5, 0.3), (math.inf, 0.6)])
-def test_a_refused_vehicle_that_lost_its_place_and_holds_another_goes_no_higher_than_where_it_was_refused(
-    entered_m: float, climbs_m_s: float
-) -> None:
-    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 8.0)))
-    p = Progress(State.REFUSED, automatic=True, begun=True, held=np.array([0.0, 0.0, 8.0]), entered_height_m=entered_m)
-    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
-    found = allowed(up, p, s, guided(), over_ground=False)
-    assert isinstance(found, Lean)
-    assert found.v_level[2] == pytest.approx(-climbs_m_s)
+def test_a_swell_that_outruns_the_climb_is_followed_up_and_not_down() -> None:
+    p = Progress(State.REFUSED, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
+    falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.6]), np.zeros(3), 1e-9 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    for height_m, up, down in ((2.0, 1.0, 1.0), (2.5, 1.0, 0.5), (5.0, 1.0, 0.0), (5.5, 0.5, 0.0)):
+        s = GuidanceCycle(ns(NOW), replace(known((0.0, 0.0, height_m)), outrun_m=3.0, deck=falls))
+        for rate, share in ((-0.6, up), (0.6, down)):
+            command = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, rate]), 0.0)
+            found = allowed(command, p, s, guided(), over_ground=False)
+            assert isinstance(found, Lean)
+            assert found.v_level[2] == pytest.approx(rate * share, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s"), [(State.INTERCEPT, 0.1), (State.HOLD_BLIND, 4.0), (State.REFUSED, 0.1), (State.ABORTED, 2.0)]
+)
+def test_waves_lift_no_vehicle_that_waits_high_up(state: State, age_s: float) -> None:
+    """The deck heaves by 1 m in 8 s, and the law follows it: seeds 7601 and 7617 of weather_4 went up by 3 m."""
+    p, altitude_m = Progress(state, automatic=True, begun=True, entered_height_m=7.0), 7.0
+    for k in range(1200):
+        t = 0.05 * k
+        deck_m, down_m_s = math.sin(0.785 * t), -0.785 * math.cos(0.785 * t)
+        deck = DeckMotion(ns(t), np.array([0.0, 0.0, down_m_s]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+        knows = Knowledge(ns(t), estimate(t, (0.0, 0.0, altitude_m - deck_m), age=age_s, sigma=0.1), deck=deck)
+        p, _ = aim(p, GuidanceCycle(ns(t), knows), guided(), over_ground=False)
+        law = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, down_m_s]), 0.0)
+        found = allowed(law, p, GuidanceCycle(ns(t), knows), guided(), over_ground=False)
+        assert isinstance(found, Lean)
+        altitude_m -= 0.05 * found.v_level[2]
+    assert altitude_m == pytest.approx(7.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
@@ -322,6 +344,13 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         )[1]
         assert isinstance(found, Target)
         assert found.yaw_rad == (None if turn is None else pytest.approx(turn))
+    for push_rad, lean in ((0.05, 0.0), (0.2, None)):
+        gust = strong._replace(lean_rad=0.05, push_rad=push_rad)
+        found = aim(
+            Progress(State.PRESS, automatic=True, begun=True), GuidanceCycle(ns(NOW), known(), wind=gust), o, over_ground=False
+        )[1]
+        assert isinstance(found, Target)
+        assert found.lean_max_rad == lean, "level, a gust would drag it over the deck"
     for since_s, side in ((1.0, 1.0), (15.0, -1.0), (35.0, 1.0)):
         p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s))
         found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
@@ -341,6 +370,19 @@ def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
                 assert found.v_level.tolist() == [0.0, 0.0, -o.tries.climb_m_s]
             else:
                 assert found == Hover(returns=refused == "return")
+    for seen_m, silent, climbs_s in (
+        (1.5, False, 4.0),
+        (3.0, False, 2.0),
+        (8.0, False, 0.0),
+        (8.0, True, 4.0),
+        (math.inf, False, 4.0),
+    ):
+        for since_s in (0.1, 1.9, 2.1, 3.9, 4.1):
+            p = Progress(
+                State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s), entered_height_m=seen_m, was_silent=silent
+            )
+            found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), guided(), over_ground=False)[1]
+            assert isinstance(found, Velocity) is (since_s < climbs_s), "it is high enough where it was seen high up"
     found = target(State.REFUSED, replace(known(), outrun_m=0.7))
     assert found.d_body_pad_level[2] == pytest.approx(guided().tries.safe_height_m + 0.7)
 

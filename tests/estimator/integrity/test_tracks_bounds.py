@@ -143,6 +143,24 @@ def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
     assert (after.number, after.n) == ((4, n) if adopted else (3, track_n))
 
 
+@pytest.mark.parametrize(
+    ("track_n", "n", "rival_n", "track_t", "goes_on"),
+    [
+        (8, 8, 0, T - 1, False), (8, 9, 0, T - 1, True), (29, 30, 0, T - 1, True), (30, 99, 0, T - 1, False),
+        (16, 17, 2, T - 1, True), (16, 17, 3, T - 1, False), (16, 99, 0, T, False),
+    ],
+)  # fmt: skip
+def test_a_track_of_one_second_goes_on_where_a_pad_alone_is_seen_more_often_than_it_was(
+    track_n: int, n: int, rival_n: int, track_t: int, goes_on: bool
+) -> None:
+    """WHY: a pad that was lost half a second after its first sight came back as another one (weather_4, seed 7603)."""
+    t = T + S
+    tracks = followed(track_n, other(rival_n, T, t, -9.0), other(n - 1, T, t - 30 * MS), t=track_t)
+    after, explained = associate(tracks, place(t, 1.0), None, LIMITS)
+    assert explained is goes_on
+    assert after.number == 3
+
+
 @pytest.mark.parametrize(("n", "ago", "alone"), [(2, 0, True), (3, S, False), (3, S + 1, True), (9, S // 2, False)])
 def test_alone_is_who_has_no_rival_within_a_second(n: int, ago: int, alone: bool) -> None:
     t = T + 3 * S
