@@ -110,8 +110,9 @@ class StreamChannel:
         o, counters = self._o, self._camera.counters
         began: tuple[MonoNs, float] | None = None
         known = ClockMapOptions(
-            resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s, name=f"camera {o.device}"
-        )
+            resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s, unknown_s=_ARRIVAL_SIGMA_S, claimed=True,
+            name=f"camera {o.device}",
+        )  # fmt: skip
         clocks = ClockMap(known)
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
             self._camera.count_damage(o.device, image.arrival.received_at)
