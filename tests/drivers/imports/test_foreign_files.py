@@ -64,6 +64,31 @@ def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("form", "columns", "values"),
+    [
+        ("Qffffff", "TimeUS,DesPitch,Pitch,DesRoll,Roll,DesYaw,Yaw", (0.0, -1.0, 0.0, 1.0, 90.0, 90.0)),
+        ("Qfff", "TimeUS,Roll,Pitch,Yaw", (1.0, -1.0, 90.0)),
+    ],
+)
+def test_a_message_that_is_described_anew_is_read_by_what_holds_there(
+    form: str, columns: str, values: tuple[float, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = made.dataflash(made.flight(TIMES, HEIGHTS)) + made.described("ATT", form, columns)
+    data += b"".join(made.message("ATT", form, (TIMES[-1] + STEP * n, *values)) for n in range(1, 51))
+    samples, reported = heard(dataflash.read, tmp_path / "log", data)
+    angles = np.degrees([s.R_ned_body.rpy_rad for s in samples if isinstance(s, Attitude)])
+    assert angles == pytest.approx(np.tile([1.0, -1.0, 90.0], (100, 1)), abs=1e-3)
+    assert reported == capsys.readouterr().out == ""
+
+
+def test_the_second_imu_is_read_where_the_first_is_switched_off(tmp_path: Path) -> None:
+    rows = [(name, (v[0], 1, *v[2:]) if name == "IMU" else v) for name, v in made.flight(TIMES, HEIGHTS)]
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    assert sum(isinstance(s, Imu) for s in samples) == 50
+    assert "number 1" in reported
+
+
+@pytest.mark.parametrize(
     ("times", "lasts_s", "said"),
     [
         ([t - 500_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 0.4"),
@@ -99,6 +124,8 @@ def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_
     assert not any(isinstance(s, VehicleStatus) for s in samples)
     assert reported == ""
     assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
+    lost = made.px4_flight(BEGAN, foreign=made.ULOG_GAP)
+    assert "0.70 s are lost, the first after 2.5 s" in heard(px4_ulog.read, tmp_path / "log", lost)[1]
 
 
 @pytest.mark.parametrize("seed", range(6))
