@@ -201,7 +201,7 @@ class _Source:
         if kind is FileKind.IMAGES:
             return image_folder.frames(path, size, self._tell)
         if kind is FileKind.TABLE:
-            return iter(video.attitudes(path))
+            return iter(video.attitudes(path, self._tell))
         if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         if kind is FileKind.OTHER:

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -272,10 +273,17 @@ def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
     return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(reported)
 
 
-@pytest.mark.parametrize("name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png"])
+def image_name(form: str, s: float) -> str:
+    made_by = form.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s, day=datetime.fromtimestamp(s, UTC))
+    return made_by if made_by.endswith((".png", ".bmp")) else f"{made_by[:-3]}.png"  # milliseconds
+
+
+@pytest.mark.parametrize(
+    "name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png", "cam0_{day:%Y%m%d%H%M%S%f}"]
+)
 def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None:
     at = [1_700_000_000.0 + 0.25 * n for n in range(5)]
-    _images(tmp_path / "f", [name.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s) for s in at])
+    _images(tmp_path / "f", [image_name(name, s) for s in at])
     assert kind_of(tmp_path / "f") is FileKind.IMAGES
     seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.25 * n for n in range(5)], abs=1e-6)
@@ -286,15 +294,18 @@ def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(("head", "row"), [
     ("#timestamp [ns],filename", "{ns:.0f},{name}"), ("time_s,source", "{s:.2f},{name}"),
     ("# timestamp filename", "{s:.2f} rgb/{name}"),
-    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"),
+    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"), ("frame,time_s,source", "7,{s:.2f},{name}"),
+    ("name,x,y,time [msec]", "{name},1.5,-2,{ms:.0f}"), ("", "{unix:.2f} rgb/{name} {unix:.2f} d.png"),
+    ("name,time", "{name},2026-11-25T10:00:{s:06.3f}Z"), ("time_s,source", "{s:.6e},{name}"),
+    ("source;time_s", "{name};{comma}"),
 ])  # fmt: skip
 def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
     names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
     _images(tmp_path / "f", names)
-    lines = [
-        head,
-        *(row.format(s=7.5 + 0.5 * n, ms=7500.0 + 500 * n, ns=7.5e9 + 5e8 * n, name=name) for n, name in enumerate(names)),
-    ]
+    lines = [head]
+    for n, name in enumerate(names):
+        s = 7.5 + 0.5 * n
+        lines.append(row.format(s=s, ms=1e3 * s, ns=1e9 * s, unix=1.4e9 + s, comma=f"{s:.2f}".replace(".", ","), name=name))
     (tmp_path / "f" / "times.csv").write_text("\r\n".join(lines[:-1]) + "\n")
     seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.0, 0.5, 1.0, 1.5])
@@ -304,8 +315,13 @@ def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path
 
 def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -> None:
     _images(tmp_path / "counted", [f"img{n:04d}.png" for n in range(3)])
-    with pytest.raises(BadInput, match="put a table"):
-        list(image_folder.frames(tmp_path / "counted"))
+    _images(tmp_path / "kitti", [f"{n:010d}.png" for n in range(3)])
+    for name in ("counted", "kitti"):
+        with pytest.raises(BadInput, match="put a table"):
+            list(image_folder.frames(tmp_path / name))
+    (tmp_path / "kitti" / "a.csv").write_text("".join(f"{n},{0.05 * n},{n:010d}.png\n" for n in range(3)))
+    with pytest.raises(BadInput, match="no head says which"):
+        list(image_folder.frames(tmp_path / "kitti"))
     _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
     (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     seconds, _, reported = _at_s(tmp_path / "f")

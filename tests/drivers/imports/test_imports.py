@@ -126,6 +126,10 @@ def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) ->
     assert isinstance(second, Attitude)
     assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
+    path.write_text("\ufefftime_s; roll_deg; pitch_deg\n1700000000.5;1;2\n5;0;0\n1700000000.75;3;4\n")
+    reported: list[str] = []
+    assert [s.stamp.measured_at for s in video.attitudes(path, reported.append)] == [0, 250_000_000]
+    assert "1 of 3 stamps" in reported[0]
 
 
 @pytest.mark.parametrize("form", ["h264", "mjpeg"])
