@@ -206,6 +206,9 @@ FILES = {
     FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
     FileKind.TEXT: b"a log of the bridge\n" * 20,
     FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
+    FileKind.MCAP: b"\x89MCAP0\r\n\x01" + (28).to_bytes(8, "little") + b"\4\0\0\0ros1\x10\0\0\0somebody's writer",
+    FileKind.RECORDING: b"\x89MCAP0\r\n\x01" + (18).to_bytes(8, "little") + b"\0\0\0\0\x0a\0\0\0decklander",
+    FileKind.MAVLINK: b"\xfd\2" + bytes(12) + b"\xfe\1" + bytes(7) + b"\xfd\0" + bytes(10) + b"\xfe\0" + bytes(6),
     FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
 }
 READERS = {
