@@ -14,7 +14,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.videos import has_times, open_video, predicts_frames
+from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
@@ -78,10 +78,11 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
             raise BadInput(f"{path}: holds no video")
         last_s: float | None = None
         elapsed_s = 0.0
-        number, coded, timed = 0, predicts_frames(container), has_times(container)
-        rate_hz = float(container.streams.video[0].average_rate or 0.0) or 25.0
+        stream = video_of(container, size)
+        number, coded, timed = 0, predicts_frames(stream), has_times(container)
+        rate_hz = float(stream.average_rate or 0.0) or 25.0
         try:
-            for image in container.decode(video=0):
+            for image in container.decode(stream):
                 number += 1
                 if image.is_corrupt:
                     continue
