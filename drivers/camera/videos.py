@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import av
-from av.container import InputContainer
+from av.container import Container, InputContainer
 from av.stream import Disposition
 from av.video.stream import VideoStream
 
@@ -34,7 +34,7 @@ def most_pixels(size: tuple[int, int] | None) -> int:
     return MOST_PIXELS if size is None else min(MOST_PIXELS, _MARGIN * size[0] * size[1])
 
 
-def has_times(container: InputContainer) -> bool:
+def has_times(container: Container) -> bool:
     """Return whether the container holds times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
     return not container.format.flags & _NO_TIMES
 
