@@ -101,10 +101,9 @@ _FMT_FIELDS = struct.Struct("<BB4s16s64s")
 
 
 def parts_of(data: bytes | mmap) -> list[bytes]:
-    """Return a binary log cut where a message is described anew, because what comes before has the old layout.
+    """Return the parts of a binary log between descriptions that replace others; an empty list without such.
 
-    Each part but the first begins with the descriptions that hold there. pymavlink reads a whole file by its last ones. The list
-    is empty if each message is described once.
+    Each part but the first begins with the descriptions that hold there. pymavlink reads a whole file by its last ones.
     """
     known: dict[int, bytes] = {}
     cuts, at = list[tuple[int, bytes]](), data.find(_FMT)
@@ -138,7 +137,7 @@ def _number_of(described: bytes) -> int | None:
 
 
 class PartedLog:
-    """A log read through pymavlink, part by part where its messages are described anew.
+    """A log that pymavlink reads, part by part.
 
     What pymavlink prints about damage is given to `tell` as one note.
     """
