@@ -546,7 +546,10 @@ def judged(chaos: Chaos, seen: Seen) -> Row:
     gap_s = max((b - a for a, b in pairwise(seen.commands) if counts(a, b)), default=float(chaos.vehicle == "mavlink") * 99.0)
     missed = sum(round(b - a) - 1 for a, b in pairwise(seen.beats) if counts(a, b) and b - a > 1.5)
     unnamed = []
+    stopped = [(e.at_s, e.at_s + e.for_s) for e in chaos.events if e.kind == "service_stopped"]
     for event in chaos.events:
+        if any(begin < event.at_s and event.at_s + event.for_s < end for begin, end in stopped):
+            continue  # a stopped service meets nothing of it
         start, end = began + event.at_s, began + event.at_s + event.for_s + NAMED_S
         if (words := WORDS.get(event.kind)) and not any(start <= at <= end and re.search(words, line) for at, line in seen.lines):
             unnamed.append(event.kind)

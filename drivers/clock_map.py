@@ -9,7 +9,9 @@ from network delay measurements, INFOCOM 1999 (the lower envelope).
 
 A map trusts its source only as far as arrivals confirm it. Where the source's stamps go back and stay back, its clock was set:
 the map begins again. Where they run at another rate than ours, they are invented or of another clock: the samples are stamped by
-arrival until the rates agree again. Both are logged.
+arrival until the rates agree again. Both are logged. The times of a source that may invent them (`claimed`) count only after the
+rates have agreed for two seconds; where its samples begin to come late all together, a slow clock and a queue look alike, and
+the stamp is the middle of the two.
 """
 
 import logging
@@ -31,9 +33,11 @@ _BACK_S = 0.02
 """The step back from which a clock may have been set; stamps of several sensors in one stream are out of order by less."""
 _BACK_FOR, _BACK_FOR_S = 5, 2.0
 """The messages and the time for which stamps stay back before the clock counts as set: one late datagram is no step."""
-_BLOCK_S, _BLOCKS = 2.0, 8
-"""The least differences of this many blocks give the rate: all their steps have to agree. A link whose queue fills looks like a
-slow clock for a while, and its stamps are right; no queue fills evenly for so long."""
+_BLOCK_S, _BLOCKS, _LONG = 0.5, 8, 4
+"""The least differences of eight times four blocks give the rate: all their steps have to agree. A link whose queue fills looks
+like a slow clock for a while, and its stamps are right; no queue fills evenly for so long. A claimed rate is refused by eight."""
+_PROOF = 5
+"""The blocks whose least differences have to be alike before a claimed rate counts."""
 _RATE_OFF, _RATE_AGREES = 0.01, 0.003
 """The disagreement of the rates from which a source is not trusted, and below which it is again. Crystals differ by 1e-4."""
 
@@ -64,6 +68,8 @@ class ClockMapOptions:
     """A remote clock that steps back further than this, or ahead of the map by more, counts as reset."""
     unknown_s: float = 0.02
     """The delay above the floor that is assumed before any was measured."""
+    claimed: bool = False
+    """True if the source may have invented its times: arrival stamps its samples until the rates are seen to agree."""
     name: str = "a source"
     """The name of the source in the log."""
 
@@ -87,10 +93,10 @@ class ClockMap:
 
     def __init__(self, options: ClockMapOptions) -> None:
         self._o = options
-        self._least: deque[tuple[int, int]] = deque()
-        """Pairs (received_at, difference less the drift allowed until then), ascending in both: the front holds the least."""
+        self._least = _Least(options.window_s, options.drift_ppm)
+        self._near = _Least(_BLOCK_S, options.drift_ppm)
         self._newest_remote: int | None = None
-        self._received_at = 0
+        self._received_at = self._measured_at = 0
         self._count = 0
         self._excess_s = options.unknown_s
         self._fell_s = 0.0
@@ -109,6 +115,7 @@ class ClockMap:
     def reset(self) -> None:
         """Forget the remote clock, because the sender is known to have restarted."""
         self._least.clear()
+        self._near.clear()
         self._before = self._back = None
         self._rate.forget()
         self._newest_remote = None
@@ -128,29 +135,38 @@ class ClockMap:
             self.reset()
         difference = now - remote
         self._before = remote, difference
-        before = self._offset(now) if self._least else difference
-        self._enter(difference, now)
-        offset = self._offset(now)
+        before = self._least.at(now) if self._least else difference
+        self._least.enter(difference, now)
+        self._near.enter(difference, now)
+        offset = self._least.at(now)
+        # A slow clock, or a queue before the line: all of the last messages were late by this.
+        late_s = (self._near.at(now) - offset) / NS_PER_S if self._o.claimed else 0.0
         self._fell_s = _FADE * self._fell_s + abs(before - offset) / NS_PER_S
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)
         floor = round(self._o.floor_s * NS_PER_S)
-        measured_at = remote + offset - floor
-        self._newest_remote = remote if self._newest_remote is None else max(remote, self._newest_remote)
-        sigma_s = math.hypot(
-            self._o.floor_sigma_s,
-            self._o.resolution_s / math.sqrt(12.0),
-            self._o.drift_ppm * 1e-6 * (now - self._least[0][0]) / NS_PER_S,
-            # The least of n independent delays is off by 1/n of their mean, but neighbouring delays are alike.
-            self._excess_s / math.sqrt(self._count),
-            # A map that has moved lately may move as far again: the messages so far were all late.
-            self._fell_s,
-        )
-        if self._rate.disagrees(remote, now):
+        known = not self._rate.disagrees(remote, now) and (self._rate.proven or not self._o.claimed)
+        if known:
+            measured_at = remote + offset + round(late_s / 2 * NS_PER_S) - floor
+            sigma_s = math.hypot(
+                self._o.floor_sigma_s,
+                self._o.resolution_s / math.sqrt(12.0),
+                self._o.drift_ppm * 1e-6 * (now - self._least.since) / NS_PER_S,
+                # The least of n independent delays is off by 1/n of their mean, but neighbouring delays are alike.
+                self._excess_s / math.sqrt(self._count),
+                # A map that has moved lately may move as far again: the messages so far were all late.
+                self._fell_s,
+                late_s / math.sqrt(12.0),
+            )
+        else:
             # How late this message is, nobody knows; the delay that was measured before the clocks parted is the best there is.
-            sigma_s = math.hypot(self._o.floor_sigma_s, self._o.unknown_s)
-            return Stamp(MonoNs(now - floor), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "arrival")
-        return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced")
+            measured_at = now - floor
+            own_s = 0.0 if self._rate.error is not None else (difference - self._near.at(now)) / NS_PER_S
+            sigma_s = math.hypot(self._o.floor_sigma_s, self._o.unknown_s, own_s)
+        if self._newest_remote is None or remote >= self._newest_remote:
+            self._newest_remote = remote
+            self._measured_at = measured_at = max(measured_at, self._measured_at)
+        return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced" if known else "arrival")
 
     def _unwrapped(self, remote_ns: int, now: int) -> int:
         """Return the counter without its wraps: the value nearest to the one expected from the time since the last message."""
@@ -161,12 +177,12 @@ class ClockMap:
         return expected + (remote_ns - expected + wrap // 2) % wrap - wrap // 2
 
     def _newest_received(self) -> int:
-        return self._least[-1][0]
+        return self._least.newest
 
     def _reset_if_restarted(self, remote: int, now: int) -> bool:
         jump = round(self._o.jump_s * NS_PER_S)
         assert self._newest_remote is not None
-        return remote < self._newest_remote - jump or now - remote < self._offset(now) - jump
+        return remote < self._newest_remote - jump or now - remote < self._least.at(now) - jump
 
     def _set_back(self, remote: int, now: int) -> bool:
         """Return whether the stamps went back a while ago, and none of those since fits the clock before."""
@@ -182,23 +198,49 @@ class ClockMap:
         self._back.count += 1
         if self._back.count < _BACK_FOR or now - self._back.since < _BACK_FOR_S * NS_PER_S:
             return False
-        late_s = (difference - self._offset(now)) / NS_PER_S
+        late_s = (difference - self._least.at(now)) / NS_PER_S
         log.warning("the clock of %s was set back by about %.2f s: its samples are mapped again", self._o.name, late_s)
         return True
 
-    def _allowed(self, now: int) -> int:
-        return now * self._o.drift_ppm // 1_000_000
 
-    def _enter(self, difference: int, now: int) -> None:
+class _Least:
+    """The least difference of the messages of a window, with the drift allowed since."""
+
+    def __init__(self, window_s: float, drift_ppm: int) -> None:
+        self._window, self._ppm = round(window_s * NS_PER_S), drift_ppm
+        self._kept: deque[tuple[int, int]] = deque()
+        """Pairs (received_at, difference less the drift allowed until then), ascending in both: the front holds the least."""
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @property
+    def since(self) -> int:
+        """Return when the least difference was received."""
+        return self._kept[0][0]
+
+    @property
+    def newest(self) -> int:
+        """Return when the last message was received."""
+        return self._kept[-1][0]
+
+    def clear(self) -> None:
+        self._kept.clear()
+
+    def enter(self, difference: int, now: int) -> None:
         level = difference - self._allowed(now)
-        while self._least and self._least[-1][1] >= level:
-            self._least.pop()
-        self._least.append((now, level))
-        while now - self._least[0][0] > self._o.window_s * NS_PER_S:
-            self._least.popleft()
+        while self._kept and self._kept[-1][1] >= level:
+            self._kept.pop()
+        self._kept.append((now, level))
+        while now - self._kept[0][0] > self._window:
+            self._kept.popleft()
 
-    def _offset(self, now: int) -> int:
-        return self._least[0][1] + self._allowed(now)
+    def at(self, now: int) -> int:
+        """Return the least difference, which may have grown until `now`."""
+        return self._kept[0][1] + self._allowed(now)
+
+    def _allowed(self, now: int) -> int:
+        return now * self._ppm // 1_000_000
 
 
 @dataclass(slots=True)
@@ -212,20 +254,23 @@ class _StepBack:
 
 
 class _RateWatch:
-    """Compares the rate of the remote clock with ours by the least difference of each second."""
+    """Compares the rate of the remote clock with ours by the least difference of each block of time."""
 
     def __init__(self, options: ClockMapOptions) -> None:
         self._o = options
-        self._least: deque[tuple[int, int]] = deque(maxlen=_BLOCKS)
+        self._least: deque[tuple[int, int]] = deque(maxlen=_BLOCKS * _LONG)
         """Pairs (received_at, difference) of the least difference in each block, the last one unfinished."""
         self._block_begin: int | None = None
         self.error: float | None = None
         """The fraction by which the remote clock is faster; None while the rates agree."""
+        self.proven = False
+        """True once the rates have been seen to agree."""
 
     def forget(self) -> None:
         """Begin again after a restart of the remote clock; a source that was not trusted stays so until it is measured."""
         self._least.clear()
         self._block_begin = None
+        self.proven = False
 
     def disagrees(self, remote: int, now: int) -> bool:
         """Note one message, and return whether its source is not trusted."""
@@ -238,15 +283,27 @@ class _RateWatch:
         return self.error is not None
 
     def _judge(self) -> None:
-        if len(self._least) < _BLOCKS or self._least[-1][0] - self._least[0][0] > 3 * _BLOCKS * _BLOCK_S * NS_PER_S:
-            return
-        steps = sorted((a[1] - b[1]) / (b[0] - a[0]) for a, b in pairwise(self._least))
-        error = steps[len(steps) // 2]
-        coarse = self._o.resolution_s / _BLOCK_S
-        if self.error is None and abs(error) > _RATE_OFF + coarse and steps[-1] - steps[0] < abs(error):
-            self.error = error
-            text = "the clock of %s runs at %.3f of ours: its samples are stamped by arrival"
-            log.warning(text, self._o.name, 1.0 + error)
-        elif self.error is not None and abs(error) < _RATE_AGREES + coarse:
+        if len(self._least) >= _PROOF and not self.proven:
+            of_proof = [difference for _, difference in list(self._least)[-_PROOF:]]
+            self.proven = max(of_proof) - min(of_proof) < _RATE_OFF * (_PROOF - 1) * _BLOCK_S * NS_PER_S
+        coarse, agrees = self._o.resolution_s / _BLOCK_S, []
+        for blocks in (1, _LONG) if self._o.claimed else (_LONG,):
+            if not (steps := self._steps(blocks)):
+                return
+            error = steps[len(steps) // 2]
+            if self.error is None and abs(error) > _RATE_OFF + coarse / blocks and steps[-1] - steps[0] < abs(error):
+                self.error = error
+                text = "the clock of %s runs at %.3f of ours: its samples are stamped by arrival"
+                log.warning(text, self._o.name, 1.0 + error)
+            agrees.append(abs(error) < _RATE_AGREES + coarse / blocks)
+        if self.error is not None and all(agrees):
             self.error = None
             log.info("the clock of %s runs like ours again", self._o.name)
+
+    def _steps(self, blocks: int) -> list[float]:
+        """Return the slopes between the least differences of so many blocks each, ascending; none while they are too few."""
+        kept = list(self._least)[-_BLOCKS * blocks :]
+        if len(kept) < _BLOCKS * blocks or kept[-1][0] - kept[0][0] > 3 * _BLOCKS * blocks * _BLOCK_S * NS_PER_S:
+            return []
+        least = [min(kept[n : n + blocks], key=lambda pair: pair[1]) for n in range(0, len(kept), blocks)]
+        return sorted((a[1] - b[1]) / (b[0] - a[0]) for a, b in pairwise(least))

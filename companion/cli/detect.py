@@ -26,7 +26,7 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.learned_file import second_opinion
 from companion.settings.load import find_file, read_camera, read_toml
 from drivers.camera import images
-from drivers.camera.videos import open_video, predicts_frames
+from drivers.camera.videos import open_video, predicts_frames, video_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
@@ -280,12 +280,13 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
     index = 0
     try:
         with open_video(str(file), size) as container:
-            for frame in container.decode(video=0):
+            stream = video_of(container, size)
+            for frame in container.decode(stream):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
                 if not frame.is_corrupt:  # the hidden part is image, not measurement
                     px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
-                    yield _Image(str(file), index, px, coded=predicts_frames(container))
+                    yield _Image(str(file), index, px, coded=predicts_frames(stream))
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({model.camera_source})") from why

@@ -201,7 +201,7 @@ class _Source:
         if kind is FileKind.IMAGES:
             return image_folder.frames(path, size, self._tell)
         if kind is FileKind.TABLE:
-            return iter(video.attitudes(path))
+            return iter(video.attitudes(path, self._tell))
         if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         if kind is FileKind.OTHER:
@@ -220,6 +220,8 @@ _INSTEAD = {
     FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.RECORDING: "it is imported already",
+    FileKind.MCAP: "of MCAP files, bags of ROS 2 are imported",
+    FileKind.MAVLINK: "give the ground station's .tlog, which has each message's time, or the autopilot's own log",
     FileKind.TEXT: "of text, tables with the header time_s,roll_deg,pitch_deg are imported",
 }
 

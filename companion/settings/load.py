@@ -108,6 +108,8 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
         raise BadInput(f"{path}: camera_model {model!r} is not read; pinhole is")
     if any(data.get(key) not in (None, 0.0, 1.0) for key in ("binning_x", "binning_y")):
         raise BadInput(f"{path}: its frames are binned: give the camera_info of the frames as they are")
+    if isinstance(part := data.get("roi"), dict) and any(part.get(key) for key in ("x_offset", "y_offset")):
+        raise BadInput(f"{path}: its frames are a part of the sensor (roi): give the camera_info of whole frames")
     numbers = _numbers(_first(data, _MATRIX))
     if len(numbers) not in (4, 9):
         raise BadInput(f"{path}: it has no camera matrix (camera_matrix or intrinsics) of four or nine numbers")
@@ -165,6 +167,10 @@ def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[flo
     """Return our five coefficients for a lens of another kind."""
     import cv2
 
+    if not kind and len(coefficients) == 4 and any(coefficients):
+        raise BadInput(
+            f"{path}: four coefficients may be a fisheye's: add distortion_model: equidistant (for cv2.fisheye) or plumb_bob"
+        )
     if kind in _BROWN and len(coefficients) <= 5 and len(coefficients) != 3:
         return [*coefficients, *[0.0] * (5 - len(coefficients))]
     if kind in _BROWN | {"rational_polynomial"} and not any(coefficients[5:]):

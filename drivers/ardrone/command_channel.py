@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 import msgspec
 
@@ -63,6 +64,7 @@ class SenderClient:
     Args:
         on_status: is called with each status and the one before it.
         hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
+        began: the process, and the socket to it; see `start`.
     """
 
     def __init__(
@@ -70,7 +72,8 @@ class SenderClient:
         options: SenderOptions,
         clock: Clock,
         on_status: Callable[[SenderStatus, SenderStatus], None],
-        hovered: Callable[[], None] = lambda: None,
+        hovered: Callable[[], None],
+        began: tuple[subprocess.Popen[bytes], socket.socket],
     ) -> None:
         self._o = options
         self._clock = clock
@@ -83,26 +86,30 @@ class SenderClient:
         self._buffer = b""
         self._latest: TimedCommand | None = None
         self._closed = self._busy = False
-        _LEFT[:] = [left for left in _LEFT if left.poll() is None]
-        ours, theirs = socket.socketpair()
-        try:
-            roots = [str(Path(next(iter(package.__path__))).parent) for package in (drivers, msgspec)]
-            self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), options.as_json()],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-        except OSError as why:
-            ours.close()
-            raise Recoverable(f"the sender of AT commands cannot be started: {why}") from why
-        finally:
-            theirs.close()
-        ours.setblocking(False)
-        self._socket = ours
+        self._process, self._socket = began
         self._lost: str | None = None
-        asyncio.get_running_loop().add_reader(ours.fileno(), self._read)
+        asyncio.get_running_loop().add_reader(self._socket.fileno(), self._read)
+
+    @classmethod
+    async def start(
+        cls,
+        options: SenderOptions,
+        clock: Clock,
+        on_status: Callable[[SenderStatus, SenderStatus], None],
+        hovered: Callable[[], None] = lambda: None,
+    ) -> Self:
+        """Start a sender on a thread, because a new process may wait for a processor, and return the client.
+
+        Raises:
+            Recoverable: the process cannot be started.
+        """
+        _LEFT[:] = [left for left in _LEFT if left.poll() is None]
+        starting = asyncio.get_running_loop().run_in_executor(None, _spawn, options)
+        try:
+            return cls(options, clock, on_status, hovered, await asyncio.shield(starting))
+        except asyncio.CancelledError:
+            starting.add_done_callback(_abandon)
+            raise
 
     @property
     def pid(self) -> int:
@@ -260,6 +267,34 @@ class SenderClient:
             self._socket.close()
 
 
+def _spawn(options: SenderOptions) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    ours, theirs = socket.socketpair()
+    try:
+        roots = [str(Path(next(iter(package.__path__))).parent) for package in (drivers, msgspec)]
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), options.as_json()],
+            pass_fds=(theirs.fileno(),),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as why:
+        ours.close()
+        raise Recoverable(f"the sender of AT commands cannot be started: {why}") from why
+    finally:
+        theirs.close()
+    ours.setblocking(False)
+    return process, ours
+
+
+def _abandon(starting: asyncio.Future[tuple[subprocess.Popen[bytes], socket.socket]]) -> None:
+    """Leave a sender alone that nobody waits for any more: without a service it ends by itself."""
+    if not starting.cancelled() and starting.exception() is None:
+        process, ours = starting.result()
+        ours.close()
+        _LEFT.append(process)
+
+
 class CommandChannel:
     """Sends the streamer's command every period, and the commands of the other channels. The sender outlives a broken run."""
 
@@ -304,7 +339,7 @@ class CommandChannel:
             Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered)
+            self._sender = await SenderClient.start(self._options(), self._clock, self._on_status, self._hovered)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()

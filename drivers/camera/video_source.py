@@ -38,7 +38,7 @@ from drivers.camera.images import ImageRefused, claimed_size, decode
 from drivers.camera.live_bytes import Arrival, ArrivalClock, JpegSplitter, LiveBytes
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames
+from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.reconnect import BackOff, reconnect
 from drivers.running_beside import running_beside
@@ -110,8 +110,9 @@ class StreamChannel:
         o, counters = self._o, self._camera.counters
         began: tuple[MonoNs, float] | None = None
         known = ClockMapOptions(
-            resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s, name=f"camera {o.device}"
-        )
+            resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s, unknown_s=_ARRIVAL_SIGMA_S, claimed=True,
+            name=f"camera {o.device}",
+        )  # fmt: skip
         clocks = ClockMap(known)
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
             self._camera.count_damage(o.device, image.arrival.received_at)
@@ -149,6 +150,7 @@ class _Reader:
         self._counters = counters
         self._live = options.is_live
         self._container: InputContainer | None = None
+        self._stream: VideoStream | None = None
         self._bytes: LiveBytes | None = None
         self._jpegs: JpegSplitter | None = None
         self._packets: Iterator[Packet] = iter(())
@@ -187,11 +189,11 @@ class _Reader:
             raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
         if not self._container.streams.video:
             raise BadInput(f"{o.device}: there is no video in it")
-        self.coded = predicts_frames(self._container)
+        stream = self._stream = video_of(self._container, self._size)
+        self.coded = predicts_frames(stream)
         self._timed = has_times(self._container)
-        self._held_most = packets_held(self._container) if self._live else 0
+        self._held_most = packets_held(stream) if self._live else 0
         self._backlog = _BACKLOG_MOST if self._live and not self._timed else 0
-        stream = self._container.streams.video[0]
         stream.thread_type = "SLICE" if self._live else "AUTO"
         rate = stream.average_rate
         self.rate_hz = float(rate) if rate else 30.0
@@ -221,7 +223,8 @@ class _Reader:
 
     def _begin(self) -> None:
         assert self._container is not None
-        self._packets = self._container.demux(self._container.streams.video[0])
+        assert self._stream is not None
+        self._packets = self._container.demux(self._stream)
         self._ready, self._waiting = [], True
 
     def next(self) -> _Image | None:

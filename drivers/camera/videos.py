@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import av
-from av.container import InputContainer
+from av.container import Container, InputContainer
+from av.stream import Disposition
+from av.video.stream import VideoStream
 
 from drivers.camera.images import MOST_PIXELS, ImageRefused
 
@@ -32,25 +34,39 @@ def most_pixels(size: tuple[int, int] | None) -> int:
     return MOST_PIXELS if size is None else min(MOST_PIXELS, _MARGIN * size[0] * size[1])
 
 
-def has_times(container: InputContainer) -> bool:
+def has_times(container: Container) -> bool:
     """Return whether the container holds times; FFmpeg makes up those of others (raw H.264, MJPEG)."""
     return not container.format.flags & _NO_TIMES
 
 
-def packets_held(container: InputContainer) -> int:
+def video_of(container: InputContainer, size: tuple[int, int] | None = None) -> VideoStream:
+    """Return the video that has the expected size, else the largest one: a preview or a cover may stand before it.
+
+    Raises:
+        IndexError: there is no video.
+    """
+    videos = [one for one in container.streams.video if not one.disposition & Disposition.attached_pic]
+    videos = videos or [container.streams.video[0]]
+    sizes = [(one.codec_context.width, one.codec_context.height) for one in videos]
+    if size in sizes:
+        return videos[sizes.index(size)]
+    return max(videos, key=lambda one: one.codec_context.width * one.codec_context.height)
+
+
+def packets_held(stream: VideoStream) -> int:
     """Return how many frames of a live stream arrive, or begin to, before FFmpeg gives one out.
 
     Its parsers end a frame where the next one begins, in streams whose packets are no frames; MPEG-TS ends a packet so as well.
     """
-    stream = container.streams.video[0]
+    container = stream.container
     parsed = not has_times(container) or container.format.name in _PARSED_IN
     in_transport_stream = container.format.name == "mpegts" or (container.format.name == "rtp" and stream.id >= _PID_LEAST)
     return int(parsed and stream.codec_context.name in _PARSED) + in_transport_stream
 
 
-def predicts_frames(container: InputContainer) -> bool:
+def predicts_frames(stream: VideoStream) -> bool:
     """Return whether the video's codec predicts frames from one another."""
-    return not container.streams.video[0].codec_context.codec.intra_only
+    return not stream.codec_context.codec.intra_only
 
 
 def open_video(

@@ -6,12 +6,17 @@ Angles are in degrees, velocities NED; the time is `TimeUS`, in logs of 2014 `Ti
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import os
 import re
+import struct
+import tempfile
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +58,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or holds neither IMU nor attitude.
     """
-    log = open_log(path)
+    log = open_log(path, tell)
     try:
         samples = _Reader(log).samples(tell)
     except Exception as why:
@@ -65,7 +70,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
-def open_log(path: Path) -> DataflashLog | TextLog:
+def open_log(path: Path, tell: Tell = quiet) -> PartedLog:
     """Open a log; `close` it, or `give_up` after an error.
 
     Raises:
@@ -74,7 +79,9 @@ def open_log(path: Path) -> DataflashLog | TextLog:
     try:
         with path.open("rb") as file:
             head = file.read(TEXT_HEAD)
-        log = DataflashLog(str(path)) if head[:2] == MAGIC else TextLog(str(path)) if is_text(head) else None
+        log = None
+        if head[:2] == MAGIC or is_text(head):
+            log = PartedLog(path, tell, is_text=head[:2] != MAGIC)
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pymavlink lets any error of its parser through
@@ -87,6 +94,104 @@ def open_log(path: Path) -> DataflashLog | TextLog:
 def is_text(head: bytes) -> bool:
     """Return whether a file begins as the text form of a log, as ground stations write it."""
     return any(re.match(rb"FMT, ?\d+, ?\d+, ?\w+", line) for line in head.splitlines()[:20])
+
+
+_FMT, _FMT_SIZE = MAGIC + b"\x80", 89
+_FMT_FIELDS = struct.Struct("<BB4s16s64s")
+
+
+def parts_of(data: bytes | mmap) -> list[bytes]:
+    """Return the parts of a binary log between descriptions that replace others; an empty list without such.
+
+    Each part but the first begins with the descriptions that hold there. pymavlink reads a whole file by its last ones.
+    """
+    known: dict[int, bytes] = {}
+    cuts, at = list[tuple[int, bytes]](), data.find(_FMT)
+    while at >= 0:
+        described = data[at : at + _FMT_SIZE]
+        number = _number_of(described)
+        if number is None:
+            at = data.find(_FMT, at + 1)
+            continue
+        if known.get(number, described) != described:
+            cuts.append((at, b"".join(known.values())))
+        known[number] = described
+        at = data.find(_FMT, at + _FMT_SIZE)
+    if not cuts:
+        return []
+    begins, ends = [(0, b""), *cuts], [*(at for at, _ in cuts), len(data)]
+    return [head + data[begin:end] for (begin, head), end in zip(begins, ends, strict=True)]
+
+
+def _number_of(described: bytes) -> int | None:
+    """Return the number of the message that a FMT describes; None if it is none."""
+    if len(described) < _FMT_SIZE:
+        return None
+    number, size, name, form, columns = _FMT_FIELDS.unpack_from(described, len(_FMT))
+    try:
+        packed = "<" + "".join(DFReader.FORMAT_TO_STRUCT[letter][0].lstrip("<") for letter in form.rstrip(b"\0").decode())
+        plain = (name.rstrip(b"\0") + columns.rstrip(b"\0").replace(b",", b"")).decode("ascii").isprintable()
+        return int(number) if plain and struct.calcsize(packed) + 3 == size else None
+    except (KeyError, UnicodeDecodeError):
+        return None
+
+
+class PartedLog:
+    """A log that pymavlink reads, part by part.
+
+    What pymavlink prints about damage is given to `tell` as one note.
+    """
+
+    def __init__(self, path: Path, tell: Tell, *, is_text: bool) -> None:
+        self._tell, self._printed = tell, io.StringIO()
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        paths, parts = [path], list[bytes]()
+        if not is_text:
+            with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+                parts = parts_of(data)
+        if parts:
+            self._folder = tempfile.TemporaryDirectory(prefix="decklander-")
+            paths = [Path(self._folder.name) / f"{n}.bin" for n in range(len(parts))]
+            for part, described in zip(paths, parts, strict=True):
+                part.write_bytes(described)
+        self._open = TextLog if is_text else DataflashLog
+        self._paths = paths
+        self._log: Any = None
+        try:
+            self._next()
+        except BaseException as why:
+            self.give_up(why)
+            raise
+
+    def _next(self) -> None:
+        with contextlib.redirect_stdout(self._printed), contextlib.redirect_stderr(self._printed):
+            self._log = self._open(str(self._paths.pop(0)))
+
+    def recv_match(self, type: list[str]) -> Any:
+        """Return the next message of these types, None at the end."""
+        while True:
+            with contextlib.redirect_stdout(self._printed), contextlib.redirect_stderr(self._printed):
+                message = self._log.recv_match(type=type)
+            if message is not None or not self._paths:
+                return message
+            self._log.close()
+            self._next()
+
+    def close(self) -> None:
+        """Close the files, and report damage."""
+        if self._log is not None:
+            self._log.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+        if lines := [line for line in self._printed.getvalue().splitlines() if line.strip()]:
+            self._tell(f"damaged: {len(lines)} notes of its parser, the first: {lines[0]}")
+
+    def give_up(self, why: BaseException) -> None:
+        """Close the files after an error whose stack frames still refer to them."""
+        if self._log is not None:
+            self._log.give_up(why)
+        if self._folder is not None:
+            self._folder.cleanup()
 
 
 class TextLog(DFReader.DFReader_text):  # type: ignore[misc]
@@ -144,6 +249,7 @@ class _Reader:
         self._log = log
         self._yaw_rad: float | None = None
         self._velocity_of: str | None = None
+        self._readings = Counter[int]()
         self._makers: dict[str, Callable[[Any, int], Sample | None]] = {
             "IMU": self._imu,
             "ATT": self._attitude,
@@ -173,14 +279,21 @@ class _Reader:
         lower = None if not counts else max(counts, key=lambda sensor: counts[sensor])
         if len(counts) > 1:
             tell(f"{len(counts)} rangefinders look down: the height is that of number {lower}, which gave most")
-        kept = ((times[i], s) for i, sensor, s in made if type(s) is not Range or sensor == lower)
+        # The first IMU is the one that flies; where it gave little, it failed or is switched off.
+        most = max(self._readings.values(), default=0)
+        imu = min((number for number, n in self._readings.items() if 2 * n > most), default=0)
+        if imu:
+            tell(f"the IMU is that of number {imu}: of number 0 it holds {self._readings[0]} readings, of that {most}")
+        read = {Range: lower, Imu: str(imu)}
+        kept = ((times[i], s) for i, sensor, s in made if read.get(type(s), sensor) == sensor)
         return [structs.replace(s, stamp=stamp(at)) for at, s in kept if at is not None]
 
     def _imu(self, m: Any, at: int) -> Sample | None:
-        if getattr(m, "I", 0) != 0:
-            return None
         w, f = np.array([m.GyrX, m.GyrY, m.GyrZ], float), np.array([m.AccX, m.AccY, m.AccZ], float)
-        return Imu(stamp(at), w, f) if np.all(np.isfinite(w)) and np.all(np.isfinite(f)) else None
+        if not (np.all(np.isfinite(w)) and np.all(np.isfinite(f))):
+            return None
+        self._readings[getattr(m, "I", 0)] += 1
+        return Imu(stamp(at), w, f)
 
     def _attitude(self, m: Any, at: int) -> Sample | None:
         angles = [math.radians(a) for a in (m.Roll, m.Pitch, m.Yaw)]
@@ -251,7 +364,7 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or is damaged before its first parameter.
     """
-    log = open_log(path)
+    log = open_log(path, tell)
     reader, messages = _HistoryReader(), list[Any]()
     try:
         while (message := log.recv_match(type=list(reader.makers))) is not None:

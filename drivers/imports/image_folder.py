@@ -1,13 +1,15 @@
 """Read a folder of images as frames, at the times that a table in the folder or their names give.
 
-A table is a text file (`.csv`, `.txt`) whose lines pair a time with a file's name, in either order, as data sets of robotics have
-them. Without one, the last number of a name is the time. A number of 10, 13, 16 or 19 digits is Unix time in s, ms, us or ns; a
-smaller one is seconds, unless the head of its column states a unit.
+A table is a text file (`.csv`, `.txt`) whose lines pair a time with a file's name, as data sets of robotics have them. Of several
+columns of numbers the one counts whose head says time, else the one of Unix times beside the name. Without a table, the last
+number of a name is the time. A number of 10, 13, 16 or 19 digits is Unix time in s, ms, us or ns, one of 14 or 17 a date and
+time of day; a smaller one is seconds, unless the head of its column states a unit.
 """
 
-import math
 import re
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,13 +18,15 @@ from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 
-_UNITS_US = {"s": 10**6, "ms": 10**3, "us": 1, "ns": 10**-3}
+_UNITS_US = {"s": Decimal(10**6), "ms": Decimal(1000), "us": Decimal(1), "ns": Decimal("0.001")}
 _BY_DIGITS = {10: "s", 13: "ms", 16: "us", 19: "ns"}
-_UNIT = re.compile(r"[\[(_ ](s|ms|us|ns)[\])]?$")
+_UNIT = re.compile(r"(?:^|[\[(_ ])(m|u|n)?s(?:ec|ecs|econds)?[\])]?$")
+_TIME = re.compile(r"time|stamp|^t\b|^(?:[mun]?s|[mun]?secs?|seconds)$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _TABLE_MOST = 64 << 20
 _UNIX_DIGITS = 10
-"""A name's number with fewer digits before its point is a counter, and no time."""
+"""A name's number with fewer digits before its point is a counter, and no time; so is one that begins with a zero."""
+_DAY = {14: "%Y%m%d%H%M%S", 17: "%Y%m%d%H%M%S%f"}
 
 
 def frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
@@ -77,42 +81,102 @@ def _decoded(
 
 
 def _of_table(table: Path, paths: Sequence[Path]) -> dict[str, int]:
-    """Return the time of each image that a table names, us; nothing if it is no such table."""
+    """Return the time of each image that a table names, us; nothing if it is no such table.
+
+    Raises:
+        BadInput: it names the images, and which of its columns is the time is not clear.
+    """
     try:
         if table.stat().st_size > _TABLE_MOST:
             return {}
-        lines = table.read_text(encoding="utf-8").splitlines()
+        lines = table.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
-    names, unit = {path.name for path in paths}, ""
-    found: dict[str, str] = {}
+    names = {path.name for path in paths}
+    head, rows = list[str](), dict[str, list[str]]()
     for line in lines:
-        cells = [cell.strip().strip('"') for cell in re.split(r"[,;\t]| +(?![\[(])", line.strip().lstrip("#").strip())]
+        cells = _cells(line)
         named = next((name for cell in cells if (name := cell.replace("\\", "/").rpartition("/")[2]) in names), None)
-        number = next((cell for cell in cells if _NUMBER.fullmatch(cell)), None)
-        if named is not None and number is not None:
-            found.setdefault(named, number)
-        elif not found:
-            unit = next((hit[1] for cell in cells if (hit := _UNIT.search(cell))), unit)
-    return _in_us(found, unit)
+        if named is not None:
+            rows.setdefault(named, cells)
+        elif not rows:
+            head = [cell.lower() for cell in cells]
+    if not rows:
+        return {}
+    width = len(next(iter(rows.values())))
+    rows = {name: cells for name, cells in rows.items() if len(cells) == width}
+    head = head if len(head) == width else [""] * width
+    numbers = [k for k in range(width) if 2 * sum(_value(cells[k]) is not None for cells in rows.values()) > len(rows)]
+    if not numbers:
+        return {}
+    column = _column_of_time(table, numbers, head, next(iter(rows.values())), names)
+    unit = f"{found[1] or ''}s" if (found := _UNIT.search(head[column])) else ""
+    values = {name: _value(cells[column]) for name, cells in rows.items()}
+    return {name: at_us for name, value in values.items() if value is not None and (at_us := _in_us(value, unit)) is not None}
+
+
+def _cells(line: str) -> list[str]:
+    text = line.strip().lstrip("#").strip()
+    parts = next((text.split(mark) for mark in (";", "\t", ",") if mark in text), None) or re.split(r" +(?![\[(])", text)
+    return [cell.strip().strip('"') for cell in parts]
+
+
+def _value(cell: str) -> Decimal | datetime | None:
+    """Return a cell's number, with a point or a comma for decimals, or its date and time; None if it is neither."""
+    try:
+        number = Decimal(cell.replace(",", "."))
+        return number if number.is_finite() and abs(number) < 2**62 else None
+    except InvalidOperation:
+        pass
+    try:
+        return datetime.fromisoformat(cell)
+    except ValueError:
+        return None
+
+
+def _column_of_time(table: Path, numbers: list[int], head: list[str], row: list[str], names: set[str]) -> int:
+    said = [k for k in numbers if _TIME.search(head[k])]
+    named = next(k for k, cell in enumerate(row) if cell.replace("\\", "/").rpartition("/")[2] in names)
+    dated = [
+        k for k in numbers if isinstance(at := _value(row[k]), datetime) or (at is not None and at >= 10 ** (_UNIX_DIGITS - 1))
+    ]
+    for columns in (said, numbers, dated):
+        if len(columns) == 1:
+            return columns[0]
+    beside = [k for k in said or dated if abs(k - named) == 1]
+    if beside:
+        return beside[0]
+    raise BadInput(
+        f"{table}: {len(numbers)} columns of numbers beside the images' names, and no head says which is their time: write "
+        "time_s above it"
+    )
 
 
 def _of_names(paths: Sequence[Path]) -> dict[str, int] | None:
     """Return the times in the names, us; None if one name has none, or only a counter."""
-    found = {path.name: numbers[-1] for path in paths if (numbers := _NUMBER.findall(path.stem))}
-    if len(found) < len(paths) or any(len(text.partition(".")[0]) < _UNIX_DIGITS for text in found.values()):
-        return None
-    return _in_us(found, "")
-
-
-def _in_us(texts: dict[str, str], unit: str) -> dict[str, int]:
     out = {}
-    for name, text in texts.items():
-        whole, _, fraction = text.partition(".")
-        scale = _UNITS_US[unit or _BY_DIGITS.get(len(whole.lstrip("0")), "s")]
-        # A float would lose the last digits of a Unix time.
-        value = int(whole) * scale if scale >= 1 else int(whole) // 1000
-        value += round(float(f"0.{fraction}") * scale) if fraction and scale >= 1 else 0
-        if math.isfinite(value) and value < 2**62:
-            out[name] = int(value)
+    for path in paths:
+        text = (_NUMBER.findall(path.stem) or [""])[-1]
+        whole = text.partition(".")[0]
+        if len(whole) < _UNIX_DIGITS or whole.startswith("0"):
+            return None
+        if len(whole) in _BY_DIGITS:
+            at_us = _in_us(Decimal(text), "")
+        else:
+            try:
+                at_us = _in_us(datetime.strptime(text, _DAY.get(len(text), "")), "")
+            except ValueError:
+                return None
+        if at_us is None:
+            return None
+        out[path.name] = at_us
     return out
+
+
+def _in_us(value: Decimal | datetime, unit: str) -> int | None:
+    """Return a time in us; None if it is out of range."""
+    if isinstance(value, datetime):
+        value, unit = Decimal(repr(value.replace(tzinfo=value.tzinfo or UTC).timestamp())), "s"
+    # A float would lose the last digits of a Unix time.
+    scaled = value * _UNITS_US[unit or _BY_DIGITS.get(len(str(abs(int(value)))), "s")]
+    return int(scaled.to_integral_value(ROUND_HALF_EVEN)) if abs(scaled) < 2**62 else None

@@ -11,7 +11,10 @@ _HEAD = 1 << 16
 _TLOG_STAMP = 8
 _TLOG_BEGAN_US, _TLOG_ENDS_US = 1_000_000_000_000_000, 4_000_000_000_000_000
 """A telemetry log's stamps: Unix time from 2001 to 2096, us, before each frame."""
-_MARKERS = (0xFE, 0xFD)
+_FRAMES = {0xFE: 8, 0xFD: 12}
+"""Bytes around the payload of an unsigned frame of MAVLink, by its first byte."""
+_IN_A_ROW = 4
+_MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
@@ -30,6 +33,8 @@ class FileKind(Enum):
     SENTENCES = "sentences of a ship's receiver (NMEA 0183)"
     TABLE = "a table"
     RECORDING = "a recording"
+    MCAP = "an MCAP file of another program"
+    MAVLINK = "messages of MAVLink without their times"
     ROS_BAG = "a bag of ROS"
     IMAGES = "a folder of images"
     DATABASE = "an SQLite database"
@@ -52,6 +57,8 @@ def kind_of(path: Path) -> FileKind:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     if _is_ros2(head):
         return FileKind.ROS_BAG
+    if head.startswith(_MCAP):
+        return FileKind.RECORDING if b"decklander" in head[: len(_MCAP) + 64] else FileKind.MCAP
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
@@ -59,12 +66,14 @@ def kind_of(path: Path) -> FileKind:
         return FileKind.DATAFLASH
     if _is_tlog(head):
         return FileKind.TLOG
+    if _is_mavlink(head):
+        return FileKind.MAVLINK
     return _kind_of_text(head, path.suffix.lower()) if head and _is_text(head) else FileKind.OTHER
 
 
 _MAGICS = (
     (px4_ulog.MAGIC, FileKind.ULOG), (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA),
-    (b"PaVE", FileKind.PAVE), (b"\x89MCAP", FileKind.RECORDING), (b"#ROSBAG V", FileKind.ROS_BAG),
+    (b"PaVE", FileKind.PAVE), (b"#ROSBAG V", FileKind.ROS_BAG),
     (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 
@@ -73,7 +82,7 @@ def _is_ros2(head: bytes) -> bool:
     """Return whether a database or an MCAP file says that it is a bag of ROS 2: by its tables, or by its profile."""
     if head.startswith(b"SQLite format 3"):
         return b"CREATE TABLE topics" in head and b"CREATE TABLE messages" in head
-    return head.startswith(b"\x89MCAP") and head[21:25] == b"ros2"
+    return head.startswith(_MCAP) and head[21:25] == b"ros2"
 
 
 def _is_text(head: bytes) -> bool:
@@ -97,6 +106,15 @@ def _kind_of_text(head: bytes, suffix: str) -> FileKind:
 
 
 def _is_tlog(head: bytes) -> bool:
-    if len(head) <= _TLOG_STAMP or head[_TLOG_STAMP] not in _MARKERS:
+    if len(head) <= _TLOG_STAMP or head[_TLOG_STAMP] not in _FRAMES:
         return False
     return _TLOG_BEGAN_US < int.from_bytes(head[:_TLOG_STAMP], "big") < _TLOG_ENDS_US
+
+
+def _is_mavlink(head: bytes) -> bool:
+    at = 0
+    for _ in range(_IN_A_ROW):
+        if at + 2 > len(head) or head[at] not in _FRAMES:
+            return False
+        at += _FRAMES[head[at]] + head[at + 1]
+    return at <= len(head)

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from pathlib import Path
 
 from msgspec import Struct, field
@@ -160,6 +161,8 @@ class LandingMeter:
 
 
 _PX4_NAMES = re.compile(r"MAV_SYS_ID|(COM|MPC|EKF2|CAL|SENS|NAV|LNDMC|RTL|CBRK|MC|IMU)_")
+_OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
+_DECIMAL_COMMA = re.compile(r"[A-Z]\w*[\s,=]+-?\d+,\d+\s*(?:#|$)")
 _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PLND|GUID|LAND|WPNAV|ARMING|SERVO\d+|RC\d+)_")
 
 
@@ -169,18 +172,31 @@ def parameters_of(path: Path) -> AutopilotLog:
     Return a log that holds nothing else; the stack is given by the file, or by its names.
 
     Raises:
-        BadInput: the file cannot be read, or no line of it is a parameter.
+        BadInput: the file cannot be read, no line of it is a parameter, or a value is not clear: two of one name, two vehicles,
+            decimal commas, a file that is included.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     parameters: dict[str, float] = {}
+    table = [row for line in lines if (row := _OF_TABLE.match(line)) is not None]
+    if len({row[1] for row in table}) > 1:
+        raise BadInput(f"{path}: it holds the parameters of several vehicles: save those of one")
+    usual = Counter(row[2] for row in table).most_common(1)
     for line in lines:
+        if line.startswith("@include"):
+            raise BadInput(f"{path}: it includes another file ({line[8:].strip()}): give one with all parameters")
+        if table and (row := _OF_TABLE.match(line)) is not None and row[2] != usual[0][0]:
+            continue  # another component, such as a gimbal
         if (found := _parameter_in(line)) is not None:
-            parameters[found[0]] = found[1]
+            name, value = found
+            if parameters.setdefault(name, value) != value:
+                raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
+    if not any("." in line or "Value" in line for line in lines) and any(_DECIMAL_COMMA.match(line) for line in lines):
+        raise BadInput(f"{path}: its numbers have decimal commas: save it with points")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
     output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
     px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)

@@ -71,11 +71,16 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
         # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
-            return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
+            log = ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pyulog lets any error of its parser through
         raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
+    if gaps := log.dropouts:
+        lost_s = sum(gap.duration for gap in gaps) / 1000
+        after_s = max(0, min(gap.timestamp for gap in gaps) - log.start_timestamp) * 1e-6
+        tell(f"the card did not keep up: {lost_s:.2f} s are lost, the first after {after_s:.1f} s")
+    return log
 
 
 _KINDS = frozenset(b"BFIMPQARDLCSO")

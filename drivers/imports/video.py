@@ -14,8 +14,8 @@ import numpy as np
 from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.videos import has_times, open_video, predicts_frames
-from drivers.imports.stamps import FRAME_DELAY_S, attitude, stamp
+from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
+from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame, Sample
@@ -27,17 +27,17 @@ _PAUSE_S = 600.0
 """A video that goes on after a longer pause was not paused."""
 
 
-def attitudes(path: Path) -> list[Sample]:
-    """Return the attitudes in order of time.
+def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
+    """Return the attitudes in order of time; one with an absurd time is left out, and reported.
 
     Raises:
         BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as why:
         raise BadInput(f"{path}: {getattr(why, 'strerror', None) or why}") from why
-    rows = csv.DictReader(lines)
+    rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
     if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
     table: list[tuple[float, float, float, float]] = []
@@ -52,10 +52,11 @@ def attitudes(path: Path) -> list[Sample]:
     if not table:
         raise BadInput(f"{path}: holds no attitudes")
     table.sort()
-    first_s = table[0][0]
+    times = timeline([round(row[0] * 1e6) for row in table], tell)
     return [
-        attitude(round((t - first_s) * 1e9), Rotation.from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
-        for t, roll, pitch, yaw in table
+        attitude(at_ns, Rotation.from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+        for at_ns, (_, roll, pitch, yaw) in zip(times, table, strict=True)
+        if at_ns is not None
     ]
 
 
@@ -77,10 +78,11 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
             raise BadInput(f"{path}: holds no video")
         last_s: float | None = None
         elapsed_s = 0.0
-        number, coded, timed = 0, predicts_frames(container), has_times(container)
-        rate_hz = float(container.streams.video[0].average_rate or 0.0) or 25.0
+        stream = video_of(container, size)
+        number, coded, timed = 0, predicts_frames(stream), has_times(container)
+        rate_hz = float(stream.average_rate or 0.0) or 25.0
         try:
-            for image in container.decode(video=0):
+            for image in container.decode(stream):
                 number += 1
                 if image.is_corrupt:
                     continue

@@ -27,6 +27,7 @@ from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, near_enough, sigma_of
 from estimator.vision.lamp import places_of
 from estimator.vision.pad import Pad
+from estimator.vision.pad_information import alike_headings, confusable_turns
 from estimator.vision.rolling import at_one_instant
 from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
 from estimator.vision.verified import SURE
@@ -44,6 +45,8 @@ def rehearse(tracker: TrackerConfig) -> Detection:
     Returns:
         The second detection of the pad's paint.
     """
+    for kept in (alike_headings, confusable_turns):  # the first frame in doubt would wait for them
+        kept(tracker.pad)
     if tracker.pad.lamps:
         _seen_twice(tracker, drawn_lamps(tracker.camera, tracker.pad))
     return _seen_twice(tracker, drawn(tracker.camera, tracker.pad))

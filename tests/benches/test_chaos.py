@@ -43,6 +43,8 @@ def test_an_event_without_a_word_in_time_is_reported() -> None:
     late = judged(chaos, seen(((114.0, "recorder: No space left on device"),)))
     assert late.unnamed == ("disk_full",)
     assert not late.good
+    asleep = Chaos(1, "mavlink", (Event("disk_full", 2.0, 1.0), Event("service_stopped", 1.0, 3.0)))
+    assert judged(asleep, seen(((104.0, "the service stood still"),))).good, "a stopped service meets no full disk"
 
 
 def test_messages_are_distinguished_in_a_datagram() -> None:

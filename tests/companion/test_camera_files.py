@@ -103,6 +103,8 @@ def test_another_lens_is_read_or_fitted_to_half_a_pixel(lens: str, tmp_path: Pat
         (KALIBR.format(model="pinhole", lens="fov", k=[0.9], size="[640, 480]"), "distortion_model 'fov' is not read"),
         (KALIBR.format(model="pinhole", lens="radtan", k=[0.0, 0.0, 0.0, 0.0], size="[]"), "size of the frames"),
         ("image_width: 640\nimage_height: 480\n", "no camera matrix"),
+        ("width: 640\nheight: 480\nK: [500.0, 501.0, 320.0, 240.0]\nD: [0.02, -0.03, 0.01, 0.002]\n", "may be a fisheye's"),
+        (PRINTED.format(d="d", coefficients=[0.0] * 5, k="k", binned=0).replace("---", "roi:\n  x_offset: 32\n---"), "a part of"),
         (KALIBR.format(model="pinhole", lens="radtan", k=[0, 0, 0, 0], size="[640, 480]").replace("[500.0", "[.nan"), "camera"),
         ("a: [1, 2\n", "camera"),
     ],

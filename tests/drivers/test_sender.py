@@ -205,7 +205,9 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
         port, past, clock = drone.getsockname()[1], list[None](), Stopwatch()
-        client = SenderClient(SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None))
+        client = await SenderClient.start(
+            SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None)
+        )
 
         def flies() -> None:
             client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD))
@@ -249,7 +251,9 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
         drone.bind((HOST, 0))
         drone.setblocking(False)
         port, clock = drone.getsockname()[1], Stopwatch()
-        client = SenderClient(SenderOptions(HOST, port, port, 0.03, 60.0, replaces=replaces), clock, lambda a, b: None)
+        client = await SenderClient.start(
+            SenderOptions(HOST, port, port, 0.03, 60.0, replaces=replaces), clock, lambda a, b: None
+        )
         try:
             os.kill(client.pid, signal.SIGSTOP)
             for dt_s in (0.09, 0.03):
@@ -292,7 +296,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
         port = drone.getsockname()[1]
-        client = SenderClient(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
+        client = await SenderClient.start(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
         try:
             client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
             assert b"PCMD" in drone.recv(2048)
@@ -382,4 +386,4 @@ async def test_a_sender_that_cannot_be_started_is_tried_again(monkeypatch: pytes
 
     monkeypatch.setattr(subprocess, "Popen", none_left)
     with pytest.raises(Recoverable, match="no more processes"):
-        SenderClient(SenderOptions(HOST, 1, 2, 0.03, 60.0), CLOCK, lambda a, b: None)
+        await SenderClient.start(SenderOptions(HOST, 1, 2, 0.03, 60.0), CLOCK, lambda a, b: None)

@@ -29,19 +29,23 @@ def flight(times_us: Sequence[int], heights_m: Sequence[float], *, forward_m: fl
     return rows
 
 
+def described(name: str, form: str, columns: str) -> bytes:
+    """Return the description of a message in a dataflash log."""
+    size = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
+    fields = KINDS[name][0], size, name.encode(), form.encode(), columns.encode()
+    return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *fields)
+
+
+def message(name: str, form: str, values: Sequence[float | int | str]) -> bytes:
+    """Return one message of a dataflash log."""
+    packed = [v.encode() if isinstance(v, str) else round(v * 100) if c == "C" else v for c, v in zip(form, values, strict=True)]
+    return b"\xa3\x95" + bytes([KINDS[name][0]]) + struct.pack("<" + "".join(_CODES[c] for c in form), *packed)
+
+
 def dataflash(rows: Sequence[Row]) -> bytes:
     """Return the binary log of an ArduPilot."""
-    out = b""
-    for name, (number, form, columns) in KINDS.items():
-        size = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
-        out += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, size, name.encode(), form.encode(), columns.encode())
-    for name, values in rows:
-        number, form, _ = KINDS[name]
-        made = [
-            v.encode() if isinstance(v, str) else round(v * 100) if c == "C" else v for c, v in zip(form, values, strict=True)
-        ]
-        out += b"\xa3\x95" + bytes([number]) + struct.pack("<" + "".join(_CODES[c] for c in form), *made)
-    return out
+    out = b"".join(described(name, form, columns) for name, (_, form, columns) in KINDS.items())
+    return out + b"".join(message(name, KINDS[name][1], values) for name, values in rows)
 
 
 def text_dataflash(rows: Sequence[Row]) -> bytes:
@@ -49,6 +53,10 @@ def text_dataflash(rows: Sequence[Row]) -> bytes:
     lines = [f"FMT, {number}, 89, {name}, {form}, {columns}" for name, (number, form, columns) in KINDS.items()]
     lines += [", ".join([name, *(f"{v:g}" if isinstance(v, float) else str(v) for v in values)]) for name, values in rows]
     return ("\n".join(lines) + "\n").encode()
+
+
+ULOG_GAP = struct.pack("<HBH", 2, ord("O"), 700)
+"""The message of a PX4 log that 700 ms are lost."""
 
 
 class ULogFile:

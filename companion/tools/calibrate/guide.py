@@ -16,7 +16,7 @@ from companion.tools.calibrate.views import Collection
 from drivers.camera import images
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.video_source import open_camera
-from drivers.camera.videos import open_video
+from drivers.camera.videos import open_video, video_of
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Transform
@@ -144,7 +144,9 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
         return
     try:
         with open_video(str(file), collection.size) as container:
-            for i, frame in enumerate(container.decode(video=0)):
+            for i, frame in enumerate(container.decode(video_of(container, collection.size))):
+                if frame.is_corrupt:
+                    continue
                 collection.add(f"{file.name}#{i}", np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
                 tell(collection)
     except images.ImageRefused as why:

@@ -1,14 +1,16 @@
 """Read a bag of ROS 1 or ROS 2 as samples and frames, by the library rosbags, which is installed with the extra `ros2`.
 
 It reads sensor_msgs Imu, Range, Image and CompressedImage, and a velocity in `base_stabilized` as our own bags have it, all in
-the axes of REP-103. Of several IMUs or cameras the one with the most messages is read. A header's stamp counts where it is of the
-clock by which the bag was written; else a message counts as measured when it was written.
+the axes of REP-103. Of several IMUs or cameras the one with the most messages is read, and no depth camera beside another. A
+header's stamp counts where it is of the clock by which the bag was written; else a message counts as measured when it was
+written.
 """
 
 import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,6 +45,7 @@ _COLOURS: Final[Mapping[str, tuple[int, type, int | None]]] = {
 }  # fmt: skip
 """Values of a pixel, their type and the conversion, by the encoding's name in sensor_msgs/image_encodings."""
 _WHITE_16 = 257.0
+_ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
 
 
 def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
@@ -85,6 +88,8 @@ class _Import:
         self._bag, self._path, self._tell = bag, path, tell
         self._left_out: Counter[str] = Counter()
         self._frames = 0
+        self._source_of: dict[type, str] = {}
+        """The topic of the IMU's readings, and that of the attitude."""
 
     def messages(self) -> Iterator[Sample | Frame]:
         chosen = self._chosen()
@@ -122,15 +127,31 @@ class _Import:
             counts: Counter[str] = Counter()
             for connection in found:
                 counts[connection.topic] += connection.msgcount
-            topics = {topic for topic, _ in counts.most_common(1)}
-            if kind == "IMU":  # our own bags have the attitude beside the readings, and mavros does
-                topics = {topic for topic in counts if topic.rpartition("/")[0] == next(iter(topics)).rpartition("/")[0]}
+            by_count = [topic for topic, _ in counts.most_common()]
+            topics = set(sorted(by_count, key=lambda topic: "depth" in topic.lower())[:1])
+            if kind == "IMU":
+                topics = self._choose_imu(found, by_count)
             if kind in ("range", "velocity"):
                 topics = set(counts)
             chosen += [connection for connection in found if connection.topic in topics]
             if left := sorted(set(counts) - topics):
                 self._tell(f"of the {kind}s, {', '.join(sorted(topics))} is read; left out: {', '.join(left)}")
         return chosen
+
+    def _choose_imu(self, found: list[Any], by_count: list[str]) -> set[str]:
+        """Return the topic of the readings and that of the attitude: our own bags have them side by side, and mavros does."""
+        has: dict[str, set[type]] = {}
+        for connection in found:
+            for _, _, data in self._bag.messages(connections=[connection]):
+                with suppress(Exception):  # of the library: a damaged message; the pass itself reports it
+                    message = self._bag.deserialize(data, connection.msgtype)
+                    has[connection.topic] = {type(one) for one in self.imu("", message, _ANY)}
+                break
+        readings = next((topic for topic in by_count if Imu in has.get(topic, ())), by_count[0])
+        beside = sorted(by_count, key=lambda topic: (topic != readings, topic.rpartition("/")[0] != readings.rpartition("/")[0]))
+        attitude = next((topic for topic in beside if Attitude in has.get(topic, ())), readings)
+        self._source_of = {Imu: readings, Attitude: attitude}
+        return {readings, attitude}
 
     def _stamp(self, topic: str, message: Any, written_ns: int, since_ns: int) -> Stamp | None:
         """Return when a message was measured; None for one that was before the bag began."""
@@ -144,7 +165,9 @@ class _Import:
 
     def _of(self, topic: str, message: Any, stamp: Stamp) -> Iterator[Sample | Frame]:
         try:
-            yield from _MAKE[message.__msgtype__](self, topic, message, stamp)
+            for one in _MAKE[message.__msgtype__](self, topic, message, stamp):
+                if self._source_of.get(type(one), topic) == topic:
+                    yield one
         except ImageRefused as why:
             self._left_out[f"of {topic} are no image that can be used: {why}"] += 1
         except (ValueError, ArithmeticError, cv2.error):

@@ -19,7 +19,10 @@ BEGAN_NS = 1_700_000_000_000_000_000
 
 
 def write_ros1(path: Path, *, late_s: float = 0.01, seconds: int = 2) -> None:
-    """Write a bag of ROS 1 with an IMU of 100 Hz that turns, a camera of 10 Hz that brightens, and a range ahead."""
+    """Write a bag of ROS 1 with an IMU of 100 Hz that turns, a camera of 10 Hz that brightens, and a range ahead.
+
+    Beside the IMU its raw readings stand at 50 Hz, and beside the camera its depths.
+    """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -30,6 +33,8 @@ def write_ros1(path: Path, *, late_s: float = 0.01, seconds: int = 2) -> None:
             topic: (bag.add_connection(topic, f"sensor_msgs/msg/{kind}", typestore=store), f"sensor_msgs/msg/{kind}")
             for topic, kind in (
                 ("/imu/data", "Imu"),
+                ("/imu/data_raw", "Imu"),
+                ("/cam0/depth", "Image"),
                 ("/cam0/image_raw", "Image"),
                 ("/front/range", "Range"),
                 ("/alt/down", "Range"),
@@ -45,13 +50,17 @@ def write_ros1(path: Path, *, late_s: float = 0.01, seconds: int = 2) -> None:
         vector, turned = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
         for n in range(100 * seconds):
             at = BEGAN_NS + n * 10_000_000
-            add(
-                "/imu/data", at,
+            readings = {} if n % 2 else {"/imu/data_raw": -1.0}
+            for topic, known in {"/imu/data": 1e-4, **readings}.items():
+                add(
+                topic, at,
                 orientation=turned(0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4)),
-                orientation_covariance=np.diag([1e-4] * 3).ravel(),
-                angular_velocity=vector(0.1, 0.2, 0.3), angular_velocity_covariance=np.zeros(9),
+                orientation_covariance=np.diag([known] * 3).ravel(),
+                angular_velocity=vector(0.1, 0.2, 0.3 if known > 0 else 9.0), angular_velocity_covariance=np.zeros(9),
                 linear_acceleration=vector(0.0, 0.0, 9.81), linear_acceleration_covariance=np.zeros(9),
             )  # fmt: skip
+            if n % 5 == 0:
+                add("/cam0/depth", at, height=1, width=1, encoding="32FC1", is_bigendian=0, step=4, data=np.zeros(4, np.uint8))
             if n % 10 == 0:
                 px = np.full((24, 32, 3), (n, 0, 255), np.uint8)
                 add("/cam0/image_raw", at, height=24, width=32, encoding="rgb8", is_bigendian=0, step=96, data=px.ravel())
@@ -68,7 +77,7 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     found = list(bag_import.read(path, reported.append))
     imus = [one for one in found if isinstance(one, Imu)]
     assert len(imus) == 199, "the first was measured before the bag began"
-    assert imus[0].w_body.tolist() == [0.1, -0.2, -0.3]
+    assert {tuple(one.w_body) for one in imus} == {(0.1, -0.2, -0.3)}, "of one IMU alone"
     assert imus[0].f_body.tolist() == [0.0, 0.0, -9.81]
     assert imus[50].stamp.received_at - imus[50].stamp.measured_at == 10_000_000
     attitude = next(one for one in found if isinstance(one, Attitude))

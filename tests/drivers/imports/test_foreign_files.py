@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -64,6 +65,31 @@ def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("form", "columns", "values"),
+    [
+        ("Qffffff", "TimeUS,DesPitch,Pitch,DesRoll,Roll,DesYaw,Yaw", (0.0, -1.0, 0.0, 1.0, 90.0, 90.0)),
+        ("Qfff", "TimeUS,Roll,Pitch,Yaw", (1.0, -1.0, 90.0)),
+    ],
+)
+def test_a_message_that_is_described_anew_is_read_by_what_holds_there(
+    form: str, columns: str, values: tuple[float, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = made.dataflash(made.flight(TIMES, HEIGHTS)) + made.described("ATT", form, columns)
+    data += b"".join(made.message("ATT", form, (TIMES[-1] + STEP * n, *values)) for n in range(1, 51))
+    samples, reported = heard(dataflash.read, tmp_path / "log", data)
+    angles = np.degrees([s.R_ned_body.rpy_rad for s in samples if isinstance(s, Attitude)])
+    assert angles == pytest.approx(np.tile([1.0, -1.0, 90.0], (100, 1)), abs=1e-3)
+    assert reported == capsys.readouterr().out == ""
+
+
+def test_the_second_imu_is_read_where_the_first_is_switched_off(tmp_path: Path) -> None:
+    rows = [(name, (v[0], 1, *v[2:]) if name == "IMU" else v) for name, v in made.flight(TIMES, HEIGHTS)]
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    assert sum(isinstance(s, Imu) for s in samples) == 50
+    assert "number 1" in reported
+
+
+@pytest.mark.parametrize(
     ("times", "lasts_s", "said"),
     [
         ([t - 500_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 0.4"),
@@ -99,6 +125,8 @@ def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_
     assert not any(isinstance(s, VehicleStatus) for s in samples)
     assert reported == ""
     assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
+    lost = made.px4_flight(BEGAN, foreign=made.ULOG_GAP)
+    assert "0.70 s are lost, the first after 2.5 s" in heard(px4_ulog.read, tmp_path / "log", lost)[1]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -133,6 +161,17 @@ def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
         assert kind_of(tmp_path / name) is FileKind.PARAMETERS
     assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
     assert log.firmware == (1, 15, 4)
+    gimbal = PARAMETERS["px4.params"] + "1\t154\tCOM_DISARM_LAND\t2\t9\n"
+    for text, said in (
+        (gimbal, ""), (gimbal + "2\t1\tMAV_SYS_ID\t2\t6\n", "several vehicles"), ("A_B,1\nA_B,2\n", "A_B stands in it twice"),
+        ("GUID_TIMEOUT,0,2\nLAND_SPEED,50\n", "decimal commas"), ("@include base.parm\nA_B 1\n", "base.parm"),
+    ):  # fmt: skip
+        (tmp_path / "odd.param").write_text(text)
+        if said:
+            with pytest.raises(BadInput, match=said):
+                parameters_of(tmp_path / "odd.param")
+        else:
+            assert parameters_of(tmp_path / "odd.param").parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
 
 
 CAPTURE = [1_000_000_000 + 5000 * n for n in range(300)]
@@ -178,6 +217,9 @@ FILES = {
     FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
     FileKind.TEXT: b"a log of the bridge\n" * 20,
     FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
+    FileKind.MCAP: b"\x89MCAP0\r\n\x01" + (28).to_bytes(8, "little") + b"\4\0\0\0ros1\x10\0\0\0somebody's writer",
+    FileKind.RECORDING: b"\x89MCAP0\r\n\x01" + (18).to_bytes(8, "little") + b"\0\0\0\0\x0a\0\0\0decklander",
+    FileKind.MAVLINK: b"\xfd\2" + bytes(12) + b"\xfe\1" + bytes(7) + b"\xfd\0" + bytes(10) + b"\xfe\0" + bytes(6),
     FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
 }
 READERS = {
@@ -245,10 +287,17 @@ def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
     return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(reported)
 
 
-@pytest.mark.parametrize("name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png"])
+def image_name(form: str, s: float) -> str:
+    made_by = form.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s, day=datetime.fromtimestamp(s, UTC))
+    return made_by if made_by.endswith((".png", ".bmp")) else f"{made_by[:-3]}.png"  # milliseconds
+
+
+@pytest.mark.parametrize(
+    "name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png", "cam0_{day:%Y%m%d%H%M%S%f}"]
+)
 def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None:
     at = [1_700_000_000.0 + 0.25 * n for n in range(5)]
-    _images(tmp_path / "f", [name.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s) for s in at])
+    _images(tmp_path / "f", [image_name(name, s) for s in at])
     assert kind_of(tmp_path / "f") is FileKind.IMAGES
     seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.25 * n for n in range(5)], abs=1e-6)
@@ -259,15 +308,18 @@ def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(("head", "row"), [
     ("#timestamp [ns],filename", "{ns:.0f},{name}"), ("time_s,source", "{s:.2f},{name}"),
     ("# timestamp filename", "{s:.2f} rgb/{name}"),
-    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"),
+    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"), ("frame,time_s,source", "7,{s:.2f},{name}"),
+    ("name,x,y,time [msec]", "{name},1.5,-2,{ms:.0f}"), ("", "{unix:.2f} rgb/{name} {unix:.2f} d.png"),
+    ("name,time", "{name},2026-11-25T10:00:{s:06.3f}Z"), ("time_s,source", "{s:.6e},{name}"),
+    ("source;time_s", "{name};{comma}"),
 ])  # fmt: skip
 def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
     names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
     _images(tmp_path / "f", names)
-    lines = [
-        head,
-        *(row.format(s=7.5 + 0.5 * n, ms=7500.0 + 500 * n, ns=7.5e9 + 5e8 * n, name=name) for n, name in enumerate(names)),
-    ]
+    lines = [head]
+    for n, name in enumerate(names):
+        s = 7.5 + 0.5 * n
+        lines.append(row.format(s=s, ms=1e3 * s, ns=1e9 * s, unix=1.4e9 + s, comma=f"{s:.2f}".replace(".", ","), name=name))
     (tmp_path / "f" / "times.csv").write_text("\r\n".join(lines[:-1]) + "\n")
     seconds, greys, reported = _at_s(tmp_path / "f")
     assert seconds == pytest.approx([0.0, 0.5, 1.0, 1.5])
@@ -277,8 +329,13 @@ def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path
 
 def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -> None:
     _images(tmp_path / "counted", [f"img{n:04d}.png" for n in range(3)])
-    with pytest.raises(BadInput, match="put a table"):
-        list(image_folder.frames(tmp_path / "counted"))
+    _images(tmp_path / "kitti", [f"{n:010d}.png" for n in range(3)])
+    for name in ("counted", "kitti"):
+        with pytest.raises(BadInput, match="put a table"):
+            list(image_folder.frames(tmp_path / name))
+    (tmp_path / "kitti" / "a.csv").write_text("".join(f"{n},{0.05 * n},{n:010d}.png\n" for n in range(3)))
+    with pytest.raises(BadInput, match="no head says which"):
+        list(image_folder.frames(tmp_path / "kitti"))
     _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
     (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     seconds, _, reported = _at_s(tmp_path / "f")

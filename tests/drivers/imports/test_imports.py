@@ -6,6 +6,7 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -126,6 +127,10 @@ def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) ->
     assert isinstance(second, Attitude)
     assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
+    path.write_text("\ufefftime_s; roll_deg; pitch_deg\n1700000000.5;1;2\n5;0;0\n1700000000.75;3;4\n")
+    reported: list[str] = []
+    assert [s.stamp.measured_at for s in video.attitudes(path, reported.append)] == [0, 250_000_000]
+    assert "1 of 3 stamps" in reported[0]
 
 
 @pytest.mark.parametrize("form", ["h264", "mjpeg"])
@@ -161,17 +166,27 @@ def test_a_video_of_joined_pieces_goes_on(tmp_path: Path) -> None:
     assert at[-1] < 1.5
 
 
-def test_videos_keep_their_own_times(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [None, (64, 48)])
+def test_videos_keep_their_own_times_behind_a_preview(size: tuple[int, int] | None, tmp_path: Path) -> None:
+    """The rate varies, frames are coded out of order, and a smaller video stands before the one that is meant."""
     path = tmp_path / "v.mp4"
+    at_ms = [10 * i * i for i in range(10)]
     with av.open(str(path), "w") as out:
-        stream = out.add_stream("libx264", rate=20)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for i in range(10):
-            image = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")
-            out.mux(stream.encode(image))
-        out.mux(stream.encode(None))
-    frames = list(video.frames(path))
-    assert [round(f.stamp.measured_at * 1e-6) for f in frames] == [50 * i for i in range(10)]
+        streams = [out.add_stream("libx264", rate=20, options={"bf": "2"}) for _ in range(2)]
+        for stream, half in zip(streams, (2, 1), strict=True):
+            stream.width, stream.height, stream.pix_fmt = 64 // half, 48 // half, "yuv420p"
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for i, at in enumerate(at_ms):
+            for stream in streams:
+                px = np.full((stream.height, stream.width, 3), 20 * i, np.uint8)
+                image = av.VideoFrame.from_ndarray(px, format="bgr24")
+                image.pts, image.time_base = at, Fraction(1, 1000)
+                out.mux(stream.encode(image))
+        for stream in streams:
+            out.mux(stream.encode(None))
+    frames = list(video.frames(path, size))
+    assert {f.px.shape for f in frames} == {(48, 64, 3)}
+    assert [round(f.stamp.measured_at * 1e-6) for f in frames] == at_ms
     assert [int(f.px.mean()) for f in frames] == pytest.approx([20 * i for i in range(10)], abs=6)
 
 

@@ -276,15 +276,16 @@ def test_the_lamps_of_a_lit_pad_are_found_where_they_were_drawn() -> None:
 LOADED = """
 import sys
 from companion.settings.load import camera_model, load
+from estimator.vision.pad_information import alike_headings
 from estimator.vision.tracker import rehearse
 from estimator.vision.tracker import TrackerConfig
 from tests.support.shipped import shipped_pad
 rehearse(TrackerConfig(camera_model(load("sim")), shipped_pad(sys.argv[1])))
-print("estimator.vision.lamp_sighting" in sys.modules)
+print("estimator.vision.lamp_sighting" in sys.modules, alike_headings.cache_info().currsize)
 """
 
 
 @pytest.mark.parametrize(("pad", "loaded"), [("lit", "True"), ("thesis", "False")])
 def test_what_sees_lamps_is_loaded_before_the_first_frame_of_a_lit_pad_alone(pad: str, loaded: str) -> None:
     output = subprocess.run([sys.executable, "-c", LOADED, pad], capture_output=True, text=True, check=True)
-    assert output.stdout.split() == [loaded]
+    assert output.stdout.split() == [loaded, "1"], "and its headings that look alike are known"
