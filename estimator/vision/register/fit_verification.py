@@ -53,7 +53,8 @@ show as much.
 edges_astray: the edges of a nearby pad with a disc are displaced by more than pose, blur and noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
-them; so was another H on green, and a square frame with another mark in it, whose polygons are the H.
+them; so was another H on green, and a square frame with another mark in it, whose polygons are the H. Or lettering of a second
+paint is in view and has no contrast: so was another octagon, with other marks in it.
 half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
 clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 no_h_in_view: neither the H nor the arrowhead of a nearby pad is in view or shows, and it has no fiducials; so were 3 of 3,552
