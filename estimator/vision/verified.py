@@ -29,7 +29,7 @@ from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, let
 from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.srgb import LUMA, light_table, linear_light
+from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 
 _LENS_PX = 0.75
 """Standard deviation of a pixel and of a lens together, px."""
@@ -48,7 +48,7 @@ def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad:
     uv, at = _places(camera, pad, pose)
     if len(uv) < _FEWEST:
         return dict.fromkeys(turns_rad, 0.0)
-    light = light_table(True)[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
+    light = LINEAR_LIGHT[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
     blur_m = _LENS_PX * pose.range_m / camera.fx
     own = _drawn(pad, at, blur_m)
     return {turn: _z_score(light, own, _drawn(pad, at @ _turn(turn), blur_m)) for turn in turns_rad}
