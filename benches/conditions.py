@@ -274,8 +274,8 @@ def main() -> None:
         wrong = "/".join(str(looks.wrong) for looks in counts.looks())
         print(f"{name:16s}{shares}{off:>16s}{counts.denied:9d}{wrong:>12s}", flush=True)
         every += counts.looks()
-    looks, wrong = sum(each.frames for each in every), sum(each.wrong for each in every)
-    print(f"{looks} looks, {wrong} sure and wrong; said: right of finds: {curve_of(every)}")
+    frames, false = sum(each.frames for each in every), sum(each.wrong for each in every)
+    print(f"{frames} looks, {false} sure and wrong; said: right of finds: {curve_of(every)}")
 
 
 if __name__ == "__main__":

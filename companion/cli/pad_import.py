@@ -108,7 +108,7 @@ def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:
 
 
 def _clicked(path: Path, data: bytes) -> np.ndarray:
-    at = clicked(data, lambda page: sys.stdout.write(f"{path}: click the four corners at {page}\n") and sys.stdout.flush())
+    at = clicked(data, lambda page: print(f"{path}: click the four corners at {page}", flush=True))
     places = " ".join(f"{u:.1f},{v:.1f}" for u, v in at)
     sys.stdout.write(f'--corners "{places}"\n')
     return at

@@ -40,6 +40,7 @@ from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
+from estimator.vision.register.fit_verification import calibrated
 from estimator.vision.register.look import Looked
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
@@ -395,7 +396,9 @@ def _register_from(
     learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
     found = of.found.record["found"]
     agreement = 1.0 if found["dense"] else float(found["inliers"])
-    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions, agreement, of.found)
+    # A letter alone tells too little to be surer than its bound.
+    said = sure if now.tracker.pad.markings.is_letter_alone else calibrated(sure)
+    return _Registered(sighting_of_look(now.frame, of.found, said), learned, opinions, agreement, of.found)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

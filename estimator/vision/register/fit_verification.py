@@ -96,3 +96,16 @@ def support_log_odds(times_least: float) -> float:
 def confidence(log_odds: float) -> float:
     """Return the confidence, 0..1, of a registration from all evidence for and against it."""
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))
+
+
+_SLOPE, _MOST = 5.0, 3.0
+"""Log-odds that a sure find gains, per log-odds and at most: of 105 finds that said 0.5 to 0.95, 102 were right."""
+
+
+def calibrated(said: float) -> float:
+    """Return a find's confidence as it is called: what is sure is surer, and nothing that is not sure becomes so.
+
+    Finds from 0.1 to 0.5 stay as they are: most are right, but a raft's ring in glare is among them at 0.37.
+    """
+    log_odds = math.log(max(said, 1e-13) / max(1.0 - said, 1e-13))
+    return confidence(log_odds + min(_SLOPE * log_odds, _MOST)) if log_odds > 0.0 else said
