@@ -51,14 +51,14 @@ def _same(px: U8, _: np.random.Generator) -> U8:
 
 @dataclass(frozen=True)
 class Condition:
-    """What differs from a plain frame."""
+    """Differences of frames, pads and cameras from plain ones."""
 
     scene: str = "plain"
     change: Change = _same
     pad: Pad = THESIS
     camera: Camera = SIM
     told: Camera | None = None
-    """The camera that vision is told, where it is another one."""
+    """Camera that the tracker takes the frames for; None if it is the true one."""
     light: Light | None = None
     sensor: Sensor | None = None
 
@@ -208,7 +208,7 @@ def is_right(found: Sighting, scene: PadScene, truth: PadPose, camera: Camera, p
 
 @dataclass
 class Counts:
-    """What was found in one condition."""
+    """Finds in one condition, by kind of look."""
 
     searched: Looks = field(default_factory=Looks)
     in_three: Looks = field(default_factory=Looks)

@@ -128,6 +128,10 @@ cover over a part of a disc in its own shade pulls the edges there, and the rest
 """
 
 
+_HALVED, _LESS_HALVED = 0.6, 0.1
+"""Share of a distant pad's pixels that agree, below which a shade is looked for, and how much more of the rest has to."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
     """Verified find, with the confidence that it is this pad."""
@@ -201,11 +205,14 @@ def _verified_at(
     paint: PaintMemory,
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there, at its heading alone."""
-    best, strayed, view = None, False, view.as_seen()
+    best, strayed, halved, view = None, False, False, view.as_seen()
     if cut is None:
         best = _of_visible(view, start, orientation, options, prior_log_odds, UNCUT, paint)
         strayed = best is not None and _strays(best.found, start, view, searched=prior_log_odds <= 0.0)
-        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not view.pad.markings.is_searched_by_parts:
+        halved = best is not None and best.confidence >= SURE and _inliers(best.found) < _HALVED
+        if (
+            best is not None and best.confidence >= _CERTAIN and not (strayed or halved)
+        ) or not view.pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
         uncovered = align_uncovered(view, start, sigma_rad, _STEPS)
@@ -216,8 +223,16 @@ def _verified_at(
     other = _of_visible(view, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
+    if halved:
+        return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
     stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, view, searched=prior_log_odds <= 0.0)
     return other if stayed or other.confidence > best.confidence else best
+
+
+def _inliers(found: Looked) -> float:
+    """Return the share of a distant pad's pixels that agree with the drawing; 1 of a near pad."""
+    record = found.record["found"]
+    return float(record["inliers"]) if record["dense"] else 1.0
 
 
 def _strays(found: Looked, start: PadPose, view: FrameView, searched: bool) -> bool:
