@@ -34,6 +34,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.register.fit_verification import calibrated  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.verified import CLOSE, SURE, verified  # noqa: E402
 from tests.support.pad_claims import keeps_claim  # noqa: E402
@@ -106,7 +107,7 @@ def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, 
         of = verified(FrameView(pyramid, camera, pad), c.pose, orientation, CLOSE, cut=c.cut)
         if of is not None:
             right = scene.truth is not None and keeps_claim(of.found.pose, scene.truth, camera, pad, of.found.yaw_ambiguous)
-            out.append((of.confidence, right))
+            out.append((calibrated(of.confidence), right))
             if of.confidence >= SURE:
                 break
     return max(out, default=None)

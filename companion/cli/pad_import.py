@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from companion.tools.pads.clicked import clicked
 from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import Picture, drawn, file_text, photographed, traced
 from estimator.contracts.errors import BadInput
@@ -35,7 +36,7 @@ def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     p.add_argument(
         "--corners", metavar="PX", help='pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
-        "left, fore right, aft right, aft left",
+        "left, fore right, aft right, aft left; `click` asks for them in a browser on this machine",
     )  # fmt: skip
     p.add_argument(
         "--sheet", action="store_true", help="the rectangle is the sheet that the pad is printed on: nothing beyond it is painted"
@@ -88,7 +89,8 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
         )
     if args.sheet and args.corners is None:
         raise BadInput("--sheet is a property of the rectangle of --corners: give them, too")
-    return photographed(np.asarray(px, np.uint8), _corners(args.corners), size_m, args.paints, str(path), sheet=args.sheet)
+    corners = _clicked(path, data) if args.corners == "click" else _corners(args.corners)
+    return photographed(np.asarray(px, np.uint8), corners, size_m, args.paints, str(path), sheet=args.sheet)
 
 
 def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:
@@ -103,6 +105,13 @@ def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:
         wanted = "WIDTHxLENGTH of the rectangle" if of_rectangle else "one length"
         raise BadInput(f"--size-mm must be {wanted} in mm, {1000 * SMALLEST_M:g} to {1000 * LARGEST_M:g}, got {text!r}")
     return sizes[0], sizes[-1]
+
+
+def _clicked(path: Path, data: bytes) -> np.ndarray:
+    at = clicked(data, lambda page: print(f"{path}: click the four corners at {page}", flush=True))
+    places = " ".join(f"{u:.1f},{v:.1f}" for u, v in at)
+    sys.stdout.write(f'--corners "{places}"\n')
+    return at
 
 
 def _corners(text: str | None) -> np.ndarray | None:

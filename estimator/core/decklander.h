@@ -528,9 +528,8 @@ enum { EVIDENCE_FITTED = EVIDENCE_DENSE_ORANGE + 1 };
  * between disc (0) and H (1), the weights of the template's model, and those of the second model where a search led to the
  * place and where a track did. A pad_paint has what is known of the logarithm of each paint's light, (4, 3). In a looked_pad,
  * paint is what is known of the paints if this is the pad, and log_odds is without priors. A dl_start is a pose to register
- * the drawing from: coarse if it is approached on a reduced frame first, with a tilt of so much; the light of the frame's
- * values is that of sRGB, or linear; registered alone, nothing is verified. coded_px is what a video codec may have moved, and
- * rays beyond the cut do not count. */
+ * the drawing from: coarse if it is approached on a reduced frame first, with a tilt of so much; registered alone, nothing is
+ * verified. coded_px is what a video codec may have moved, and rays beyond the cut do not count. */
 typedef struct {
     int64_t has_field, has_ring, has_letters, has_fiducials, disc_has_colour;
     double orange_side[3], orange_place[3], template_weights[FEATURES], searched[EVIDENCE], tracked[EVIDENCE];
@@ -552,7 +551,7 @@ typedef struct {
     pad_pose pose;
     tilt_prior prior;
     pad_paint known;
-    int64_t coarse, tracked, linear, alone;
+    int64_t coarse, tracked, alone;
     double sigma_tilt_rad, coded_px, cut[3];
 } dl_start;
 

@@ -40,11 +40,13 @@ from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
+from estimator.vision.register.fit_verification import calibrated
 from estimator.vision.register.look import Looked
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tone import SRGB, ToneMemory, forgotten, learnt, toned
 from estimator.vision.tracker_config import TrackerConfig
 from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
 
@@ -65,6 +67,8 @@ class TrackerMemory:
     """Things seen on the pad; None before its surface was read."""
     around: AroundMemory | None = None
     """Corners followed about the pad; None before it was seen."""
+    tone: ToneMemory = SRGB
+    """The camera's tone curve as far as it was learnt."""
 
 
 _CLOSE_PX = 1.0
@@ -158,6 +162,7 @@ def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory."""
+    camera, tracker = tracker.camera, dataclasses.replace(tracker, camera=toned(tracker.camera, memory.tone.steps))
     place = ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
@@ -171,6 +176,11 @@ def by_paint(
     # The frame in which the surface is read has cost enough: the surroundings follow in the next one.
     if best is not None and best.found is not None and shows and deck is memory.deck:
         about = around(about, now.view, best.found.pose, frame.stamp.measured_at)
+    tone = memory.tone
+    if best is None or best.found is None or best.sighting.confidence < SURE:
+        tone = forgotten(tone)
+    elif about is memory.around:
+        tone = learnt(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
     check = _checked(deck, about, frame.stamp.measured_at)
     found = None if best is None else _outlined(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
@@ -185,7 +195,8 @@ def by_paint(
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     seen = replace(seen, on_pad=check)
-    return seen, TrackerMemory(missed(memory.paint) if best is None else best.paint, left, yaw_rad, deck=deck, around=about)
+    paint = missed(memory.paint) if best is None else best.paint
+    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, around=about, tone=tone)
 
 
 def _checked(deck: DeckMemory | None, about: AroundMemory | None, at: MonoNs) -> PadCheck | None:
@@ -385,7 +396,9 @@ def _register_from(
     learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
     found = of.found.record["found"]
     agreement = 1.0 if found["dense"] else float(found["inliers"])
-    return _Registered(sighting_of_look(now.frame, of.found, sure), learned, opinions, agreement, of.found)
+    # A letter alone tells too little to be surer than its bound.
+    said = sure if now.tracker.pad.markings.is_letter_alone else calibrated(sure)
+    return _Registered(sighting_of_look(now.frame, of.found, said), learned, opinions, agreement, of.found)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

@@ -62,6 +62,8 @@ class Camera:
     readout_s: float = 0.0
     """Time from the first row's exposure to the last one's; 0 for a global shutter, negative if the last row comes first. The
     stamp of a frame is that of the middle row."""
+    tone: float = 1.0
+    """The tone curve: 1 of sRGB, 0 of values that are linear light, as `srgb.light_of_tone`; learnt, and in no file."""
     distorted: bool = field(init=False)
     _focal: F64 = field(init=False, repr=False)
     """The (2,) arrays (fx, fy) and (cx, cy). They are made once because pixels come in small batches."""
@@ -104,7 +106,7 @@ class Camera:
             object.__setattr__(self, "cov_mount", cov)
         known = b"" if self.cov_mount is None else self.cov_mount.tobytes()
         arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes(), known)
-        alone = (self.fx, self.fy, self.cx, self.cy, self.focal_sigma, self.readout_s)
+        alone = (self.fx, self.fy, self.cx, self.cy, self.focal_sigma, self.readout_s, self.tone)
         numbers = (self.width, self.height, self.lens, *alone, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))

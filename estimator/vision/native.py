@@ -28,7 +28,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.regions import PaintedPanel, Region, rectangles_of, slanted_sides_of
 from estimator.vision.register.fit_verification import SEARCHED as SEARCHED
 from estimator.vision.register.fit_verification import TRACKED
-from estimator.vision.srgb import LINEAR_LIGHT, linear_light
+from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone, linear_light
 
 _STRIPS = 6
 _FAR_M = 1e6
@@ -253,8 +253,7 @@ def _contrasts(marks: Markings) -> F64:
 
 FLOOR = 0.01
 """Light, as a fraction of full scale, below which there is only noise."""
-_LOG_LIGHT = np.log1p(LINEAR_LIGHT / FLOOR)
-_KEPT = 4
+_KEPT = 6
 """Number of trackers that a thread keeps."""
 _OUTLINE_STEP = 4
 """Every so many points of the edges are in an outline."""
@@ -307,7 +306,8 @@ def native_camera(camera: Camera) -> NDArray[Any]:
         "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, "distortion": [*camera.distortion, 0.0][:5],
         "focal_sigma": camera.focal_sigma, "R_body_cam": camera.T_body_cam.R.matrix,
     }  # fmt: skip
-    return CORE.record("dl_camera", lens=lens, t_body_cam=camera.T_body_cam.t, light=LINEAR_LIGHT, log_light=_LOG_LIGHT)
+    light = light_of_tone(camera.tone)
+    return CORE.record("dl_camera", lens=lens, t_body_cam=camera.T_body_cam.t, light=light, log_light=np.log1p(light / FLOOR))
 
 
 def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:

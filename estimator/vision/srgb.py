@@ -1,7 +1,5 @@
 """Linear light from sRGB. Source: IEC 61966-2-1."""
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,7 +21,9 @@ LINEAR_LIGHT = linear_light(np.arange(256))
 LINEAR_LIGHT.setflags(write=False)
 
 
-@lru_cache(maxsize=2)
-def light_table(gamma: bool) -> F64:
-    """Return the linear light, (256,) 0..1, of a pixel's value: of sRGB, or the value itself without gamma."""
-    return LINEAR_LIGHT if gamma else np.asarray(np.arange(256) / 255.0)
+def light_of_tone(tone: float) -> F64:
+    """Return the light, (256,) 0..1, of each value of a pixel by a tone curve: 1 sRGB, 0 linear, between and beyond by powers."""
+    values = np.arange(256) / 255.0
+    light = np.zeros(256)
+    light[1:] = values[1:] ** (1.0 - tone) * LINEAR_LIGHT[1:] ** tone
+    return light

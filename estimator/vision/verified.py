@@ -29,7 +29,7 @@ from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, let
 from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.srgb import LUMA, light_table, linear_light
+from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 
 _LENS_PX = 0.75
 """Standard deviation of a pixel and of a lens together, px."""
@@ -48,7 +48,7 @@ def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad:
     uv, at = _places(camera, pad, pose)
     if len(uv) < _FEWEST:
         return dict.fromkeys(turns_rad, 0.0)
-    light = light_table(True)[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
+    light = LINEAR_LIGHT[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
     blur_m = _LENS_PX * pose.range_m / camera.fx
     own = _drawn(pad, at, blur_m)
     return {turn: _z_score(light, own, _drawn(pad, at @ _turn(turn), blur_m)) for turn in turns_rad}
@@ -128,6 +128,10 @@ cover over a part of a disc in its own shade pulls the edges there, and the rest
 """
 
 
+_HALVED, _LESS_HALVED = 0.6, 0.1
+"""Share of a distant pad's pixels that agree, below which a shade is looked for, and how much more of the rest has to."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
     """Verified find, with the confidence that it is this pad."""
@@ -201,11 +205,14 @@ def _verified_at(
     paint: PaintMemory,
 ) -> Verified | None:
     """Register the drawing from a start pose and verify it there, at its heading alone."""
-    best, strayed, view = None, False, view.as_seen()
+    best, strayed, halved, view = None, False, False, view.as_seen()
     if cut is None:
         best = _of_visible(view, start, orientation, options, prior_log_odds, UNCUT, paint)
         strayed = best is not None and _strays(best.found, start, view, searched=prior_log_odds <= 0.0)
-        if (best is not None and best.confidence >= _CERTAIN and not strayed) or not view.pad.markings.is_searched_by_parts:
+        halved = best is not None and best.confidence >= SURE and _inliers(best.found) < _HALVED
+        if (
+            best is not None and best.confidence >= _CERTAIN and not (strayed or halved)
+        ) or not view.pad.markings.is_searched_by_parts:
             return best
         sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
         uncovered = align_uncovered(view, start, sigma_rad, _STEPS)
@@ -216,8 +223,16 @@ def _verified_at(
     other = _of_visible(view, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
     if best is None or other is None:
         return best or other
+    if halved:
+        return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
     stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, view, searched=prior_log_odds <= 0.0)
     return other if stayed or other.confidence > best.confidence else best
+
+
+def _inliers(found: Looked) -> float:
+    """Return the share of a distant pad's pixels that agree with the drawing; 1 of a near pad."""
+    record = found.record["found"]
+    return float(record["inliers"]) if record["dense"] else 1.0
 
 
 def _strays(found: Looked, start: PadPose, view: FrameView, searched: bool) -> bool:

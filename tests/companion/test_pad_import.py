@@ -1,8 +1,13 @@
 """Pads of one's own: read from drawings and photographs, found where they are planted, and not in clutter."""
 
+import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from queue import Queue
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import cv2
 import msgspec
@@ -11,6 +16,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.settings.load import read_toml
+from companion.tools.pads.clicked import clicked
 from companion.tools.pads.clutter import VIEWS, kind_of, view
 from companion.tools.pads.planted import planted
 from companion.tools.pads.price import CAMERA, price
@@ -108,6 +114,24 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     assert found is not None
     assert found.confidence >= 0.5
     assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+
+
+def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
+    at, pages = [[10.0, 5.0], [90.5, 6.0], [95.0, 70.0], [8.0, 72.5]], Queue[str]()
+    with ThreadPoolExecutor(1) as pool:
+        taken = pool.submit(clicked, b"photo", pages.put)
+        page = pages.get(timeout=10.0)
+        for address, body in (
+            (page + "corners", b"[[1, 2]]"),
+            (page + "corners", b"[[1, 1], [1, 2], [1, 3], [1, 4]]"),
+            (page[:-3], None),
+        ):
+            with pytest.raises(HTTPError):
+                urlopen(address, body)
+        assert b"fore left" in urlopen(page).read()
+        assert urlopen(page + "photo").read() == b"photo"
+        urlopen(page + "corners", json.dumps(at).encode()).close()
+        np.testing.assert_array_equal(taken.result(10.0), at)
 
 
 def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_is_accepted() -> None:

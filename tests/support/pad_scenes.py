@@ -203,9 +203,14 @@ def _shaded(rng: np.random.Generator, px: NDArray[np.uint8], covered: NDArray[np
 
 
 def pad_scene(
-    rng: np.random.Generator, camera: Camera, pad: Pad, height_m: float, condition: str, tilt_rad: float | None = None
-) -> PadScene:
-    """Return the pad on a deck, camera `height_m` over its plane; from close by at least some of ring or H is in view."""
+    rng: np.random.Generator, camera: Camera, pad: Pad, height_m: float, condition: str, tilt_rad: float | None = None,
+    light: Light | None = None, sensor: Sensor | None = None,
+) -> PadScene:  # fmt: skip
+    """Return the pad on a deck, camera `height_m` over its plane; from close by at least some of ring or H is in view.
+
+    Args:
+        light, sensor: in place of random ones.
+    """
     R_ned_body = _attitude(rng, math.radians(float(rng.uniform(0, 25))) if tilt_rad is None else tilt_rad)
     roll, pitch = rng.normal(0, math.radians(2.0), 2)
     R_ned_pad = Rotation.from_rpy(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi)))
@@ -232,7 +237,9 @@ def pad_scene(
     shot = Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
     decals = tuple(_decals(rng, int(rng.integers(0, 4)), (0.0, 0.0), height_m)) if condition != "plain" else ()
     decals = tuple(d for d in decals if not (d.on == "deck" and math.hypot(*d.centre_m) < 0.45 + 0.75 * d.size_m))
-    renderer = Renderer(camera, pad, _surroundings(rng, True, decals), random_light(rng, condition), _sensor(rng))
+    renderer = Renderer(
+        camera, pad, _surroundings(rng, True, decals), light or random_light(rng, condition), sensor or _sensor(rng)
+    )
     px = renderer.render(shot, rng)
     truth = truth_of(shot, camera)
     covered = None

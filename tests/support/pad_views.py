@@ -34,6 +34,7 @@ class RenderedView:
     pitch_rad: float
     d_body_pad_level: F64
     yaw_rad: float
+    shot: Exposure
 
     def orientation(self, sigma_rad: float = 1e-4, sigma_deck_rad: float = 1e-5) -> Orientation:
         return Orientation(self.roll_rad, self.pitch_rad, np.eye(2) * sigma_rad**2, sigma_deck_rad, True)
@@ -90,7 +91,7 @@ class Stage:
         arrow = (R_level_ned @ R_ned_pad).matrix[:, 0]
         heading = -math.atan2(arrow[1], arrow[0])
         px = self.renderer.render(shot, rng)
-        return RenderedView(px, pose, roll, pitch, R_level_ned.matrix @ (p_pad - p_body), heading)
+        return RenderedView(px, pose, roll, pitch, R_level_ned.matrix @ (p_pad - p_body), heading, shot)
 
     def start(self, view: RenderedView, off_px: float) -> PadPose:
         """Return the truth, some pixels aside, too near or too far, and turned."""

@@ -98,7 +98,6 @@ static void read_light(dl_tracker *t)
     for (int i = 0; i < 256; i++) {
         const double light = t->camera.light[i];
         t->lights[i] = (float)light, t->lights[256 + i] = (float)sqrt(light), t->lights[512 + i] = (float)t->camera.log_light[i];
-        t->linear[i] = (float)(i / 255.0);
         t->lamp_light[i] = (uint16_t)(light >= 0.0 && light <= 1.0 ? rint(65535.0 * light) : 0.0);
     }
 }

@@ -9,8 +9,8 @@
 struct dl_tracker {
     dl_camera camera;
     const double *rays;
-    /* The light of each value of a pixel: linear, its root, its logarithm; of values that are linear light; full scale 65535. */
-    float lights[3 * 256], linear[256];
+    /* The light of each value of a pixel: linear, its root, its logarithm; full scale 65535. */
+    float lights[3 * 256];
     uint16_t lamp_light[256];
     int has_drawing;
     dl_pad pad;

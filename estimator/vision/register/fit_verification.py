@@ -53,7 +53,8 @@ show as much.
 edges_astray: the edges of a nearby pad with a disc are displaced by more than pose, blur and noise explain; of 473 right
 registrations one in a hundred had more than 0.5 px, none 0.9. A helipad in strong glare, whose ring and H fit nearly, had 1 px.
 h_astray: of a nearby pad only the H shows, or a fiftieth of the ring beside it, and parts of the H are not where the drawing has
-them; so was another H on green, and a square frame with another mark in it, whose polygons are the H.
+them; so was another H on green, and a square frame with another mark in it, whose polygons are the H. Or lettering of a second
+paint is in view and has no contrast: so was another octagon, with other marks in it.
 half_disagrees: half of a distant pad's pixels disagree with the drawing, the light hardly follows it, and the disc's edge is not
 clear; of 218 sure and right registrations at most three, and another helipad and two life rafts.
 no_h_in_view: neither the H nor the arrowhead of a nearby pad is in view or shows, and it has no fiducials; so were 3 of 3,552
@@ -95,3 +96,16 @@ def support_log_odds(times_least: float) -> float:
 def confidence(log_odds: float) -> float:
     """Return the confidence, 0..1, of a registration from all evidence for and against it."""
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))
+
+
+_SLOPE, _MOST = 5.0, 3.0
+"""Log-odds that a sure find gains, per log-odds and at most: of 105 finds that said 0.5 to 0.95, 102 were right."""
+
+
+def calibrated(said: float) -> float:
+    """Return a find's confidence as it is called: what is sure is surer, and nothing that is not sure becomes so.
+
+    Finds from 0.1 to 0.5 stay as they are: most are right, but a raft's ring in glare is among them at 0.37.
+    """
+    log_odds = math.log(max(said, 1e-13) / max(1.0 - said, 1e-13))
+    return confidence(log_odds + min(_SLOPE * log_odds, _MOST)) if log_odds > 0.0 else said

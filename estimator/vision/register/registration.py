@@ -40,8 +40,6 @@ class RegistrationOptions:
     """Approach from the start on a reduced frame first; False for a start good to 1.5 px."""
     coded_px: float = 0.0
     """Sigma of the place of a patch of the frame that a video codec has moved; 0 of a frame that no codec has predicted."""
-    gamma: bool = True
-    """True if pixel values are sRGB; False if they are linear light."""
 
 
 _SNR_SEEN = 5.0
@@ -145,7 +143,7 @@ def native_start(
     return CORE.ffi.new("dl_start *", {
         "pose": (start.R_cam_pad.matrix.ravel().tolist(), start.t_cam_pad.tolist()), "prior": native_prior(prior),
         "known": (paint.mean.ravel().tolist(), paint.var.ravel().tolist(), paint.trust), "coarse": options.coarse,
-        "linear": not options.gamma, "coded_px": options.coded_px, "cut": cut.tolist(),
+        "coded_px": options.coded_px, "cut": cut.tolist(),
         "sigma_tilt_rad": SIGMA_TILT_RAD if measured else SIGMA_TILT_FREE_RAD,
     })  # fmt: skip
 

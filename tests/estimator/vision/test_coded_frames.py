@@ -1,6 +1,7 @@
 """Effects of a codec on frames are included in the covariance of finds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def coded_views(camera: Camera, pad: Pad, height_m: float, frames: int) -> list[
         view = stage.view_from(height_m * (1.0 + 0.01 * math.sin(0.7 * t)), aside, rpy)
         (image,) = decoder.decode(encoder.encode(view.px).data)
         px = np.asarray(image.to_ndarray(format="bgr24"), np.uint8)
-        views.append(RenderedView(px, view.pose, view.roll_rad, view.pitch_rad, view.d_body_pad_level, view.yaw_rad))
+        views.append(replace(view, px=px))
     return views
 
 

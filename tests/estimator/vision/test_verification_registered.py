@@ -17,7 +17,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import SEARCHED, confidence
+from estimator.vision.register.fit_verification import SEARCHED, calibrated, confidence
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
@@ -122,3 +122,11 @@ def test_not_sure_of_a_helipad_on_green(camera: Camera, pad: Pad, height_m: floa
     seen = shown(camera, None, height_m, decals=(Decal("helipad", (0.05, -0.03), 0.9, 0.5, "deck", (0, 102, 0)),))
     for candidate in acquire(seen.px, camera, pad, seen.R_level_body, sure=2.0):
         assert sure(seen.px, camera, pad, candidate.pose, seen.R_level_body) < 0.3
+
+
+def test_what_is_sure_is_called_surer_and_nothing_else_is_sure() -> None:
+    said = [calibrated(own) for own in np.linspace(0.0, 1.0, 1001)]
+    assert said == sorted(said)
+    assert said[:501] == pytest.approx(np.linspace(0.0, 0.5, 501))
+    assert said[560] > 0.8
+    assert 0.93 < said[620] < said[-1] <= 1.0

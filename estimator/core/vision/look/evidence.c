@@ -5,7 +5,7 @@
 #include "vision/look/look.h"
 
 /* Kinds of edges, and channels. */
-enum { DISC = 0, RING = 1, ARROW = 2, H = 3, CHANNELS = 3 };
+enum { DISC = 0, RING = 1, ARROW = 2, H = 3, UPPER = 4, CHANNELS = 3 };
 
 /* Contrast over its deviation, share of the edges that agree, and cosine to the pad's paints, from which a kind of edge is seen.
  * With the white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
@@ -44,6 +44,8 @@ static const double SNR_DULL = 20.5, SNR_CLEAR = 30.0;
 static const double NOT_BRIGHTER = -2.6, BRIGHTER = -2.1;
 /* Share of an H's edges that agree, where nothing else shows, up to which it surely is another H, and from which it is not. */
 static const double OTHER_H = 0.8, THIS_H = 0.95;
+/* Share of lettering of a second paint that is in view from which some of it would show: a cover leaves a part. */
+static const double UPPER_IN_VIEW = 0.5;
 /* Unexplained displacement of the edges, rms, px, up to which they are in place, and from which they are not. */
 static const double IN_PLACE_PX = 0.6, ASTRAY_PX = 0.9;
 /* Least contrast that another is compared with. */
@@ -172,7 +174,9 @@ static void from_near(const pad_judge *judge, const registration *found, double 
     /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
     out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
     out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
-    out[EVIDENCE_H_ASTRAY] = other ? 0.0 : between(OTHER_H, THIS_H, h->inliers);
+    const edge_support *upper = &found->edges[UPPER];
+    const double no_upper = upper->in_view > UPPER_IN_VIEW && upper->snr < SNR_SEEN;
+    out[EVIDENCE_H_ASTRAY] = other ? 0.0 : fmax(no_upper, between(OTHER_H, THIS_H, h->inliers));
 }
 
 void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const registration *found, const aligned_pad *aligned,

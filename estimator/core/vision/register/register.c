@@ -231,7 +231,7 @@ int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how
         .dense_edge_sigma_px = EDGE_SIGMA_PX, .size_sigma_m = t->pad.size_sigma_m, .coded_px = how->coded_px,
         .cut = {how->cut[0], how->cut[1], how->cut[2]},
     };
-    const view seen = {&t->camera.lens, t->rays, frame->level[0].px, how->linear ? t->linear : t->lights, how->cut, frame->quality.noise};
+    const view seen = {&t->camera.lens, t->rays, frame->level[0].px, t->lights, how->cut, frame->quality.noise};
     task k = {seen, &t->pad.shape, {(int)t->pad.edge_points, t->edges, t->edge_of}, &o, {.given = 0}, {t->scratch, FIT_ROWS * t->row, t->row}};
     fit_state s;
     fit_solved solved;

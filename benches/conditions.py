@@ -1,0 +1,282 @@
+"""Print what is found of a pad in sixty conditions: `python -m benches.conditions [--frames N] [--seed S] [--only A,B]`.
+
+A row has the percentage of frames in which a search without a belief finds the pad, sure and right; in which one within a
+flight's budget does so within three frames; in which a track does whose belief is off by 2 cm or 0.4 % at one sigma; the error of
+the tracked range, median and 95th percentile; finds that are right, denied (below 0.5), and finds that are sure and wrong. The
+heights are 0.5 to 10 m, those over other pads as their size. The last rows show no pad. The curve has every find of all looks by
+what it says: where the confidence is calibrated, its mean is the share that is right.
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.real import SHIPPED, Looks, curve_of  # noqa: E402
+from benches.registration import TONES  # noqa: E402
+from benches.tracked import SIGMA_ATTITUDE_RAD, STAMP, expected  # noqa: E402
+from companion.tools.pads.clutter import view  # noqa: E402
+from estimator.contracts.estimates import Sighting  # noqa: E402
+from estimator.contracts.geometry import F64, Rotation  # noqa: E402
+from estimator.contracts.samples import Attitude, Frame  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.srgb import LINEAR_LIGHT  # noqa: E402
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
+from sitl.camera.light import Light, Sensor  # noqa: E402
+from tests.support.hard_light import HARD, THESIS, U8, compressed, defocused, dusk, grey, haze, moved  # noqa: E402
+from tests.support.pad_claims import CLAIM_RANGE, CLAIM_RANGE_PX  # noqa: E402
+from tests.support.pad_scenes import PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene  # noqa: E402
+
+HEIGHTS_M = (0.5, 1.2, 2.5, 5.0, 10.0)
+SIM, EMPTY = load_camera("sim"), ("empty", "rings", "clutter")
+BESIDE, CUT = 0.25, 1.1
+"""Radii of the disc that the middle of a right find's outline lies from the pad's at most; of a pad that is cut or covered."""
+Change = Callable[[U8, np.random.Generator], U8]
+
+
+def _same(px: U8, _: np.random.Generator) -> U8:
+    return px
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Differences of frames, pads and cameras from plain ones."""
+
+    scene: str = "plain"
+    change: Change = _same
+    pad: Pad = THESIS
+    camera: Camera = SIM
+    told: Camera | None = None
+    """Camera that the tracker takes the frames for; None if it is the true one."""
+    light: Light | None = None
+    sensor: Sensor | None = None
+
+
+def lens(width: int, height: int, degrees: float) -> Camera:
+    """Return a camera of so many pixels and of so wide a view along the rows."""
+    f = 0.5 * width / math.tan(math.radians(0.5 * degrees))
+    return replace(SIM, width=width, height=height, fx=f, fy=f, cx=(width - 1) / 2, cy=(height - 1) / 2)
+
+
+def toned(values: Callable[[F64], F64]) -> Change:
+    """Return what a camera of another tone curve shows."""
+    curve = np.rint(255.0 * np.clip(values(LINEAR_LIGHT), 0.0, 1.0)).astype(np.uint8)
+    return lambda px, _: np.asarray(curve[px], np.uint8)
+
+
+def lit(px: U8, light: F64) -> U8:
+    """Return a frame with so many times the light, (H, W) or (H, W, 3), in every pixel."""
+    values = TONES["sRGB"](np.clip(LINEAR_LIGHT[px] * light.reshape(*light.shape[:2], -1), 0.0, 1.0))
+    return np.asarray(np.rint(255.0 * values), np.uint8)
+
+
+def places(px: U8, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Return for each pixel its distance along a random direction from a random place near the middle, and from that place."""
+    v, u = np.mgrid[: px.shape[0], : px.shape[1]].astype(float)
+    a, b, turn = *rng.normal(0.0, 0.08, 2), rng.uniform(0.0, math.pi)
+    u, v = u - px.shape[1] * (0.5 + a), v - px.shape[0] * (0.5 + b)
+    return u * math.cos(turn) + v * math.sin(turn), np.hypot(u, v)
+
+
+def mast(px: U8, rng: np.random.Generator) -> U8:
+    along, _ = places(px, rng)
+    return lit(px, 1.0 - 0.75 / (1.0 + np.exp((np.abs(along) - 0.04 * px.shape[1]) / 1.5)))
+
+
+def led(px: U8, rng: np.random.Generator) -> U8:
+    """Return a frame at night by the vehicle's own lamp, and the noise of a gain of six."""
+    _, away = places(px, rng)
+    dark = lit(px, np.exp(-((away / (0.3 * px.shape[1])) ** 2)) * 0.5)
+    return np.asarray(np.clip(dark + rng.normal(0.0, 8.0, px.shape), 0, 255), np.uint8)
+
+
+def glints(px: U8, rng: np.random.Generator) -> U8:
+    add = np.zeros(px.shape[:2], np.float32)
+    for _ in range(12):
+        at = tuple((np.array(px.shape[1::-1]) * rng.uniform(0.2, 0.8, 2)).astype(int).tolist())
+        cv2.ellipse(add, at, (int(rng.uniform(4, 30)), int(rng.uniform(2, 8))), float(rng.uniform(0, 180)), 0, 360, 1.0, -1)
+    return np.asarray(np.clip(px + 255.0 * cv2.GaussianBlur(add, (0, 0), 1.5)[..., None], 0, 255), np.uint8)
+
+
+def rolled(px: U8, rng: np.random.Generator) -> U8:
+    """Return what a rolling shutter makes of a frame in which everything moves by up to twelve pixels meanwhile."""
+    v, u = np.mgrid[: px.shape[0], : px.shape[1]].astype(np.float32)
+    du, dv = rng.uniform(-12.0, 12.0, 2)
+    share = v / px.shape[0] - 0.5
+    moved_u, moved_v = (u + du * share).astype(np.float32), (v + dv * share).astype(np.float32)
+    return np.asarray(cv2.remap(px, moved_u, moved_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def noisy(sigma: float) -> Change:
+    return lambda px, rng: np.asarray(np.clip(px + rng.normal(0.0, sigma, px.shape), 0, 255), np.uint8)
+
+
+def both(first: Change, then: Change) -> Change:
+    return lambda px, rng: then(first(px, rng), rng)
+
+
+def painted(**rgb: tuple[int, int, int]) -> Pad:
+    return replace(THESIS, paints=tuple((name, rgb.get(name, own)) for name, own in THESIS.paints))
+
+
+def white_balance(px: U8, _: np.random.Generator) -> U8:
+    return lit(px, np.broadcast_to(np.array([1.25, 1.0, 0.8]), px.shape))
+
+
+def daylight(stops: float) -> Condition:
+    return Condition(light=Light(daylight_ev=stops, exposure_ev=-stops - 0.5))
+
+
+def said_of(name: str) -> Condition:
+    return Condition("light", pad=load_pad(name))
+
+
+OTHER_F = replace(SIM, fx=1.02 * SIM.fx, fy=1.02 * SIM.fy)
+FISHEYE = replace(SIM, fx=0.8 * SIM.fx, fy=0.8 * SIM.fy, distortion=np.array([0.01, -0.004, 0.001, 0.0]), lens="fisheye")
+CONDITIONS: Mapping[str, Condition] = {
+    **{name: Condition(of.scene, of.change, of.pad) for name, of in HARD.items()},
+    **{name: Condition(name) for name in ("half covered", "half cut", "half shaded")},
+    "haze 50": Condition(change=haze(0.5)), "haze 90": Condition(change=haze(0.1)),
+    "grey haze 40": Condition(change=both(grey, haze(0.4))), "dusk 3 %": Condition(change=dusk(0.03, 12.0)),
+    "night by own lamp": Condition(change=led), "tenth of light": daylight(-3.3), "mast shadow": Condition(change=mast),
+    "worn 15": Condition(light=Light(wear=0.15)), "worn 30": Condition(light=Light(wear=0.3)),
+    "glints": Condition(change=glints), "sea glint": Condition(light=Light(glint=1.0)),
+    "fog 20 m": Condition(light=Light(visibility_m=20.0)), "white balance": Condition(change=white_balance),
+    "noise 25": Condition(change=noisy(25.0)), "motion 5 px": Condition(change=moved(5)),
+    "exposure 30 ms": Condition(sensor=Sensor(exposure_s=0.03)), "defocus 1.5 px": Condition(change=defocused(1.5)),
+    "lens 1.2 px": Condition(sensor=Sensor(psf_sigma_px=1.2)), "rolling": Condition(change=rolled),
+    "jpeg 20": Condition(change=compressed(20)), "jpeg 8 grey": Condition(change=both(grey, compressed(8))),
+    "linear camera": Condition(change=toned(TONES["linear"])), "clipped camera": Condition(change=toned(TONES["clipped"])),
+    "BT.709 camera": Condition(change=toned(TONES["BT.709"])), "s-curve camera": Condition(change=toned(TONES["s-curve"])),
+    "160x120": Condition(camera=lens(160, 120, 80.0)), "320x240": Condition(camera=lens(320, 240, 80.0)),
+    "1280x720": Condition(camera=lens(1280, 720, 80.0)), "90 degrees": Condition(camera=lens(640, 360, 90.0)),
+    "110 degrees": Condition(camera=lens(640, 360, 110.0)), "fisheye": Condition(camera=FISHEYE),
+    "focal 2 % wrong": Condition(told=OTHER_F), "red pad": Condition(pad=painted(green=(150, 20, 20))),
+    "blue on yellow": Condition(pad=painted(green=(240, 200, 20), white=(10, 40, 150))),
+    "H on grey deck": Condition(pad=painted(green=(112, 118, 122))),
+    **{name: said_of(name) for name in SHIPPED if name != "thesis"},
+    **{name: Condition() for name in EMPTY},
+}  # fmt: skip
+
+
+def scene_of(name: str, of: Condition, height_m: float, rng: np.random.Generator) -> PadScene:
+    """Return a random frame in a condition; where there is a pad the vehicle sends its attitude."""
+    if name == "clutter":
+        seen = replace_size(view(int(rng.integers(10**6, 10**7))), of.camera)
+        return PadScene(seen, None, Rotation.identity(), height_m, 0.0, name)
+    if name in EMPTY:
+        return (empty_scene if name == "empty" else ring_scene)(rng, of.camera, height_m)
+    while True:
+        made = pad_scene(
+            rng, of.camera, of.pad, height_m * of.pad.disc_radius_m / THESIS.disc_radius_m, of.scene, None, of.light, of.sensor
+        )
+        if made.R_level_body is not None:
+            return replace(made, px=of.change(made.px, rng))
+
+
+def replace_size(px: U8, camera: Camera) -> U8:
+    return np.asarray(cv2.resize(px, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+def range_error(found: Sighting, truth: PadPose, camera: Camera) -> float:
+    """Return the error of the distance between body and pad, as a fraction."""
+    from_body = camera.T_body_cam.R @ truth.t_cam_pad + camera.T_body_cam.t
+    return float(np.linalg.norm(found.d_body_pad_level)) / float(np.linalg.norm(from_body)) - 1.0
+
+
+def is_right(found: Sighting, scene: PadScene, truth: PadPose, camera: Camera, pad: Pad) -> bool:
+    """Return whether a find has the pad's range, and its outline lies about the pad's place in the frame."""
+    radius_px = camera.fx * pad.disc_radius_m / float(truth.t_cam_pad[2])
+    points = np.concatenate([line.uv_px for line in found.features if len(line.uv_px)])
+    points = points[np.isfinite(points).all(axis=1)]
+    beside_px = float(np.linalg.norm(points.mean(axis=0) - camera.project(truth.t_cam_pad[None])[0]))
+    near_px = (BESIDE if scene.visible > 0.98 else CUT) * radius_px + 2.0
+    off = abs(range_error(found, truth, camera))
+    return beside_px < near_px and off < CLAIM_RANGE + CLAIM_RANGE_PX / radius_px
+
+
+@dataclass
+class Counts:
+    """Finds in one condition, by kind of look."""
+
+    searched: Looks = field(default_factory=Looks)
+    in_three: Looks = field(default_factory=Looks)
+    tracked: Looks = field(default_factory=Looks)
+    off: list[float] = field(default_factory=list)
+    denied: int = 0
+
+    def looks(self) -> list[Looks]:
+        return [self.searched, self.in_three, self.tracked]
+
+
+def look(scene: PadScene, of: Condition, rng: np.random.Generator, counts: Counts) -> None:
+    """Search and track one frame, and count what is found."""
+    camera, pad, truth = of.told or of.camera, of.pad, scene.truth
+    R = scene.R_level_body or Rotation.identity()
+    attitude = Attitude(STAMP, R, np.eye(3) * SIGMA_ATTITUDE_RAD**2)
+    whole, flown = TrackerConfig(camera, pad, search_work=math.inf), TrackerConfig(camera, pad, search_work=FRAME_WORK)
+
+    def right(found: Sighting) -> bool:
+        return truth is not None and is_right(found, scene, truth, of.camera, pad)
+
+    def add(found: Sighting | None, to: Looks) -> None:
+        good = to.add(found, right)
+        counts.denied += found is not None and not good and found.confidence < 0.5 and right(found)
+        if good and to is counts.tracked and found is not None and truth is not None:
+            counts.off.append(100.0 * abs(range_error(found, truth, of.camera)))
+
+    add(track(whole, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude)[0].selected, counts.searched)
+    memory, found = TrackerMemory(), None
+    for number in range(3):
+        seen, memory = track(flown, memory, Frame(STAMP, number, scene.px), attitude)
+        found = seen.selected
+        if found is not None and found.confidence >= 0.5:
+            break
+    add(found, counts.in_three)
+    sigma_m = max(0.02, 0.004 * scene.height_m)
+    about = scene if truth is not None else replace(scene, truth=below(scene, camera), R_level_body=R)
+    belief, attitude, _ = expected(about, R, flown, rng, sigma_m)
+    add(track(flown, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude, belief)[0].selected, counts.tracked)
+
+
+def below(scene: PadScene, camera: Camera) -> PadPose:
+    """Return where a pad would be in the middle of a frame without one."""
+    return PadPose(camera.T_body_cam.R.inv, np.array([0.0, 0.0, scene.height_m]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=20, help="in each condition")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", help="conditions, with commas in between")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    every: list[Looks] = []
+    print(f"{'':16s} search  three  track   range error %   denied  sure and wrong")
+    for name in args.only.split(",") if args.only else CONDITIONS:
+        of, counts, counted = CONDITIONS[name], Counts(), list(CONDITIONS).index(name)
+        for k in range(args.frames):
+            rng = np.random.default_rng([args.seed, counted, k])
+            look(scene_of(name, of, HEIGHTS_M[k % len(HEIGHTS_M)], rng), of, rng, counts)
+        shares = "".join(f"{100 * looks.right / looks.frames:6.0f} " for looks in counts.looks())
+        off = "/".join(f"{q:.2f}" for q in np.percentile(counts.off, (50, 95))) if counts.off else "-"
+        wrong = "/".join(str(looks.wrong) for looks in counts.looks())
+        print(f"{name:16s}{shares}{off:>16s}{counts.denied:9d}{wrong:>12s}", flush=True)
+        every += counts.looks()
+    frames, false = sum(each.frames for each in every), sum(each.wrong for each in every)
+    print(f"{frames} looks, {false} sure and wrong; said: right of finds: {curve_of(every)}")
+
+
+if __name__ == "__main__":
+    main()
