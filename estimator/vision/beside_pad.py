@@ -20,6 +20,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detection import NearThing
+from estimator.vision.from_above import from_above
 from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
@@ -91,7 +92,8 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
-    above, shown = _from_above(view, pose)
+    drawn, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH)
+    above = np.asarray(cv2.cvtColor(drawn, cv2.COLOR_BGR2GRAY), np.uint8)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
     if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv):
         uv, kept = _followed(memory, above, shown)
@@ -110,29 +112,6 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     q = (corners - (len(above) - 1) / 2) * _STEP_M
     sums = np.zeros((len(q), 13)) + _reading(q, centre[:2], height_m, px_m)
     return AroundMemory(at, at, above, height_m, corners, corners, sums, len(corners), found, found_at)
-
-
-def _from_above(view: FrameView, pose: PadPose) -> tuple[U8, U8]:
-    """Return the deck about the pad as seen from above, grey, x to the right and y down, and where the frame shows it."""
-    reach_m = view.pad.disc_radius_m + _MOVES_REACH_M
-    nodes = math.ceil(reach_m / (_MESH * _STEP_M))
-    side = np.arange(-nodes, nodes + 1) * _MESH * _STEP_M
-    x, y = np.meshgrid(side, side)
-    points = pose.points(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
-    ahead = points[:, 2] > 0.1
-    uv = np.where(ahead[:, None], view.camera.project(np.where(ahead[:, None], points, 1.0)), -1e4)
-    size = 2 * nodes * _MESH + 1
-    at = np.linspace(0.0, 2.0 * nodes, size, dtype=np.float32)
-    fine_x, fine_y = np.meshgrid(at, at)
-    mesh = uv.reshape(len(side), len(side), 2).astype(np.float32)
-    fine = cv2.remap(mesh, fine_x, fine_y, cv2.INTER_LINEAR)
-    level = 1 if pose.range_m / view.camera.fx < 0.5 * _STEP_M else 0
-    grey = cv2.cvtColor(view.pyramid[level], cv2.COLOR_BGR2GRAY)
-    fine = (fine + 0.5) / (1 << level) - 0.5
-    above = cv2.remap(grey, fine, np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    h, w = grey.shape
-    shown = cv2.inRange(fine, (1.0, 1.0), (w - 2.0, h - 2.0))
-    return np.asarray(above, np.uint8), np.asarray(shown, np.uint8)
 
 
 def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
