@@ -25,10 +25,12 @@ from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
-_PERIOD_S, _GAP_S, LASTS_S = 0.2, 0.7, 10.0
+_PERIOD_S, _GAP_S, LASTS_S = 0.24, 0.7, 10.0
 """Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
 _STEP_M, _MESH = 0.016, 10
 """Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
+_FAR_PX_M = 0.03
+"""Size of the frame's pixels on the deck from which on it is too far away, m."""
 _CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
 """Number of corners, their least distance, and the window that is followed, px."""
 _BACK_PX, _MARGIN = 0.4, 8
@@ -74,6 +76,10 @@ class AroundMemory:
     found: NearThing | None = None
     found_at: MonoNs | None = None
 
+    def is_like(self, height_m: float, at: MonoNs) -> bool:
+        """Return whether corners of the picture can be followed in one from this height, exposed at an instant."""
+        return seconds_between(self.key_at, at) < _KEY_S and _LOWER * self.key_height_m < height_m < 1.5 * self.key_height_m
+
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
         if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
@@ -88,26 +94,22 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         return memory
     camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
     corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
-    if memory is not None and corner_m < rim_m:
+    if memory is not None and (corner_m < rim_m or pose.range_m > _FAR_PX_M * camera.fx):
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
-    drawn, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH)
-    above = np.asarray(cv2.cvtColor(drawn, cv2.COLOR_BGR2GRAY), np.uint8)
+    above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv):
+    # New corners in a frame of their own: that costs as much as to follow the old ones.
+    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv) > _LEFT * memory.began and memory.is_like(height_m, at):
         uv, kept = _followed(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
         new = _judged(sums, q, view.pad.disc_radius_m)
         found, found_at = (found, found_at) if new is None else (new, at)
-        fresh = (
-            seconds_between(memory.key_at, at) < _KEY_S and _LOWER * memory.key_height_m < height_m < 1.5 * memory.key_height_m
+        return AroundMemory(
+            at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
         )
-        if fresh and len(uv) > _LEFT * memory.began:
-            return AroundMemory(
-                at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
-            )
     corners = _corners(above, shown, view.pad.disc_radius_m)
     q = (corners - (len(above) - 1) / 2) * _STEP_M
     sums = np.zeros((len(q), 13)) + _reading(q, centre[:2], height_m, px_m)

@@ -171,11 +171,11 @@ def by_paint(
     best = registered.settled().tracked
     deck, about, passing = _deck_of(now, best, belief), memory.around, memory.passing
     shows = best is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS
-    # The frame in which the surface is read has cost enough: the surroundings follow in the next one.
+    # A frame in which one of them is read has cost enough: the others follow in the next ones.
     if best is not None and best.found is not None and shows and deck is memory.deck:
         at, pose = frame.stamp.measured_at, best.found.pose
         about = around(about, now.view, pose, at)
-        passing = passed(passing, now.view, pose, at)
+        passing = passed(passing, now.view, pose, at) if about is memory.around else passing
     check = _checked(deck, about, passing, frame.stamp.measured_at)
     found = None if best is None else _outlined(best, check, tracker.camera)
     opinions = None if best is None else best.opinions

@@ -21,30 +21,34 @@ from estimator.vision.detection import NearThing
 from estimator.vision.from_above import from_above
 from estimator.vision.pad_pose import PadPose
 
+U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
-_PERIOD_S, _SINCE_S, _GAP_S, LASTS_S = 0.09, 0.15, 0.7, 10.0
-"""Time between two frames that are read, least and most between two that are compared, and for which a finding counts, s."""
+_PERIOD_S, _LOW_PERIOD_S, _LOW_M = 0.19, 0.09, 1.0
+"""Time between two frames that are read, and from this height down, where a thing is in view for a shorter time."""
+_SINCE_S, _GAP_S, LASTS_S = 0.15, 0.7, 10.0
+"""Least and most time between two that are compared, and for which a finding counts, s."""
 _CELL_M, _MESH, _REACH_M = 0.04, 4, 0.5
 """Size of a cell, of the mesh on which cells are drawn, in cells, and what is read beyond the disc."""
-_STEP = 4.0
+_STEP = 4
 """Most by which the mean changes a frame, values of a pixel."""
+_ONE, _FLOOR = 64, 8
+"""Share of the mean's light that is all of it. Second: value added to both where it is taken: dark values are noise."""
 _LEAST, _LEAST_VALUE, _NOISES = 0.25, 10.0, 4.0
 """Change that counts: of the mean's light, in values of a pixel, and in mean changes of the cell."""
 _CELLS_LEAST = 8
 """Least number of cells of a thing."""
-_FLOOR = 8.0
-"""Added to values of a pixel where their ratios are taken: dark values are noise."""
+_BOX = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
     at: MonoNs
-    light: F32
+    light: U8
     """Values of the cells, (N, N, 3)."""
-    share: F32
-    """The same over the mean's."""
-    shown: NDArray[np.uint8]
+    share: U8
+    """The same over the mean's, in 1/64."""
+    shown: U8
     below: F64
     """Place of the camera over the deck, (2,) m."""
     height_m: float
@@ -54,8 +58,8 @@ class _Reading:
 class PassMemory:
     """The deck's slow mean, the last readings, and the newest finding."""
 
-    mean: F32
-    known: NDArray[np.uint8]
+    mean: U8
+    known: U8
     """Cells that the mean knows, 255."""
     noise: F32
     """Mean change of each cell, values of a pixel."""
@@ -77,76 +81,80 @@ class PassMemory:
 
 def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> PassMemory:
     """Return the memory with what a frame shows of the pad, whose registered pose is `pose`, and about it."""
-    since_s = math.inf if memory is None else seconds_between(memory.readings[-1].at, at)
-    if memory is not None and 0.0 <= since_s < _PERIOD_S:
+    since_s = math.inf if memory is None else seconds_between(memory.at, at)
+    if memory is not None and 0.0 <= since_s < (_LOW_PERIOD_S if pose.range_m < _LOW_M else _PERIOD_S):
         return memory
-    above, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _MESH)
-    light = above.astype(np.float32)
+    light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _MESH, 3)
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     if memory is None or not 0.0 <= since_s <= _GAP_S:
-        now = _Reading(at, light, np.ones_like(light), shown, centre[:2], float(-centre[2]))
+        now = _Reading(at, light, np.full_like(light, _ONE), shown, centre[:2], float(-centre[2]))
         found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
         return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found, found_at)
-    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
-    green = [of[::2, ::2, 1][both] + _FLOOR for of in (light, memory.mean)]
-    gain = float(np.median(green[0] / green[1])) if len(green[0]) else 1.0
-    mean = np.where(memory.known[..., None] > 0, memory.mean * gain, light)
-    now = _Reading(at, light, (light + _FLOOR) / (mean + _FLOOR), shown, centre[:2], float(-centre[2]))
+    mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
+    cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
+    share = cv2.divide(*(cv2.add(of, (_FLOOR,) * 4, dtype=cv2.CV_32F) for of in (light, mean)), scale=_ONE, dtype=cv2.CV_8U)
+    now = _Reading(at, light, np.asarray(share, np.uint8), shown, centre[:2], float(-centre[2]))
     found, found_at, noise = memory.found, memory.found_at, memory.noise
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
     if before is not None:
-        change = _change(before, now, mean)
-        new = _largest(change, mean, noise, view.pad.disc_radius_m)
-        noise = noise + 0.1 * (change - noise)
+        change, noise = _changed(before, now, np.asarray(mean, np.uint8), noise)
+        new = _largest(change)
         found, found_at = (found, found_at) if new is None else (new, at)
-    mean = np.where(shown[..., None] > 0, mean + np.clip(light - mean, -_STEP, _STEP), mean).astype(np.float32)
+    nearer = cv2.add(mean, cv2.min(cv2.subtract(light, mean), _STEP))
+    nearer = cv2.subtract(nearer, cv2.min(cv2.subtract(mean, light), _STEP))
+    cv2.copyTo(nearer, shown, mean)
     kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
-    last = tuple(each for each in memory.readings if each not in kept)[-1:]
-    return PassMemory(mean, memory.known | shown, noise, (*last, *kept, now), found, found_at)
+    last = memory.readings[: len(memory.readings) - len(kept)][-1:]
+    return PassMemory(np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found, found_at)
 
 
-def _change(before: _Reading, now: _Reading, mean: F32) -> F32:
-    """Return by how much each cell differs from what it was, and from what the drone's cone says, (N, N) values of a pixel."""
+def _brighter(light: U8, shown: U8, memory: PassMemory) -> float:
+    """Return by how much the frame is exposed more than the mean was."""
+    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
+    now, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
+    return float(np.median(now / was)) if len(now) else 1.0
+
+
+def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
+    """Return the cells, (N, N), that differ from what they were, and from what the drone's cone says, and the cells' noise."""
     scale = before.height_m / max(now.height_m, 0.05)
-    middle = (len(mean) - 1) / 2
     # A cell at q now had its light, if it is of the drone's cone, at c' + (q - c) h'/h.
-    shift = (before.below - scale * now.below) / _CELL_M + middle * (1.0 - scale)
-    to = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    size = (len(mean), len(mean))
-    seen = np.minimum(before.shown, now.shown)
-    own_seen = cv2.warpAffine(before.shown, to, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=0)
-    own_share = cv2.warpAffine(before.share, to, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    own_light = cv2.warpAffine(before.light, to, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    level = mean + _FLOOR
-    there = _off(now.share, before.share) * level
-    cone = np.minimum(_most(_off(now.share, own_share) * level), _most(_off(now.light, own_light)))
+    shift = (before.below - scale * now.below) / _CELL_M + (len(mean) - 1) / 2 * (1.0 - scale)
+    to, size = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]]), mean.shape[:2]
+    own = [cv2.warpAffine(of, to, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP) for of in (before.share, before.light)]
+    own_seen = cv2.warpAffine(before.shown, to, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
     # What comes in from where nothing was read may be the drone's own.
-    seen = np.minimum(seen, cv2.erode(own_seen, np.ones((3, 3), np.uint8)))
-    plain = _most(np.abs(now.share - 1.0) * level)
-    least = np.minimum(np.minimum(_most(there), cone), plain)
-    return np.asarray(np.where(seen > 0, least, 0.0), np.float32)
+    change = cv2.min(cv2.min(before.shown, now.shown), cv2.erode(own_seen, _BOX))
+    level = cv2.add(mean, (_FLOOR,) * 4)
+    for off in (
+        *(cv2.multiply(_off(now.share, was), level, scale=1.0 / _ONE) for was in (before.share, own[0])),
+        _off(now.light, own[1]), cv2.absdiff(now.light, mean),
+    ):  # fmt: skip
+        change = cv2.min(change, _most(np.asarray(off, np.uint8)))
+    values = np.asarray(change, np.float32)
+    least = np.maximum(np.maximum(_LEAST * _most(mean).astype(np.float32), _LEAST_VALUE), _NOISES * noise)
+    return (values > least).astype(np.uint8), noise + np.float32(0.1) * (values - noise)
 
 
-def _off(now: F32, before: F32) -> F32:
-    """Return how far values are off those that the cell and its neighbours had."""
-    box = np.ones((3, 3), np.uint8)
-    return np.asarray(np.maximum(np.maximum(now - cv2.dilate(before, box), cv2.erode(before, box) - now), 0.0), np.float32)
+def _off(now: U8, before: U8) -> U8:
+    """Return how far values are off those that the cell and its neighbours had, (N, N, 3)."""
+    more, less = cv2.subtract(now, cv2.dilate(before, _BOX)), cv2.subtract(cv2.erode(before, _BOX), now)
+    return np.asarray(cv2.max(more, less), np.uint8)
 
 
-def _most(of: F32) -> F32:
+def _most(of: U8) -> U8:
     """Return the largest of the channels of each cell, (N, N)."""
-    return np.asarray(np.maximum(np.maximum(of[..., 0], of[..., 1]), of[..., 2]), np.float32)
+    blue, green, red = cv2.split(of)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
-def _largest(change: F32, mean: F32, noise: F32, disc_radius_m: float) -> NearThing | None:
+def _largest(change: U8) -> NearThing | None:
     """Return the largest patch of cells that changed."""
-    limit = np.maximum(np.maximum(_LEAST * _most(mean), _LEAST_VALUE), _NOISES * noise)
-    count, _, stats, middles = cv2.connectedComponentsWithStats((change > limit).astype(np.uint8), connectivity=8)
+    count, _, stats, middles = cv2.connectedComponentsWithStats(change, connectivity=8)
     if count < 2:
         return None
     best = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     if stats[best, cv2.CC_STAT_AREA] < _CELLS_LEAST:
         return None
-    x, y = ((middles[best] - (len(mean) - 1) / 2) * _CELL_M).tolist()
+    x, y = ((middles[best] - (len(change) - 1) / 2) * _CELL_M).tolist()
     return NearThing(x, y, 0.0)
