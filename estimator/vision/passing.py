@@ -92,7 +92,8 @@ def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs
         return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found, found_at)
     mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
     cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
-    share = cv2.divide(*(cv2.add(of, (_FLOOR,) * 4, dtype=cv2.CV_32F) for of in (light, mean)), scale=_ONE, dtype=cv2.CV_8U)
+    bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
+    share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)
     now = _Reading(at, light, np.asarray(share, np.uint8), shown, centre[:2], float(-centre[2]))
     found, found_at, noise = memory.found, memory.found_at, memory.noise
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
@@ -100,8 +101,8 @@ def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs
         change, noise = _changed(before, now, np.asarray(mean, np.uint8), noise)
         new = _largest(change)
         found, found_at = (found, found_at) if new is None else (new, at)
-    nearer = cv2.add(mean, cv2.min(cv2.subtract(light, mean), _STEP))
-    nearer = cv2.subtract(nearer, cv2.min(cv2.subtract(mean, light), _STEP))
+    more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
+    nearer = cv2.subtract(cv2.add(mean, more), less)
     cv2.copyTo(nearer, shown, mean)
     kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
     last = memory.readings[: len(memory.readings) - len(kept)][-1:]
@@ -121,11 +122,12 @@ def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8,
     # A cell at q now had its light, if it is of the drone's cone, at c' + (q - c) h'/h.
     shift = (before.below - scale * now.below) / _CELL_M + (len(mean) - 1) / 2 * (1.0 - scale)
     to, size = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]]), mean.shape[:2]
-    own = [cv2.warpAffine(of, to, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP) for of in (before.share, before.light)]
+    linear = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    own = [np.asarray(cv2.warpAffine(of, to, size, flags=linear), np.uint8) for of in (before.share, before.light)]
     own_seen = cv2.warpAffine(before.shown, to, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
     # What comes in from where nothing was read may be the drone's own.
     change = cv2.min(cv2.min(before.shown, now.shown), cv2.erode(own_seen, _BOX))
-    level = cv2.add(mean, (_FLOOR,) * 4)
+    level = np.minimum(mean, 255 - _FLOOR) + np.uint8(_FLOOR)
     for off in (
         *(cv2.multiply(_off(now.share, was), level, scale=1.0 / _ONE) for was in (before.share, own[0])),
         _off(now.light, own[1]), cv2.absdiff(now.light, mean),
