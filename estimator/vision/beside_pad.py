@@ -45,6 +45,8 @@ _READS = 4
 """Least number of readings of a corner."""
 _STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
 """Least height of what stands out, and in standard deviations."""
+_FLAT_LEAST, _SIGMAS_ARE, _MAD = 12, (0.4, 1.0), 1.4826
+"""Least number of corners that say what a standard deviation is worth, and between which limits."""
 _STAYS = 4.0
 """Largest mean square, in variances, that a place and a height leave of a corner that stands."""
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
@@ -169,7 +171,11 @@ def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
     often = (reads >= _READS) & (own > _OWN * left)
     place = mean_q - z[:, None] * mean_a
     freedom = np.maximum(1.0, 2.0 * reads - 3.0)
-    stands = often & (z > np.maximum(_STANDS_M, _STANDS_SIGMAS / np.sqrt(aa))) & (left < _STAYS * freedom)
+    # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
+    sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
+    if np.count_nonzero(often) >= _FLAT_LEAST:
+        flat = float(np.clip(_MAD * np.median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
+    stands = often & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure)) & (left < _STAYS * freedom)
     stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M) & (np.hypot(*place.T) > 0.0)
     moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
     best: NearThing | None = None
