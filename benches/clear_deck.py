@@ -185,7 +185,7 @@ def photographs() -> None:
             continue
         memory: DeckMemory | None = None
         for k in range(8):
-            at = MonoNs(1_000_000_000 + 200_000_000 * k)
+            at = MonoNs(1_000_000_000 + 250_000_000 * k)
             memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
         if memory is None or memory.check.thing is not None:
             wrong += memory is not None

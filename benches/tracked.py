@@ -33,6 +33,8 @@ from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_cam
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 TIMED_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 READS_HZ, FRAMES_HZ = 5.0, 30.0
+READ_HZ, LOW_HZ, LOW_M = (3.75, 3.75, 5.0), 10.0, 1.0
+"""Readings a second of the pad's surface, its surroundings and what passes, in a stream of `FRAMES_HZ`; of the last one, low."""
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD, SIGMA_YAW_RAD = math.radians(1.0), math.radians(2.0), 0.02
 
@@ -65,8 +67,8 @@ def looked(scene: PadScene, R_level_body: Rotation, tracker: TrackerConfig, rng:
 def times(tracker: TrackerConfig) -> None:
     """Print what a whole look costs, with a belief off by 0.08 % of the range at one sigma, 2 mm at least.
 
-    The pad's surface and what is about it are read five times a second each, in different frames: looks without either and with
-    each are timed apart, and averaged over 30 frames a second.
+    The pad's surface, its surroundings and what passes are read in different frames: looks without any and with each are timed
+    apart, and averaged over `FRAMES_HZ`. The surroundings are timed with new corners, which cost most.
     """
     for height_m in TIMED_M:
         ratios: list[list[float]] = []
@@ -78,24 +80,34 @@ def times(tracker: TrackerConfig) -> None:
             if scene.R_level_body is None:
                 continue
             belief, attitude, _ = expected(scene, scene.R_level_body, tracker, rng, max(0.002, 0.0008 * height_m))
-            frame = Frame(STAMP, 0, scene.px)
-            _, rests = track(tracker, TrackerMemory(), frame, attitude, belief)
-            _, rests = track(tracker, rests, frame, attitude, belief)
-            about, before = rests.around, MonoNs(STAMP.measured_at - round(1e9 / READS_HZ))
-            surroundings = replace(rests, around=None if about is None else replace(about, at=before, key_at=before))
-            least, floor = [math.inf] * 3, math.inf
+            frame, rests = Frame(STAMP, 0, scene.px), TrackerMemory()
+            for _ in range(4):
+                _, rests = track(tracker, rests, frame, attitude, belief)
+            before = MonoNs(STAMP.measured_at - round(1e9 / READS_HZ))
+            about, passing = rests.around, rests.passing
+            key = None if about is None else replace(about, at=before, key_at=MonoNs(before - 10**10))
+            was = None if passing is None else tuple(replace(each, at=before) for each in passing.readings)
+            all_of = [
+                rests, replace(rests, deck=None), replace(rests, around=key),
+                replace(rests, passing=None if passing is None or was is None else replace(passing, readings=was)),
+            ]  # fmt: skip
+            least, floor = [math.inf] * len(all_of), math.inf
             for _ in range(25):
-                for which, memory in enumerate((rests, replace(rests, deck=None), surroundings)):
+                for which, memory in enumerate(all_of):
                     began = time.process_time_ns()
                     track(tracker, memory, frame, attitude, belief)
                     least[which] = min(least[which], (time.process_time_ns() - began) * 1e-6)
                 floor = min(floor, floor_ms(scene.px))
             ratios.append([ms / floor for ms in least])
-        look, surface, about_it = np.median(np.array(ratios), axis=0)
-        mean = look + (surface + about_it - 2.0 * look) * READS_HZ / FRAMES_HZ
+        look, *reads = np.median(np.array(ratios), axis=0).tolist()
+        more = [each - look for each in reads]
+        mean = (
+            sum(each * hz for each, hz in zip(more, (*READ_HZ[:2], LOW_HZ if height_m < LOW_M else READ_HZ[2]), strict=True))
+            / FRAMES_HZ
+        )
         print(
-            f"{height_m:g} m: {look:.1f} floors, {surface:.1f} with the pad's surface, {about_it:.1f} with its surroundings, "
-            f"{mean:.1f} on average",
+            f"{height_m:g} m: {look:.1f} floors; more for the pad's surface {more[0]:.1f}, its surroundings {more[1]:.1f}, "
+            f"what passes {more[2]:.1f}, on average {mean:.2f}",
             flush=True,
         )
 

@@ -711,6 +711,15 @@ enum { DL_WRONG_SIZE = -2 };
 /* Measure what a frame can show. */
 int32_t dl_frame_quality(const dl_image *image, frame_quality *out);
 
+/* Draw a plane as seen from above, (n, n, channels) with n = (nodes - 1) between + 1, from where points of it are in an image of
+ * three channels, (nodes, nodes, 2) px: the picture, or of one channel the green of it, and 255 where the image shows it, (n, n). Return n. */
+int32_t dl_from_above(const dl_image *image, const float *places, int32_t nodes, int32_t between, int32_t channels, uint8_t *out,
+    uint8_t *shown);
+
+/* Take from the light of one paint's cells, (cells, 3), what light can make of that paint, and a plane over their places, (cells, 2):
+ * out gets the rest, (cells, 3) of the paint's light. white is the light of white; spare has room for two numbers a cell. */
+int32_t dl_paint_rest(const float *light, const float *place, int32_t cells, const float *white, float *out, float *spare);
+
 /* Look at where the pad may lie: register the drawing from a start, verify it there, and bring it to level. outline takes the
  * pixel of every fourth point of the edges; there are outline_points of them. */
 int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, looked_pad *out, double *outline,

@@ -20,14 +20,17 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detection import NearThing
+from estimator.vision.from_above import from_above
 from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
-_PERIOD_S, _GAP_S, LASTS_S = 0.2, 0.7, 10.0
+_PERIOD_S, _GAP_S, LASTS_S = 0.24, 0.7, 10.0
 """Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
 _STEP_M, _MESH = 0.016, 10
 """Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
+_FAR_PX_M = 0.03
+"""Size of the frame's pixels on the deck from which on it is too far away, m."""
 _CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
 """Number of corners, their least distance, and the window that is followed, px."""
 _BACK_PX, _MARGIN = 0.4, 8
@@ -42,6 +45,8 @@ _READS = 4
 """Least number of readings of a corner."""
 _STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
 """Least height of what stands out, and in standard deviations."""
+_FLAT_LEAST, _SIGMAS_ARE, _MAD = 12, (0.4, 1.0), 1.4826
+"""Least number of corners that say what a standard deviation is worth, and between which limits."""
 _STAYS = 4.0
 """Largest mean square, in variances, that a place and a height leave of a corner that stands."""
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
@@ -73,6 +78,10 @@ class AroundMemory:
     found: NearThing | None = None
     found_at: MonoNs | None = None
 
+    def is_like(self, height_m: float, at: MonoNs) -> bool:
+        """Return whether corners of the picture can be followed in one from this height, exposed at an instant."""
+        return seconds_between(self.key_at, at) < _KEY_S and _LOWER * self.key_height_m < height_m < 1.5 * self.key_height_m
+
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
         if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
@@ -87,52 +96,26 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         return memory
     camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
     corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
-    if memory is not None and corner_m < rim_m:
+    if memory is not None and (corner_m < rim_m or pose.range_m > _FAR_PX_M * camera.fx):
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
-    above, shown = _from_above(view, pose)
+    above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv):
+    # New corners in a frame of their own: that costs as much as to follow the old ones.
+    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv) > _LEFT * memory.began and memory.is_like(height_m, at):
         uv, kept = _followed(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
         new = _judged(sums, q, view.pad.disc_radius_m)
         found, found_at = (found, found_at) if new is None else (new, at)
-        fresh = (
-            seconds_between(memory.key_at, at) < _KEY_S and _LOWER * memory.key_height_m < height_m < 1.5 * memory.key_height_m
+        return AroundMemory(
+            at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
         )
-        if fresh and len(uv) > _LEFT * memory.began:
-            return AroundMemory(
-                at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
-            )
     corners = _corners(above, shown, view.pad.disc_radius_m)
     q = (corners - (len(above) - 1) / 2) * _STEP_M
     sums = np.zeros((len(q), 13)) + _reading(q, centre[:2], height_m, px_m)
     return AroundMemory(at, at, above, height_m, corners, corners, sums, len(corners), found, found_at)
-
-
-def _from_above(view: FrameView, pose: PadPose) -> tuple[U8, U8]:
-    """Return the deck about the pad as seen from above, grey, x to the right and y down, and where the frame shows it."""
-    reach_m = view.pad.disc_radius_m + _MOVES_REACH_M
-    nodes = math.ceil(reach_m / (_MESH * _STEP_M))
-    side = np.arange(-nodes, nodes + 1) * _MESH * _STEP_M
-    x, y = np.meshgrid(side, side)
-    points = pose.points(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1))
-    ahead = points[:, 2] > 0.1
-    uv = np.where(ahead[:, None], view.camera.project(np.where(ahead[:, None], points, 1.0)), -1e4)
-    size = 2 * nodes * _MESH + 1
-    at = np.linspace(0.0, 2.0 * nodes, size, dtype=np.float32)
-    fine_x, fine_y = np.meshgrid(at, at)
-    mesh = uv.reshape(len(side), len(side), 2).astype(np.float32)
-    fine = cv2.remap(mesh, fine_x, fine_y, cv2.INTER_LINEAR)
-    level = 1 if pose.range_m / view.camera.fx < 0.5 * _STEP_M else 0
-    grey = cv2.cvtColor(view.pyramid[level], cv2.COLOR_BGR2GRAY)
-    fine = (fine + 0.5) / (1 << level) - 0.5
-    above = cv2.remap(grey, fine, np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    h, w = grey.shape
-    shown = cv2.inRange(fine, (1.0, 1.0), (w - 2.0, h - 2.0))
-    return np.asarray(above, np.uint8), np.asarray(shown, np.uint8)
 
 
 def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -188,7 +171,11 @@ def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
     often = (reads >= _READS) & (own > _OWN * left)
     place = mean_q - z[:, None] * mean_a
     freedom = np.maximum(1.0, 2.0 * reads - 3.0)
-    stands = often & (z > np.maximum(_STANDS_M, _STANDS_SIGMAS / np.sqrt(aa))) & (left < _STAYS * freedom)
+    # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
+    sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
+    if np.count_nonzero(often) >= _FLAT_LEAST:
+        flat = float(np.clip(_MAD * np.median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
+    stands = often & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure)) & (left < _STAYS * freedom)
     stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M) & (np.hypot(*place.T) > 0.0)
     moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
     best: NearThing | None = None

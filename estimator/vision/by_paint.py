@@ -38,6 +38,7 @@ from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, proba
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.passing import PassMemory, passed
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.fit_verification import calibrated
@@ -67,6 +68,8 @@ class TrackerMemory:
     """Things seen on the pad; None before its surface was read."""
     around: AroundMemory | None = None
     """Corners followed about the pad; None before it was seen."""
+    passing: PassMemory | None = None
+    """Light of the deck in the last frames, and objects passing over the pad; None before it was seen."""
     tone: ToneMemory = SRGB
     """The camera's tone curve as far as it was learnt."""
 
@@ -171,17 +174,19 @@ def by_paint(
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     best = registered.settled().tracked
-    deck, about = _deck_of(now, best, belief), memory.around
+    deck, about, passing = _deck_of(now, best, belief), memory.around, memory.passing
     shows = best is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS
-    # The frame in which the surface is read has cost enough: the surroundings follow in the next one.
+    # A frame in which one of them is read has cost enough: the others follow in the next ones.
     if best is not None and best.found is not None and shows and deck is memory.deck:
-        about = around(about, now.view, best.found.pose, frame.stamp.measured_at)
+        at, pose = frame.stamp.measured_at, best.found.pose
+        about = around(about, now.view, pose, at)
+        passing = passed(passing, now.view, pose, at) if about is memory.around else passing
     tone = memory.tone
     if best is None or best.found is None or best.sighting.confidence < SURE:
         tone = forgotten(tone)
-    elif about is memory.around:
+    elif about is memory.around and passing is memory.passing:
         tone = learnt(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
-    check = _checked(deck, about, frame.stamp.measured_at)
+    check = _checked(deck, about, passing, frame.stamp.measured_at)
     found = None if best is None else _outlined(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
     if thesis is None:
@@ -196,17 +201,20 @@ def by_paint(
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     seen = replace(seen, on_pad=check)
     paint = missed(memory.paint) if best is None else best.paint
-    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, around=about, tone=tone)
+    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, around=about, passing=passing, tone=tone)
 
 
-def _checked(deck: DeckMemory | None, about: AroundMemory | None, at: MonoNs) -> PadCheck | None:
+def _checked(deck: DeckMemory | None, about: AroundMemory | None, passing: PassMemory | None, at: MonoNs) -> PadCheck | None:
     """Return what is known of things on the pad and about it; None before its surface was read and while nothing is about it."""
-    near = None if about is None else about.near(at)
-    if about is None or near is None:
+    there = [(each.near(at), each.at) for each in (about, passing) if each is not None]
+    near, read = min(
+        ((near, read) for near, read in there if near is not None), key=lambda of: of[0].from_centre_m, default=(None, at)
+    )
+    if near is None:
         return None if deck is None else deck.check
     if deck is None:
-        return PadCheck(about.at, 0.0, None, near)
-    return replace(deck.check, at=max(deck.check.at, about.at), near=near)
+        return PadCheck(read, 0.0, None, near)
+    return replace(deck.check, at=max(deck.check.at, read), near=near)
 
 
 def _outlined(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:

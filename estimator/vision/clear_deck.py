@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.abi import TEMPLATE_ONE
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.detection import PadCheck, PadThing
+from estimator.vision.native import checked
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT, linear_light
@@ -41,25 +43,17 @@ _CELL_PX_LEAST = 1.2
 """Width of a cell in the frame below which it is too far away."""
 _LEAST_CELLS = 10
 """Least number of cells of a paint in view."""
-_PERIOD_S, _AVERAGE_S, LASTS_S = 0.2, 1.0, 10.0
+_PERIOD_S, _AVERAGE_S, LASTS_S = 0.24, 1.0, 10.0
 """Time between two frames that are read, of the average, and for which a cell that has left the view counts, s."""
 _ENOUGH = 3.0
 """Frames' weight in the average from which on a cell counts."""
 _BRIGHT = 245
 """Value of a pixel from which on a channel is clipped, or its neighbour is."""
-_WHITE_MOST, _PURER = 2.0, 0.8
-"""Most white light added to a paint, in its own light, where the paint still shows. Second: the share of white in a paint's
-median that may be such light."""
-_SKY_MOST = 0.3
-"""Largest change of blue against red that shade makes, of the paint's light."""
 _LEAST, _SPREADS = 0.17, 6.0
 """Difference of a cell that is none of the paint: of the paint's light, and in spreads of the paint's own cells."""
 _CELLS_LEAST, _SHARP = 14, 0.7
 """Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
 glare and puddles end softly."""
-_GLARE_OWN, _MIRRORED, _STRONG = 0.4, 2.5, 1.5
-"""Any amount of white on a paint may be mirrored light: from this share of the paint's own light on, or, whatever that, from this
-light on, in that of the paint. Third: the light from which on differences count in parts of the light itself."""
 _ABOUT = 7
 """Width of the square, in cells, in which a marking's ground is looked for."""
 _MARK, _OTHER, _GROUND, _GROUND_CELLS = 0.35, 0.05, 0.9, 4
@@ -75,7 +69,6 @@ _DECK_LIGHT = np.full(3, 0.3)
 _NONE = 1e3
 """Difference of a cell that is not known."""
 _LIGHT = LINEAR_LIGHT.astype(np.float32)
-_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,8 +154,8 @@ def _read(pyramid: Pyramid, level: int, camera: Camera, points: F64) -> tuple[ND
     on_level = ((camera.project(points) + 0.5) * scale - 0.5).astype(np.float32)
     values = cv2.remap(px, on_level[None], np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     h, w = px.shape[:2]
-    shown = (on_level > 1.0).all(axis=1)
-    return np.asarray(values, np.uint8), shown & (on_level[:, 0] < w - 2.0) & (on_level[:, 1] < h - 2.0)
+    u, v = on_level.T
+    return np.asarray(values, np.uint8), (u > 1.0) & (v > 1.0) & (u < w - 2.0) & (v < h - 2.0)
 
 
 def _after(
@@ -172,7 +165,7 @@ def _after(
     blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
     nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
     bright = np.zeros((ACROSS, ACROSS), np.uint8)
-    np.put(bright, _cells(pad)[1], values.max(axis=1) >= _BRIGHT)
+    np.put(bright, _cells(pad)[1], np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2]) >= _BRIGHT)
     clear = shown & (cv2.dilate(bright, np.ones((3, 3), np.uint8)).ravel()[_cells(pad)[1]] == 0)
     light = _LIGHT[values]
     difference, seen = _differences(light, clear, pad, blur)
@@ -225,12 +218,12 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         return out
     square = np.zeros((ACROSS * ACROSS, 5), np.float32)
     square[inside[ground], :3], square[inside[ground], 3] = light[ground], 1.0
-    square[inside[ground], 4] = np.square(light[ground]).sum(axis=1)
+    square[inside[ground], 4] = np.einsum("ij,ij->i", light[ground], light[ground])
     sums = cv2.boxFilter(square.reshape(ACROSS, ACROSS, 5), -1, (_ABOUT, _ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT)
     about = sums.reshape(-1, 5)[inside]
     count = about[:, 3]
     about = about / np.maximum(count, 1.0)[:, None]
-    spread = np.sqrt(np.maximum(0.0, about[:, 4] - np.square(about[:, :3]).sum(axis=1)))
+    spread = np.sqrt(np.maximum(0.0, about[:, 4] - np.einsum("ij,ij->i", about[:, :3], about[:, :3])))
     bright = float(np.linalg.norm(nominal[2]))
     level = about[:, :3] @ (nominal[2] / bright).astype(np.float32)
     usual = float(np.median(light[ground] @ (nominal[2] / bright))) + 1e-6
@@ -257,49 +250,10 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
     Args:
         white: light of white, (3,), in any unit.
     """
-    own = np.median(light, axis=0)
-    size = float(np.linalg.norm(own)) + 1e-6
-    white = white / (float(np.linalg.norm(white)) + 1e-6)
-    pale = own / size + _WHITE_MOST * white
-    # The median may be of wet paint: dry paint then has less white, as much as its channels leave.
-    axis = own / size - _PURER * float((own / size / np.maximum(white, 1e-3)).min()) * white
-    pale, axis = pale / float(np.linalg.norm(pale)), axis / (float(np.linalg.norm(axis)) + 1e-6)
-    left = light / size
-    # The nearest light between the paint's own and a paler one, of any size.
-    along, paler, cos = left @ axis, left @ pale, float(axis @ pale)
-    of_pale = (paler - cos * along) / max(1e-6, 1.0 - cos * cos)
-    of_own = along - cos * of_pale
-    of_own, of_pale = (
-        np.where(of_pale < 0.0, along, np.where(of_own < 0.0, 0.0, of_own)),
-        np.where(of_pale < 0.0, 0.0, np.where(of_own < 0.0, paler, of_pale)),
-    )
-    left = left - of_own[:, None] * axis - of_pale[:, None] * pale
-    bright = np.linalg.norm(light, axis=1) / size
-    # Mirrored light: any amount of white, of which a part may be a thing's. That hides markings.
-    toward = float(axis @ white)
-    square = 1.0 - toward * toward
-    if square > 0.05:
-        of_white = (light @ white - toward * (light @ axis)) / (square * size)
-        of_own = light @ axis / size - toward * of_white
-        mirrored = (of_white > 0.0) & ((bright > _MIRRORED) | (of_own >= _GLARE_OWN * float(np.median(of_own))))
-        left = np.where(mirrored[:, None], light / size - of_own[:, None] * axis - of_white[:, None] * white, left)
-    # What is much brighter than the paint is off by errors of colour that grow with it.
-    left = left / np.maximum(1.0, bright / _STRONG)[:, None]
-    sky = own * np.array([1.0, 0.0, -1.0], np.float32) / size
-    sky = sky - (sky @ axis) * axis
-    power = float(sky @ sky)
-    if power > 1e-6:
-        left = left - np.clip(left @ sky / power, -_SKY_MOST, _SKY_MOST)[:, None] * sky
-    rows = np.concatenate([np.ones((len(place), 1), np.float32), place], axis=1)
-    slow = np.zeros((3, 3), np.float32)
-    slow[0] = np.median(left, axis=0)
-    for _ in range(2):
-        rest = left - rows @ slow
-        off = np.abs(rest).max(axis=1)
-        near = off <= 3.0 * _MAD * np.median(off)
-        few = rows[near]
-        slow = np.linalg.solve(few.T @ few + 1e-3 * np.eye(3, dtype=np.float32), few.T @ left[near])
-    return np.asarray(left - rows @ slow, np.float32)
+    out, spare = np.empty_like(light), np.empty(2 * len(light), np.float32)
+    arrays = (CORE.array("float", each) for each in (white, out, spare))
+    checked(CORE.lib.dl_paint_rest(CORE.array("float", light), CORE.array("float", place), len(light), *arrays))
+    return out
 
 
 def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoNs) -> PadCheck:
@@ -307,7 +261,7 @@ def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoN
     fresh, paint = age_s <= LASTS_S, _known(pad, 0)
     counts = (weight >= _ENOUGH) & fresh
     share = float(np.count_nonzero(counts & (paint >= 0))) / max(1, int(np.count_nonzero(paint >= 0)))
-    mean = np.linalg.norm(total, axis=1) / np.maximum(weight, 1e-6)
+    mean = np.sqrt(np.einsum("ij,ij->i", total, total)) / np.maximum(weight, 1e-6)
     odd = np.zeros(len(mean), bool)
     for one in range(_PAINTS):
         of = counts & (paint == one)

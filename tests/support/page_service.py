@@ -25,9 +25,10 @@ from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import in_words
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Frame, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.detection import Detection
 from tests.support.fake_ardrone import until
 
 TOKEN = "a-token-of-sixteen-and-more"
@@ -67,6 +68,9 @@ class PageService:
         self.flying = True
         self.px = np.full((360, 640, 3), 90, np.uint8)
         """Image that the camera takes."""
+        self.believed: RelativeState | None = None
+        self.found: Detection | None = None
+        """Estimate of the cycles, and detection in the frames."""
         self.cycles = 0
         self._frames = 0
 
@@ -81,7 +85,7 @@ class PageService:
             self.health.beat("Decision")
             self.pilot.on_sample(VehicleStatus(Stamp(now, now, 0.001, "arrival"), self.flying, "hovering", 0.5, False, True))
             decision = self.pilot.decide(now)
-            self.page.on_decision(decision)
+            self.page.on_decision(decision if self.believed is None else structs.replace(decision, belief=self.believed))
             self.command = decision.command
             self.commanded.add(type(decision.command))
             self.cycles += 1
@@ -97,7 +101,7 @@ class PageService:
     def frame(self, now: MonoNs) -> ProcessedFrame:
         self._frames += 1
         frame = Frame(Stamp(now, now, 0.001, "arrival"), self._frames, self.px)
-        return ProcessedFrame(frame, None, None, Verdict.NO_PAD, now, now)
+        return ProcessedFrame(frame, None, self.found, Verdict.NO_PAD, now, now)
 
     @property
     def address(self) -> str:

@@ -12,6 +12,7 @@ from companion.base.mission import StateChange
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseInUse
+from companion.base.things import things_of
 from companion.parts.mqtt.messages import (
     BeliefReport,
     CommandReport,
@@ -244,6 +245,7 @@ def sighting(session: str, processed: ProcessedFrame) -> SightingMessage:
         chosen=None if detection is None else detection.chosen,
         selected=None if detection is None else _found(detection.selected),
         methods={} if detection is None else {name: _found(one) for name, one in detection.methods.items()},
+        things=things_of(detection),
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from companion.base.things import ThingReport
 from estimator.contracts.estimates import PathName
 
 Vector3 = tuple[float, float, float]
@@ -108,6 +109,8 @@ class SightingMessage(Message, frozen=True, kw_only=True):
     """The detection method that was selected for the frame."""
     selected: MethodReport | None
     methods: dict[str, MethodReport | None]
+    things: tuple[ThingReport, ...] = ()
+    """Objects on the pad and about it."""
 
 
 class SourceReport(Struct, frozen=True, kw_only=True):

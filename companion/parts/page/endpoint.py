@@ -22,6 +22,7 @@ from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSender, OrderSource
 from companion.base.server_log import make_runner
+from companion.base.things import ThingReport, things_of
 from companion.base.wire import RequestRefused
 from companion.base.worker import Worker
 from companion.guidance.advice import advice
@@ -117,6 +118,7 @@ class PageEndpoint(NullObserver):
         self._asking: Line[PageViewer] = Line(settings.viewers_max)
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
+        self._things: tuple[ThingReport, ...] = ()
         self._viewers: list[PageViewer] = []
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
@@ -152,6 +154,7 @@ class PageEndpoint(NullObserver):
     def on_frame(self, processed: ProcessedFrame) -> None:
         for tool in self._tools:
             tool.on_frame(processed)
+        self._things = things_of(processed.detection)
         now = self.clock.now()
         due = self._offered is None or seconds_between(self._offered, now) >= 1.0 / self._settings.picture_rate_hz
         if due and any(viewer.ready for viewer in self._viewers):
@@ -345,6 +348,7 @@ class PageEndpoint(NullObserver):
                     at_s=seconds_between(self._began, now),
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
                     place=where,
+                    things=self._things,
                     roll_rad=roll,
                     pitch_rad=pitch,
                     refusals={order.value: self.pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},

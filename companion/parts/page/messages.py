@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from companion.base.things import ThingReport
 from companion.base.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
 from companion.parts.page.tool_messages import CheckSettingsRequest, SaveSettingsRequest, ToolAnswer, ToolRequest
 
@@ -110,6 +111,8 @@ class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="s
     landing: bool
     """Guidance flies a landing."""
     place: PlaceReport | None
+    things: tuple[ThingReport, ...]
+    """Objects on the pad and about it in the newest frame."""
     roll_rad: float | None
     pitch_rad: float | None
     refusals: dict[str, str | None]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.base.health import Health
+from companion.base.things import ThingReport
 from companion.cli.main import main
 from companion.parts.mqtt import encode, messages
 from companion.parts.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler
@@ -131,9 +132,10 @@ def test_a_frame_reads_back_as_what_was_seen() -> None:
     assert (output.selected.yaw_rad, output.selected.yaw_ambiguous, output.selected.confidence) == (0.5, True, 0.9)
     assert output.selected.cov[::5] == (0.1, 0.2, 0.3, 0.4)
     assert output.methods["arrow"] is None
+    assert output.things == (ThingReport(x_m=0.1, y_m=-0.15, width_m=0.25),)
     nothing = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, False))))
     assert isinstance(nothing, messages.SightingMessage)
-    assert nothing.selected is None
+    assert (nothing.selected, nothing.things) == (None, ())
 
 
 LEAN = Lean(np.array([0.5, -0.25]), np.array([1.0, 2.0]), np.array([0.1, 0.2, 0.3]), 0.4)

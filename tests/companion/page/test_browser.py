@@ -6,11 +6,16 @@ import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.time import MonoNs
+from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from tests.support.certificates import make_certificates
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, serving
@@ -133,6 +138,20 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
         await playwright.expect(one.page.locator("#picture-note")).to_be_hidden(timeout=WAIT_MS)
         assert await one.page.evaluate("document.querySelector('#picture').width") > 300
         await one.shows("delay", "ms")
+        cov = np.diag([1e-4] * 6 + [1e-3])
+        service.believed = RelativeState(MonoNs(0), "ekf", np.array([0.2, 0.3, 2.0]), np.zeros(3), 0.0, cov, MonoNs(0), True)
+        seen = PadCheck(MonoNs(0), 1.0, PadThing(0.25, 0.1, -0.15), NearThing(-0.6, 0.7, 0.41))
+        service.found = Detection(None, None, MappingProxyType({}), on_pad=seen)
+        await playwright.expect(one.page.locator("#above .thing")).to_have_count(2, timeout=WAIT_MS)
+        assert await one.page.locator("#above .thing-says").all_text_contents() == ["25 cm wide", "41 cm high"]
+        x, y, radius = await one.page.evaluate(
+            """() => {
+                const of = document.querySelector("#above .thing").getBBox();
+                return [of.x + of.width / 2, of.y + of.height / 2, document.querySelector("#above .disc").r.baseVal.value];
+            }"""
+        )
+        scale = radius / service.pilot.pad.disc_radius_m
+        assert (x / scale, y / scale) == pytest.approx((-0.15, -0.1), abs=0.01), "to port of the arrow, which points up"
         await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
         assert "accepted" in await one.press("begin")
         assert (await one.press("takeoff")).endswith("refused: the vehicle flies already")

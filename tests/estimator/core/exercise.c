@@ -290,6 +290,7 @@ static void gate(int m, double poison)
 #include "exercise_align.h"
 #include "exercise_look.h"
 #include "exercise_lamps.h"
+#include "exercise_deck.h"
 #include "exercise_search.h"
 #include "exercise_video.h"
 #include "exercise_law.h"
@@ -297,7 +298,7 @@ static void gate(int m, double poison)
 static void fuzz_one(const uint8_t *bytes, size_t size)
 {
     begin(bytes, size);
-    const int what = fuzzed_byte() % 12;
+    const int what = fuzzed_byte() % 13;
     if (what == 0) {
         const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
         algebra(n, m, 1.0);
@@ -322,6 +323,8 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
         looks(1, 0);
     } else if (what == 11) {
         lamps(1);
+    } else if (what == 12) {
+        decks(1);
     } else {
         sail(draw() % 7, 1 + draw() % 200, 1.0);
     }
@@ -396,6 +399,8 @@ int main(int count, char **files)
     report("dl_look");
     lamps(120);
     report("dl_find_lamps");
+    decks(60);
+    report("dl_from_above dl_paint_rest");
     searches(40);
     report("dl_search_circles dl_search_heading dl_search_guesses dl_search_strokes");
     video(40);

@@ -27,7 +27,7 @@ def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, 
         pad = np.array([0.0, 0.0, -0.6])
         shot = Exposure(0.2 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
         view = FrameView(Pyramid(renderer.render(shot, np.random.default_rng(k))), CAMERA, PAD)
-        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 200_000_000 * k), 0.7, 0.001)
+        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
     assert memory is not None
     return memory
 

@@ -5,6 +5,7 @@ const TRAIL = 200; // states, ten a second
 const EDGE = 88; // units of the drawing from its centre to the largest ring
 const CHI_95 = 2.448;
 const AHEAD_S = [1, 2];
+const WIDE_M = 0.4; // drawn width of what is about the pad, whose own is not known
 
 function make(parent, tag, attributes = {}) {
   const element = document.createElementNS(SPACE, tag);
@@ -41,7 +42,7 @@ class View {
     this.trail.push([place.x_m, place.y_m, place.z_m]);
     if (this.trail.length > TRAIL) this.trail.shift();
     // Grow at once, shrink only when there is plenty of room: a scale that flickers cannot be read.
-    const reach = this.reach(place);
+    const reach = this.reach(place, state);
     const wanted = SCALES.find((s) => s >= 1.05 * reach) ?? SCALES.at(-1);
     if (this.scale_m === null || wanted > this.scale_m || 1.6 * reach < wanted) {
       if (wanted !== this.scale_m) this.ground((this.scale_m = wanted));
@@ -51,8 +52,9 @@ class View {
 }
 
 export class Above extends View {
-  reach(place) {
-    return Math.max(Math.hypot(place.x_m, place.y_m), 1.3 * this.drawing.pad_radius_m);
+  reach(place, state) {
+    const things = state.things.map(({ x_m, y_m }) => Math.hypot(x_m, y_m) + WIDE_M);
+    return Math.max(Math.hypot(place.x_m, place.y_m), 1.3 * this.drawing.pad_radius_m, ...things);
   }
 
   ground(scale_m) {
@@ -68,6 +70,7 @@ export class Above extends View {
     for (const line of this.drawing.pad_lines_m) {
       make(this.svg, "polygon", { class: "pad", points: points(line.map(([x, y]) => [y * k, -x * k])) });
     }
+    this.things = make(this.svg, "g");
     this.line = make(this.svg, "polyline", { class: "trail" });
     const body = make(this.svg, "g", { class: "body" });
     this.sigma = make(body, "ellipse", { class: "sigma" });
@@ -80,6 +83,13 @@ export class Above extends View {
 
   draw(place, state, k) {
     const [x, y] = [place.y_m * k, -place.x_m * k];
+    this.things.replaceChildren();
+    for (const { x_m, y_m, width_m, height_m } of state.things) {
+      const half = ((width_m ?? WIDE_M) / 2) * k;
+      const what = width_m !== null ? `${Math.round(100 * width_m)} cm wide` : height_m > 0 ? `${Math.round(100 * height_m)} cm high` : "moves";
+      make(this.things, "rect", { class: "thing", x: y_m * k - half, y: -x_m * k - half, width: 2 * half, height: 2 * half });
+      make(this.things, "text", { class: "thing-says", x: y_m * k + half + 2, y: -x_m * k + 3 }).textContent = what;
+    }
     put(this.line, { points: points(this.trail.map(([tx, ty]) => [ty * k, -tx * k])) });
     const [xx, xy, yy] = place.cov_m2;
     const mean = (xx + yy) / 2;
@@ -93,7 +103,8 @@ export class Above extends View {
     const heading = place.heading_known ? (place.heading_rad * 180) / Math.PI : 0;
     put(this.symbol, { transform: `translate(${x.toFixed(2)} ${y.toFixed(2)}) rotate(${heading.toFixed(1)})` });
     this.svg.setAttribute("aria-label",
-      `From above: the drone is ${place.x_m.toFixed(1)} m along the arrow and ${place.y_m.toFixed(1)} m to starboard of the pad's centre`);
+      `From above: the drone is ${place.x_m.toFixed(1)} m along the arrow and ${place.y_m.toFixed(1)} m to starboard of the pad's centre` +
+      (state.things.length ? "; something is on the pad or about it" : ""));
   }
 }
 

@@ -1,0 +1,26 @@
+"""State where things lie on the pad, and about it, for those who watch."""
+
+from msgspec import Struct
+
+from estimator.vision.detection import Detection
+
+
+class ThingReport(Struct, frozen=True, kw_only=True):
+    """Something on the pad or about it. Axes of the pad: x along the arrow, y to starboard of it."""
+
+    x_m: float
+    y_m: float
+    width_m: float | None = None
+    """Its larger extent, if it lies on the pad."""
+    height_m: float | None = None
+    """Height that it stands out of the deck, if it is about the pad; 0 for what moves."""
+
+
+def things_of(detection: Detection | None) -> tuple[ThingReport, ...]:
+    """Return what a frame's detection knows of things on the pad and about it."""
+    check = None if detection is None else detection.on_pad
+    if check is None:
+        return ()
+    lies, near = check.thing, check.near
+    on_it = () if lies is None else (ThingReport(x_m=lies.forward_m, y_m=lies.right_m, width_m=lies.width_m),)
+    return on_it if near is None else (*on_it, ThingReport(x_m=near.forward_m, y_m=near.right_m, height_m=near.height_m))

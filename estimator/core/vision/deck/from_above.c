@@ -1,0 +1,85 @@
+/* Draw a plane as seen from above, between places in the frame that were projected. */
+
+#include <string.h>
+
+#include "vision/tracker.h"
+
+/* A frame's sides are FRAME_SIDE_MAX at most, so that places in it fit 32 bits. */
+enum { NODES_MAX = 512, BETWEEN_MAX = 64 };
+
+/* A place in an image in 1/64 px: where the four pixels about it begin, and how far it is from the first of them. */
+static inline uint8_t between_four(const uint8_t *at, int64_t stride, int along, int down)
+{
+    const int above = at[0] * (64 - along) + at[3] * along, below = at[stride] * (64 - along) + at[stride + 3] * along;
+    return (uint8_t)((above * (64 - down) + below * down + 2048) >> 12);
+}
+
+/* Draw a run of pixels from u, v on, in 1/65536 px; all of them are in the image. */
+static void run_of(const dl_image *image, const int32_t *from, const int32_t *step, int count, int channels, uint8_t *out)
+{
+    for (int k = 0; k < count; k++) {
+        const int32_t u = from[0] + k * step[0], v = from[1] + k * step[1];
+        const uint8_t *at = image->px + (int64_t)(v >> 16) * image->stride + 3 * (u >> 16);
+        const int along = (u >> 10) & 63, down = (v >> 10) & 63;
+        if (channels == 1) {
+            out[k] = between_four(at + 1, image->stride, along, down);
+            continue;
+        }
+        for (int channel = 0; channel < 3; channel++) {
+            out[3 * k + channel] = between_four(at + channel, image->stride, along, down);
+        }
+    }
+}
+
+static inline int32_t fixed(float px)
+{
+    return (int32_t)(65536.0f * px);
+}
+
+int32_t dl_from_above(const dl_image *image, const float *places, int32_t nodes, int32_t between, int32_t channels, uint8_t *out,
+    uint8_t *shown)
+{
+    if (!is_image(image, 3) || image->width < 4 || image->height < 4 || !lies_within(nodes, 2, NODES_MAX)
+        || !lies_within(between, 1, BETWEEN_MAX) || (channels != 1 && channels != 3)) {
+        return DL_WRONG_SIZE;
+    }
+    const int n = (nodes - 1) * between + 1;
+    const float right = (float)image->width - 2.0f, bottom = (float)image->height - 2.0f;
+    for (int row = 0; row < n; row++) {
+        const int above = row / between < nodes - 1 ? row / between : nodes - 2;
+        const float down = (float)(row - above * between) / (float)between;
+        for (int cell = 0; cell < nodes - 1; cell++) {
+            const float *from = places + 2 * ((int64_t)above * nodes + cell), *to = from + 2 * nodes;
+            const int count = cell == nodes - 2 ? between + 1 : between;
+            const int64_t first = (int64_t)row * n + cell * between;
+            float at[2], step[2];
+            int inside = 1, outside = 0;
+            for (int k = 0; k < 2; k++) {
+                const float end = k ? bottom : right, next = from[k + 2] + down * (to[k + 2] - from[k + 2]);
+                at[k] = from[k] + down * (to[k] - from[k]), step[k] = (next - at[k]) / (float)between;
+                inside = inside && at[k] >= 1.5f && at[k] < end - 0.5f && next >= 1.5f && next < end - 0.5f;
+                outside = outside || (at[k] < 1.0f && next < 1.0f) || (at[k] > end && next > end);
+            }
+            if (inside) {
+                const int32_t begin[2] = {fixed(at[0]), fixed(at[1])}, each[2] = {fixed(step[0]), fixed(step[1])};
+                run_of(image, begin, each, count, channels, out + channels * first);
+                memset(shown + first, 255, (size_t)count);
+                continue;
+            }
+            /* Beyond the image's border the nearest pixels are taken, of a run that is all beyond it the nearest of its first. */
+            for (int k = 0; k < count; k++) {
+                if (outside && k > 0) {
+                    memcpy(out + channels * (first + k), out + channels * first, (size_t)channels);
+                    shown[first + k] = 0;
+                    continue;
+                }
+                const float u = at[0] + (float)k * step[0], v = at[1] + (float)k * step[1];
+                const float in_u = u > 0.0f ? (u < right ? u : right) : 0.0f, in_v = v > 0.0f ? (v < bottom ? v : bottom) : 0.0f;
+                const int32_t begin[2] = {fixed(in_u), fixed(in_v)}, still[2] = {0, 0};
+                run_of(image, begin, still, 1, channels, out + channels * (first + k));
+                shown[first + k] = u >= 1.0f && v >= 1.0f && u <= right && v <= bottom ? 255 : 0;
+            }
+        }
+    }
+    return n;
+}

@@ -1,0 +1,162 @@
+"""Detect objects passing over the pad: patches of the deck's picture that change, and not as the drone's own shadow does.
+
+A thing that moves fast is gone before corners of it could be followed. The deck about the pad is drawn as seen from above, in
+coarse cells, and compared with its slow mean (the sigma-delta background of Manzanera & Richefeu, Pattern Recogn. Lett. 28,
+2007). What lies there has the same share of that light as it had a fifth of a second before, at the same place. The drone's own
+shadow, glare and drops on the lens have it at the same place in the drone's cone, q = c + s h for a camera at height h over the
+place c. A patch that has neither passes. A registration may be off by a cell: its light is looked for among its neighbours.
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.detection import NearThing
+from estimator.vision.from_above import from_above
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+_PERIOD_S, _LOW_PERIOD_S, _LOW_M = 0.19, 0.09, 1.0
+"""Time between two frames that are read, and from this height down, where a thing is in view for a shorter time."""
+_SINCE_S, _GAP_S, LASTS_S = 0.15, 0.7, 10.0
+"""Least and most time between two that are compared, and for which a finding counts, s."""
+_CELL_M, _MESH, _REACH_M = 0.04, 4, 0.5
+"""Size of a cell, of the mesh on which cells are drawn, in cells, and what is read beyond the disc."""
+_STEP = 4
+"""Most by which the mean changes a frame, values of a pixel."""
+_ONE, _FLOOR = 64, 8
+"""Share of the mean's light that is all of it. Second: value added to both where it is taken: dark values are noise."""
+_LEAST, _LEAST_VALUE, _NOISES = 0.25, 10.0, 4.0
+"""Change that counts: of the mean's light, in values of a pixel, and in mean changes of the cell."""
+_CELLS_LEAST = 8
+"""Least number of cells of a thing."""
+_BOX = np.ones((3, 3), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    at: MonoNs
+    light: U8
+    """Values of the cells, (N, N, 3)."""
+    share: U8
+    """The same over the mean's, in 1/64."""
+    shown: U8
+    below: F64
+    """Place of the camera over the deck, (2,) m."""
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassMemory:
+    """The deck's slow mean, the last readings, and the newest finding."""
+
+    mean: U8
+    known: U8
+    """Cells that the mean knows, 255."""
+    noise: F32
+    """Mean change of each cell, values of a pixel."""
+    readings: tuple[_Reading, ...]
+    found: NearThing | None = None
+    found_at: MonoNs | None = None
+
+    @property
+    def at(self) -> MonoNs:
+        """Exposure of the newest frame that was read."""
+        return self.readings[-1].at
+
+    def near(self, at: MonoNs) -> NearThing | None:
+        """Return what passed lately."""
+        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
+            return None
+        return self.found
+
+
+def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> PassMemory:
+    """Return the memory with what a frame shows of the pad, whose registered pose is `pose`, and about it."""
+    since_s = math.inf if memory is None else seconds_between(memory.at, at)
+    if memory is not None and 0.0 <= since_s < (_LOW_PERIOD_S if pose.range_m < _LOW_M else _PERIOD_S):
+        return memory
+    light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _MESH, 3)
+    centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+    if memory is None or not 0.0 <= since_s <= _GAP_S:
+        now = _Reading(at, light, np.full_like(light, _ONE), shown, centre[:2], float(-centre[2]))
+        found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
+        return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found, found_at)
+    mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
+    cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
+    bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
+    share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)
+    now = _Reading(at, light, np.asarray(share, np.uint8), shown, centre[:2], float(-centre[2]))
+    found, found_at, noise = memory.found, memory.found_at, memory.noise
+    before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
+    if before is not None:
+        change, noise = _changed(before, now, np.asarray(mean, np.uint8), noise)
+        new = _largest(change)
+        found, found_at = (found, found_at) if new is None else (new, at)
+    more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
+    nearer = cv2.subtract(cv2.add(mean, more), less)
+    cv2.copyTo(nearer, shown, mean)
+    kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
+    last = memory.readings[: len(memory.readings) - len(kept)][-1:]
+    return PassMemory(np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found, found_at)
+
+
+def _brighter(light: U8, shown: U8, memory: PassMemory) -> float:
+    """Return by how much the frame is exposed more than the mean was."""
+    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
+    now, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
+    return float(np.median(now / was)) if len(now) else 1.0
+
+
+def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
+    """Return the cells, (N, N), that differ from what they were, and from what the drone's cone says, and the cells' noise."""
+    scale = before.height_m / max(now.height_m, 0.05)
+    # A cell at q now had its light, if it is of the drone's cone, at c' + (q - c) h'/h.
+    shift = (before.below - scale * now.below) / _CELL_M + (len(mean) - 1) / 2 * (1.0 - scale)
+    to, size = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]]), mean.shape[:2]
+    linear = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    own = [np.asarray(cv2.warpAffine(of, to, size, flags=linear), np.uint8) for of in (before.share, before.light)]
+    own_seen = cv2.warpAffine(before.shown, to, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    # What comes in from where nothing was read may be the drone's own.
+    change = cv2.min(cv2.min(before.shown, now.shown), cv2.erode(own_seen, _BOX))
+    level = np.minimum(mean, 255 - _FLOOR) + np.uint8(_FLOOR)
+    for off in (
+        *(cv2.multiply(_off(now.share, was), level, scale=1.0 / _ONE) for was in (before.share, own[0])),
+        _off(now.light, own[1]), cv2.absdiff(now.light, mean),
+    ):  # fmt: skip
+        change = cv2.min(change, _most(np.asarray(off, np.uint8)))
+    values = np.asarray(change, np.float32)
+    least = np.maximum(np.maximum(_LEAST * _most(mean).astype(np.float32), _LEAST_VALUE), _NOISES * noise)
+    return (values > least).astype(np.uint8), noise + np.float32(0.1) * (values - noise)
+
+
+def _off(now: U8, before: U8) -> U8:
+    """Return how far values are off those that the cell and its neighbours had, (N, N, 3)."""
+    more, less = cv2.subtract(now, cv2.dilate(before, _BOX)), cv2.subtract(cv2.erode(before, _BOX), now)
+    return np.asarray(cv2.max(more, less), np.uint8)
+
+
+def _most(of: U8) -> U8:
+    """Return the largest of the channels of each cell, (N, N)."""
+    blue, green, red = cv2.split(of)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+
+
+def _largest(change: U8) -> NearThing | None:
+    """Return the largest patch of cells that changed."""
+    count, _, stats, middles = cv2.connectedComponentsWithStats(change, connectivity=8)
+    if count < 2:
+        return None
+    best = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    if stats[best, cv2.CC_STAT_AREA] < _CELLS_LEAST:
+        return None
+    x, y = ((middles[best] - (len(change) - 1) / 2) * _CELL_M).tolist()
+    return NearThing(x, y, 0.0)
