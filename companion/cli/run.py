@@ -14,6 +14,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
+from companion.settings.installed import check_installed
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files
@@ -63,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
+    check_installed(settings)
     if not args.check:
         _calibrate_pad(settings)
     pilot = make_pilot(settings)

@@ -1,12 +1,15 @@
 """Open video files and streams with a bound on their frame size, which the decoder obeys before it allocates memory."""
 
-from collections.abc import Mapping
-from typing import Protocol
+from __future__ import annotations
 
-import av
-from av.container import InputContainer
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
 
 from drivers.camera.images import MOST_PIXELS, ImageRefused
+from drivers.pyav import require_pyav
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
 
 MOST_PACKET_BYTES = 32 << 20
 """Largest size of an encoded frame, bytes: that of an uncompressed one of 10 million pixels."""
@@ -72,7 +75,11 @@ def open_video(
     Raises:
         FFmpegError, OSError: raised as by `av.open`.
         ImageRefused: the frames are larger than the bound; the text gives the reason.
+        BadInput: PyAV is not installed.
     """
+    require_pyav("a video")
+    import av
+
     bound = {"max_pixels": str(most_pixels(size))}
     container: InputContainer = av.open(source, "r", options={**(options or {}), **bound}, timeout=timeout)
     for stream in container.streams.video:
