@@ -71,9 +71,10 @@ lint: $(VENV)/.dev $(CORE)
 bench: $(VENV)/.dev $(CORE)
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
 
-# The documentation as a site in site/; a broken link or a page outside the navigation fails it. A preview while writing: .venv/bin/mkdocs serve.
+# The documentation as a site in site/; a broken link, a page outside the navigation, or a search that misses its page fails it. A preview while writing: .venv/bin/mkdocs serve.
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/pytest tests/docs/test_search.py
 
 # Every parser, and every entry of the core where there is clang, against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz $(CORE)
