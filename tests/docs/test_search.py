@@ -39,7 +39,7 @@ QUESTIONS = {
     "how accurate is the landing": {"benchmarks"},
     "train a neural network policy": {"training"},
 }
-"""What users type, and the pages that answer it."""
+"""Questions of users, and the pages that answer each."""
 
 
 @pytest.fixture
