@@ -12,6 +12,7 @@ import msgspec
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
+from companion.cli.progress import WorkProgress
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
 from companion.settings.installed import check_installed
@@ -109,10 +110,11 @@ def _calibrate_pad(settings: Settings) -> None:
     from companion.tools.pads.price import price
 
     sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
+    progress = WorkProgress("searching clutter", "views").take
     file = calibration_file(pad)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START).calibration))
+        file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START, progress).calibration))
     except OSError as why:
         sys.stderr.write(f"its calibration cannot be kept in {file}: {why.strerror or why}\n")
 
