@@ -89,7 +89,7 @@ def release(source: str | None, wheels: Path | None, *, video: bool = False) -> 
     """Yield the release that the user names; what is made or fetched for it is removed afterwards.
 
     Args:
-        source: a wheel, a folder of wheels, a checkout, a name such as `decklander==0.2.0`, or a version; None for that of this
+        source: a wheel, a folder of wheels, a checkout, a name such as `decklander==1.1.0`, or a version; None for that of this
             very program.
         wheels: a folder with the dependencies.
         video: whether to install the extra `video`.
