@@ -12,7 +12,7 @@ CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 
 .PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
 
-demo: $(VENV)/.report $(VENV)/.compare $(CORE)
+demo: $(VENV)/.report $(VENV)/.compare $(VENV)/.video $(CORE)
 	$(BIN)/decklander demo
 
 # Before each commit: lint, types, and every test but those of the slow files that tests/conftest.py names.
@@ -71,9 +71,10 @@ lint: $(VENV)/.dev $(CORE)
 bench: $(VENV)/.dev $(CORE)
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
 
-# The documentation as a site in site/; a broken link or a page outside the navigation fails it. A preview while writing: .venv/bin/mkdocs serve.
+# The documentation as a site in site/; a broken link, a page outside the navigation, or a search that misses its page fails it. A preview while writing: .venv/bin/mkdocs serve.
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/pytest tests/docs/test_search.py
 
 # Every parser, and every entry of the core where there is clang, against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz $(CORE)
@@ -88,7 +89,7 @@ mutants: $(VENV)/.dev $(CORE)
 sbom: $(VENV)/.supply $(VENV)/shipped
 	@mkdir -p dist
 	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible -o dist/decklander.cdx.json $(VENV)/shipped
-	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/decklander.pins.cdx.json requirements/runtime.txt
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/decklander.pins.cdx.json requirements/video.txt
 
 licences: $(VENV)/.dev
 	sh supply/licences.sh $(BIN)/python > docs/licences.md.new && mv docs/licences.md.new docs/licences.md
@@ -105,6 +106,11 @@ $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt
 # zig's compiler, which builds for other machines and where there is no `cc`.
 $(VENV)/.compiler: requirements/compiler.txt | $(BIN)/python
 	$(PIP) install --require-hashes -r requirements/compiler.txt
+	@touch $@
+
+# H.264, which the demo's simulated AR.Drone films in.
+$(VENV)/.video: requirements/video.txt $(VENV)/.runtime
+	$(PIP) install --require-hashes -r requirements/video.txt
 	@touch $@
 
 # The drawings of demo's report, of calibrate and of campaigns.
@@ -136,7 +142,7 @@ $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	@touch $@
 
 # An environment with the service's needs and every extra's, and nothing else.
-$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt requirements/fleet.txt | $(BIN)/python
+$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt requirements/fleet.txt requirements/video.txt | $(BIN)/python
 	$(BIN)/python -m venv --clear --without-pip $@
 	$(PIP) --python $@ install --require-hashes $(foreach pins,$^,-r $(pins))
 	@touch $@
@@ -155,13 +161,14 @@ PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-ex
 pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
+	$(PIN) --constraint requirements/runtime.txt --extra video -o requirements/video.txt pyproject.toml
 	$(PIN) --constraint requirements/runtime.txt --extra fleet -o requirements/fleet.txt pyproject.toml
 	$(PIN) --constraint requirements/fleet.txt --extra report -o requirements/report.txt pyproject.toml
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.chaos import free_port, until
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
-from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
 from estimator.contracts.time import seconds_between

@@ -26,7 +26,8 @@ from companion.tools.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA,
 from supply import wheels
 
 ROOT = wheels.ROOT
-PINS = ROOT / "requirements/runtime.txt"
+PINS = ROOT / "requirements/video.txt"
+"""An AR.Drone is landed without fetching anything."""
 
 ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}
 """Debian's names of the architectures. There is no 32-bit one: dpkg refuses the package there."""
@@ -190,7 +191,7 @@ def copyright_file(licences: str) -> str:
         " /usr/share/common-licenses/Apache-2.0.",
     ]
     held, _, shipped = licences.partition("\n## The service\n")
-    for name, version, licence in _rows(shipped.partition("\n## ")[0]):
+    for name, version, licence in sorted(_rows(shipped.partition("\n## The extra `report`")[0])):
         stem = re.sub(r"[-.]+", "_", name)
         # A licence's short name has no spaces there.
         terms = licence.replace(" ", "-") if "License" in licence else licence.replace(" AND ", " and ").replace(" OR ", " or ")

@@ -48,6 +48,8 @@ SLOW = (
     "tests/companion/test_fault_domains.py",
     "tests/companion/test_start.py",
     "tests/docs/test_guide_ardrone.py",
+    "tests/docs/test_guides.py",
+    "tests/companion/test_extras.py",
     "tests/estimator/ekf/test_rough.py",
     "tests/companion/test_signals.py",
     "tests/companion/test_safety.py",

@@ -51,8 +51,19 @@ COMPARE = {"estimator/constant_velocity.py"}
 """Modules that need the extra `compare`. `pipeline.require_filterpy` is called first."""
 
 TRAINING = {"sitl/gym/environment.py"}
-FLEET = {"companion/parts/recorder/upload.py"}
 """Modules that need the extra `rl`."""
+
+FLEET = {"companion/parts/recorder/upload.py"}
+"""Modules that need the extra `fleet`."""
+
+VIDEO = {
+    *(f"companion/{name}.py" for name in ("cli/detect", "parts/video/part", "tools/calibrate/guide")),
+    *(f"companion/tools/report/{name}.py" for name in ("animation", "video")),
+    *(f"companion/recording/{name}.py" for name in ("frame_encoder", "frame_video", "timed_frames")),
+    *(f"drivers/camera/{name}.py" for name in ("live_bytes", "v4l2_formats", "video_source", "videos")),
+    *("drivers/ardrone/video.py", "drivers/imports/video.py", "sitl/camera/film.py", "sitl/emulators/ardrone/wire_pictures.py"),
+}
+"""Modules that need the extra `video`. They call `require_pyav` first, or are imported after `check_installed`."""
 
 IMPURE_MODULES = {
     "asyncio", "ctypes", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets",
@@ -457,7 +468,7 @@ def test_the_readme_shows_the_two_commands_and_ci_uses_one_of_them() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    needed = {"report": DRAWINGS, "lab": LAB, "ros2": ROS2, "compare": COMPARE, "rl": TRAINING, "fleet": FLEET}
+    needed = {"report": DRAWINGS, "lab": LAB, "ros2": ROS2, "compare": COMPARE, "rl": TRAINING, "fleet": FLEET, "video": VIDEO}
     runtime = import_names(project["dependencies"])
     dev = runtime.union(*(import_names(extras[name]) for name in (*needed, "dev")))
     undeclared = set()

@@ -43,6 +43,7 @@ from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
+from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
@@ -58,6 +59,12 @@ _PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
 _KEEP_EACH = 4
 """Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
+
+
+_WITHOUT_VIDEO = (
+    "an AR.Drone 1.0 flies, for PyAV is not installed; for the 2.0 with its sharper camera: pip install 'decklander[video]'"
+)
+"""Notice where nothing can decode the 2.0's H.264."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -97,6 +104,9 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     scenario = load_scenario(args.scenario)
+    if scenario.vehicle.generation != "1.0" and not args.ardrone1 and not has_pyav():
+        sys.stderr.write(f"{_WITHOUT_VIDEO}\n")
+        args.ardrone1 = True
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from companion.settings.learned_file import second_opinion
 from companion.settings.load import find_file, read_camera, read_toml
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames, video_of
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
@@ -278,6 +278,9 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
             if file.suffix.lower() in images.PICTURES:
                 raise _NoImageError(f"{file}: not an image that can be read ({why})") from why
     index = 0
+    require_pyav(f"{file}: a video")
+    from av.error import FFmpegError
+
     try:
         with open_video(str(file), size) as container:
             stream = video_of(container, size)
@@ -290,7 +293,7 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({model.camera_source})") from why
-    except (av.FFmpegError, OSError, IndexError) as why:
+    except (FFmpegError, OSError, IndexError) as why:
         raise _NoImageError(f"{file}: neither an image nor a video that can be read (stopped at frame {index})") from why
     if index == 0:
         raise _NoImageError(f"{file}: a video without frames")

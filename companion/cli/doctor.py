@@ -401,8 +401,8 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
         else:
             lines += _log_lines(f"{a.stack}{version}, system {a.system}", len(a.parameters), snapshot.log)
         lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]
-    elif snapshot.heard:
-        lines += [f"found: {one}, component {one.component}" for one in snapshot.heard]
+    elif snapshot.systems:
+        lines += [f"found: {one}, component {one.component}" for one in snapshot.systems]
     if snapshot.sync is not None and snapshot.sync.round_trip_s is not None:
         lines.append(
             f"clock: round trip {1e3 * snapshot.sync.round_trip_s:.1f} ms, {'locked' if snapshot.sync.locked else 'not locked'}"

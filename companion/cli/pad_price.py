@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.cli.progress import WorkProgress
 from companion.settings.load import SHIPPED, pad_of_file, shipped
 from companion.tools.pads.clutter import VIEWS
 from companion.tools.pads.price import Price, price
@@ -26,13 +26,8 @@ def priced(pad: Pad, file: Path, views: int) -> tuple[Pad, Price]:
     Raises:
         BadInput: the file cannot be written.
     """
-
-    def progress(done: int, of: int) -> None:
-        if sys.stderr.isatty():
-            sys.stderr.write(f"\rsearching clutter: {done} of {of} views" + ("\n" if done == of else ""))
-
     others = {name: pad_of_file(SHIPPED / "pads" / f"{name}.toml") for name in shipped("pads")}
-    found = price(pad, others, views, progress)
+    found = price(pad, others, views, WorkProgress("searching clutter", "views").take)
     if SHIPPED not in file.resolve().parents:
         _write(file, found.calibration)
     return replace(pad, calibration=found.calibration), found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -97,6 +98,36 @@ class ProgressObserver(NullObserver):
 
 
 _SAY_EACH_S = 30.0
+_REDRAW_S = 0.2
+_LEAST_ITEMS = 10
+"""Items after which the time left is worth printing."""
+
+
+class WorkProgress:
+    """Progress of long work on standard error: one line that is redrawn on a terminal, else a line now and then.
+
+    Args:
+        title: the work.
+        items: what is counted.
+    """
+
+    def __init__(self, title: str, items: str) -> None:
+        self._title, self._items = title, items
+        self._began_s = time.monotonic()
+        self._printed_s = -math.inf
+        self._live = sys.stderr.isatty()
+
+    def take(self, done: int, of: int) -> None:
+        """Print how much is done."""
+        now_s = time.monotonic()
+        if done < of and now_s - self._printed_s < (_REDRAW_S if self._live else _SAY_EACH_S):
+            return
+        self._printed_s = now_s
+        left_s = (now_s - self._began_s) * (of / done - 1.0)
+        left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
+        text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_ITEMS <= done < of else "")
+        sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
+        sys.stderr.flush()
 
 
 class CampaignProgress(AbstractContextManager["CampaignProgress"]):

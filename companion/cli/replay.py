@@ -343,8 +343,9 @@ def _difference(name: str, d: Difference) -> str:
     if d.identical == d.both:
         return f"{d.path} against {name}: all {d.both} states identical to the bit"
     return (
-        f"{d.path} against {name}: {d.identical} of {d.both} states identical; apart by {_mm(d.d_median_m)} median, "
-        f"{_mm(d.d_p95_m)} at 95 %, {_mm(d.d_max_m)} at most, heading by {math.degrees(d.yaw_max_rad):.2f} deg at most"
+        f"{d.path} against {name}: {d.identical} of {d.both} states identical (frames kept as JPEG or video: expected); "
+        f"apart by {_mm(d.d_median_m)} median, {_mm(d.d_p95_m)} at 95 %, {_mm(d.d_max_m)} at most, "
+        f"heading by {math.degrees(d.yaw_max_rad):.2f} deg at most"
     )
 
 

@@ -12,8 +12,10 @@ import msgspec
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
+from companion.cli.progress import WorkProgress
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
+from companion.settings.installed import check_installed
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files
@@ -63,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
+    check_installed(settings)
     if not args.check:
         _calibrate_pad(settings)
     pilot = make_pilot(settings)
@@ -107,10 +110,11 @@ def _calibrate_pad(settings: Settings) -> None:
     from companion.tools.pads.price import price
 
     sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
+    progress = WorkProgress("searching clutter", "views").take
     file = calibration_file(pad)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START).calibration))
+        file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START, progress).calibration))
     except OSError as why:
         sys.stderr.write(f"its calibration cannot be kept in {file}: {why.strerror or why}\n")
 

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from companion.tools.install import steps
+from companion.tools.install import steps, versions
 from companion.tools.install.layout import PACKAGED_UNIT
 from companion.tools.install.machine import Machine
 from companion.tools.install.steps import InstallOptions
@@ -87,6 +87,11 @@ def _add_release(parser: argparse.ArgumentParser, default: str) -> None:
         "--wheels", type=Path, metavar="DIR", help="folder with the wheels of the dependencies; nothing is fetched"
     )
     parser.add_argument(
+        "--video",
+        action="store_true",
+        help="install PyAV too, for an AR.Drone 2.0, a network camera, or H.264 in recordings; updates keep it",
+    )
+    parser.add_argument(
         "--python", default="/usr/bin/python3", metavar="FILE", help="Python to run with (default: /usr/bin/python3)"
     )
 
@@ -109,12 +114,13 @@ def run(args: argparse.Namespace) -> int:
         packaged=packaged,
         on_ground=args.on_ground,
     )
+    video = getattr(args, "video", False) or (versions.current(machine) or "").endswith(versions.VIDEO)
     match args.action:
         case "install":
-            with release(args.source, args.wheels) as found:
+            with release(args.source, args.wheels, video=video) as found:
                 steps.install(machine, found, options)
         case "update":
-            with release(args.source or NAME, args.wheels) as found:
+            with release(args.source or NAME, args.wheels, video=video) as found:
                 steps.update(machine, found, options)
         case "rollback":
             steps.roll_back(machine, options)

@@ -31,6 +31,8 @@ VEHICLES = {
     "px4": "a copter with PX4",
 }
 PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
+_OWN_LINK = ("sim", "ardrone1", "ardrone2")
+"""Vehicles whose address and camera are known."""
 _ARDRONE = ("192.168.1.1", 5559)
 """An AR.Drone's address in its own network, and its port of the configuration."""
 _UDP_PORTS = (14550, 14540)
@@ -104,10 +106,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> Answers:
     ask = _Asker(args.yes)
-    received = [] if args.vehicle or args.link else found_vehicles()
+    received = [] if args.link or args.vehicle in _OWN_LINK else found_vehicles()
     vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
-    link = args.link or next((one.link for one in received if one.name == vehicle), "") or _usual_link(vehicle)
-    flies_itself = vehicle in ("sim", "ardrone1", "ardrone2")
+    flies_itself = vehicle in _OWN_LINK
+    link = args.link or next((one.link for one in received if one.name == vehicle), "")
+    if not link:
+        link = _usual_link(vehicle)
+        if not flies_itself:
+            sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
     there = [] if flies_itself else [one for one in cameras() if one.index == 0]
     device = "vehicle" if flies_itself else args.camera or ""
     if not device:
@@ -298,7 +304,8 @@ def _certify(certificate: Path, key: Path, address: str) -> None:
 
 def _next_steps(answers: Answers, out: Path) -> None:
     say: Callable[[str], int] = sys.stdout.write
-    say(f"\nstart the service:  decklander run --config {out}\nfly:                decklander fly takeoff --wait 20\n")
+    command = "decklander" if shutil.which("decklander") else sys.argv[0]
+    say(f"\nstart the service:  {command} run --config {out}\nfly:                {command} fly takeoff --wait 20\n")
     if not answers.page:
         return
     token = out.with_name(out.stem + ".token").read_text(encoding="utf-8").strip()

@@ -1,15 +1,20 @@
 """Frames as H.264, one access unit a frame: about a twentieth of the bytes of JPEG."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-import av
 import numpy as np
-from av.video.codeccontext import VideoCodecContext
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.recording.timed_frames import prepare, yuv_frame
+from drivers.pyav import require_pyav
+
+if TYPE_CHECKING:
+    from av.video.codeccontext import VideoCodecContext
 
 _START = b"\x00\x00\x01"
 _IDR, _SEQUENCE = 5, 7
@@ -42,6 +47,7 @@ class FrameEncoder:
 
         Raises:
             ValueError: a width or height that is odd, or the encoder refuses the frame.
+            BadInput: PyAV is not installed.
         """
         height, width = image.shape[:2]
         if width % 2 or height % 2:
@@ -51,14 +57,19 @@ class FrameEncoder:
         frame = yuv_frame(image)
         frame.pts = self._count
         self._count += 1
+        from av.error import FFmpegError
+
         try:
             return b"".join(bytes(packet) for packet in self._codec.encode(frame))
-        except av.FFmpegError as why:
+        except FFmpegError as why:
             raise ValueError(f"cannot encode a frame as H.264: {why}") from why
 
 
 def _encoder(width: int, height: int, quality: VideoQuality) -> VideoCodecContext:
-    codec = av.CodecContext.create("libx264", "w")
+    require_pyav("H.264")
+    from av.video.codeccontext import VideoCodecContext
+
+    codec = VideoCodecContext.create("libx264", "w")
     prepare(codec, (width, height))
     codec.framerate = Fraction(30)
     # Without lookahead each frame comes out at once, and none refers to a later one.

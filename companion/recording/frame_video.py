@@ -4,14 +4,19 @@ Each frame is encoded from those before it back to the last key frame, so whoeve
 mostly wanted in order, and then each is decoded once.
 """
 
-from dataclasses import dataclass, field
+from __future__ import annotations
 
-import av
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
 import numpy as np
-from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
 from companion.recording.frame_encoder import VideoQuality, is_key_frame
+from drivers.pyav import require_pyav
+
+if TYPE_CHECKING:
+    from av.video.codeccontext import VideoCodecContext
 
 U8 = NDArray[np.uint8]
 
@@ -75,16 +80,22 @@ class FrameSequence:
 
 
 def _decoder() -> VideoCodecContext:
-    codec = av.CodecContext.create("h264", "r")
+    require_pyav("a recording whose frames are H.264")
+    from av.video.codeccontext import VideoCodecContext
+
+    codec = VideoCodecContext.create("h264", "r")
     codec.thread_type = "NONE"
     codec.options = {"flags": "low_delay", "max_pixels": str(_PIXELS_MAX)}
     return codec
 
 
 def _decoded(decoder: VideoCodecContext, data: bytes) -> U8 | None:
+    from av import Packet
+    from av.error import FFmpegError
+
     try:
-        frames = decoder.decode(av.Packet(data))
-    except av.FFmpegError:
+        frames = decoder.decode(Packet(data))
+    except FFmpegError:
         return None
     if not frames:
         return None

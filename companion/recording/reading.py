@@ -225,7 +225,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
     """Open the recording in these files and read the head of each.
 
     Raises:
-        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 0.1.0.
+        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 1.0.0.
     """
     if not paths:
         raise BadInput("no recording named")
@@ -337,7 +337,7 @@ FOR_VIEWERS = {
 }
 """Topics that repeat for viewers what others hold."""
 _OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
-"""The topic and key names before 0.1.0, which distinguish an old recording from a damaged one."""
+"""The topic and key names before 1.0.0, which distinguish an old recording from a damaged one."""
 
 
 def _opened(path: Path) -> IO[bytes]:

@@ -1,13 +1,18 @@
 """Pictures on the way to an H.264 encoder: their times on the clock of 90 kHz, their colours by BT.709 in limited range."""
 
-from fractions import Fraction
+from __future__ import annotations
 
-import av
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
 import numpy as np
-from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
 from estimator.contracts.time import MonoNs, seconds_between
+
+if TYPE_CHECKING:
+    import av
+    from av.video.codeccontext import VideoCodecContext
 
 CLOCK_HZ = 90_000
 """The clock of RTP time stamps for video (RFC 6184, section 8.1); it divides all usual rates."""
@@ -24,6 +29,8 @@ def prepare(context: VideoCodecContext, size: tuple[int, int]) -> None:
 
 def yuv_frame(image: NDArray[np.uint8]) -> av.VideoFrame:
     """Return an (H, W, 3) BGR picture as the frame that an encoder takes."""
+    import av
+
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
     return frame.reformat(format="yuv420p", dst_colorspace=_BT709, dst_color_range=_LIMITED_RANGE)
 

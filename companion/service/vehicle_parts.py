@@ -20,9 +20,9 @@ from companion.settings.model import Settings, ardrone_options
 from companion.settings.vessel import VesselOptions
 from drivers.ardrone.link import open_ardrone
 from drivers.camera.exposure import ExposureDrive
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import VideoSource
-from drivers.camera.video_source import open_camera
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
 from drivers.nmea.sentences import REFUSED_FOR, NmeaReader

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 
 from companion.settings import secret_files
+from companion.settings.installed import check_installed
 from companion.settings.model import Settings
 from companion.settings.secret_files import CREDENTIAL
 from drivers.mavlink.options import AutopilotOptions
@@ -20,8 +21,9 @@ def check_files(settings: Settings, environment: Mapping[str, str] = os.environ)
         The settings that name a systemd credential. Outside the systemd unit these files do not exist, so they are not read.
 
     Raises:
-        BadInput: a file is missing, cannot be read, or does not hold what the setting needs.
+        BadInput: a file is missing, cannot be read, or does not hold what the setting needs; or a package is missing.
     """
+    check_installed(settings)
     outside_unit = not environment.get("CREDENTIALS_DIRECTORY")
     unchecked = []
     for key, references, read in _references(settings):

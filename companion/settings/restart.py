@@ -1,4 +1,4 @@
-"""The options of restarts, apart from the supervisor that takes them so that settings can be read without loading it."""
+"""Options of restarts, in a module of their own so that settings are read without loading the supervisor."""
 
 from typing import Annotated
 

@@ -8,7 +8,7 @@ RUN apt-get update \
 WORKDIR /src
 COPY requirements requirements
 RUN python3 -m venv /opt/decklander \
- && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/build.txt -r requirements/lab.txt
+ && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/build.txt -r requirements/lab.txt -r requirements/video.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY companion companion
 COPY drivers drivers

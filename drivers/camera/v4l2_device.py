@@ -21,6 +21,7 @@ from drivers.camera.exposure import ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import FORMATS, CameraOptions, Size
 from drivers.camera.v4l2_formats import FrameLayout, line_length
+from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, SetupImpossible
 
 _MODE, _TIME, _PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
@@ -262,7 +263,8 @@ class KernelDevice:
 
     def _set_format(self, o: CameraOptions, width: int, height: int) -> tuple[FrameLayout, float]:
         offered = dict.fromkeys(kernel.formats(self.fileno()))
-        wanted = [f for f in FORMATS if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
+        known = [f for f in FORMATS if f != "H264" or has_pyav()]
+        wanted = [f for f in known if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
         if not wanted:
             asked = f"none of {', '.join(FORMATS)}" if o.format == "auto" else f"no {o.format}"
             raise BadInput(f"camera {self._path}: it offers {asked}; it has {', '.join(offered) or 'nothing'}")

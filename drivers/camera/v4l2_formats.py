@@ -1,17 +1,21 @@
 """Decode the bytes of a V4L2 buffer to a BGR image. The result for unreadable bytes is None."""
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-import av
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
-from av.error import FFmpegError
-from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused, decode
 from drivers.camera.videos import most_pixels
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
+
+if TYPE_CHECKING:
+    from av.video.codeccontext import VideoCodecContext
 
 U8 = NDArray[np.uint8]
 
@@ -103,7 +107,17 @@ class H264Decoder:
         return self._codec is None
 
     def decode(self, unit: bytes, layout: FrameLayout) -> U8 | None:
-        """Decode one access unit to (H, W, 3) BGR; None while waiting for an IDR, or if the unit is damaged (then it waits)."""
+        """Decode one access unit to (H, W, 3) BGR; None while waiting for an IDR, or if the unit is damaged (then it waits).
+
+        Raises:
+            BadInput: PyAV is not installed.
+        """
+        if self._codec is None:
+            require_pyav("a camera that sends H.264")
+        from av import Packet
+        from av.error import FFmpegError
+        from av.video.codeccontext import VideoCodecContext
+
         if self._codec is None:
             if not stands_alone(unit):
                 return None
@@ -115,7 +129,7 @@ class H264Decoder:
                 "flags": "low_delay",
             }
         try:
-            frame_images = self._codec.decode(av.Packet(unit))
+            frame_images = self._codec.decode(Packet(unit))
         except FFmpegError:
             frame_images = []
         if (

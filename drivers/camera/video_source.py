@@ -1,8 +1,4 @@
-"""Open a camera that is not part of the vehicle: a V4L2 device, a GStreamer pipeline, a network camera or a video file.
-
-options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
-async with open_camera(options, (640, 480), clock) as camera:
-    async for frame in camera.frames: ...
+"""Read the frames of a network camera or of a video file.
 
 A file is played at its own speed. A live stream's clock stamps its frames, where its container has one (RTP, MPEG-TS, FLV); it is
 mapped to ours by the least delay measured. What a demuxer makes up for a stream without times (MJPEG over HTTP, TCP or a pipe,
@@ -17,9 +13,8 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -33,16 +28,13 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
-from drivers.camera.exposure import ExposureDrive
 from drivers.camera.images import ImageRefused, claimed_size, decode
 from drivers.camera.live_bytes import Arrival, ArrivalClock, JpegSplitter, LiveBytes
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
 from drivers.clock_map import ClockMap, ClockMapOptions
-from drivers.reconnect import BackOff, reconnect
-from drivers.running_beside import running_beside
-from estimator.contracts.errors import BadInput, Recoverable, in_words
+from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -303,72 +295,3 @@ class _Reader:
         for opened in (self._container, self._bytes):
             if opened is not None:
                 opened.close()
-
-
-@asynccontextmanager
-async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -> AsyncIterator[VideoSource]:
-    """Open the camera and keep it open; it does not wait for the first frame.
-
-    A camera that is unplugged, silent or absent is opened again with back-off, and counted; the reader of `frames` just waits.
-    The `async with` block raises the errors that another attempt cannot fix.
-
-    Args:
-        size: the width and height of the camera's frames, px. A device needs it; frames of a stream that have more than four
-            times as many pixels are not decoded, and with None any size is taken.
-
-    Raises:
-        ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
-        BadInput: the device cannot do what the options request (size, format, control).
-        SetupImpossible: permission is missing, or the device is not a camera.
-    """
-    camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)
-    # Each kind loads what it reads by only when it is used.
-    if options.source == "vehicle":
-        raise ValueError("the frames of this camera come with the vehicle")
-    if options.source == "stream":
-        from drivers.camera.video_source import StreamChannel
-
-        body = StreamChannel(options, size, clock, camera).run
-    elif size is None:
-        raise ValueError("a device needs the size of its frames")
-    elif options.source == "v4l2":
-        from drivers.camera.v4l2 import V4l2Channel
-
-        body = V4l2Channel(options, size, clock, camera).run
-    else:
-        from drivers.camera.gstreamer import GstreamerChannel
-
-        body = GstreamerChannel(options, size, clock, camera).run
-    name, longest_s = options.device, options.reconnect_most_s
-    back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
-
-    async def attempt() -> None:
-        try:
-            await body()
-            raise CameraLost("ended", f"{name} ended by itself")
-        except CameraLost as why:
-            if why.reason != "ended":
-                raise
-            camera.down = in_words(why)
-            camera.frames.fail(why)
-
-    def on_failure(why: BaseException) -> None:
-        camera.down = in_words(why)
-        camera.counters.restarts[_reason(why)] += 1
-
-    try:
-        async with running_beside([("camera", reconnect(f"camera {name}", attempt, back_off, clock, on_failure))]):
-            try:
-                yield camera
-            finally:
-                camera.frames.fail(Recoverable("the camera is closed"))
-    except BaseExceptionGroup as errors:
-        if len(errors.exceptions) == 1:
-            raise errors.exceptions[0] from None
-        raise
-
-
-def _reason(why: BaseException) -> str:
-    while isinstance(why, BaseExceptionGroup):
-        why = why.exceptions[0]
-    return why.reason if isinstance(why, CameraLost) else "failed"

@@ -1,14 +1,16 @@
 """Open video files and streams with a bound on their frame size, which the decoder obeys before it allocates memory."""
 
-from collections.abc import Mapping
-from typing import Protocol
+from __future__ import annotations
 
-import av
-from av.container import Container, InputContainer
-from av.stream import Disposition
-from av.video.stream import VideoStream
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
 
 from drivers.camera.images import MOST_PIXELS, ImageRefused
+from drivers.pyav import require_pyav
+
+if TYPE_CHECKING:
+    from av.container import Container, InputContainer
+    from av.video.stream import VideoStream
 
 MOST_PACKET_BYTES = 32 << 20
 """Largest size of an encoded frame, bytes: that of an uncompressed one of 10 million pixels."""
@@ -45,6 +47,8 @@ def video_of(container: InputContainer, size: tuple[int, int] | None = None) -> 
     Raises:
         IndexError: there is no video.
     """
+    from av.stream import Disposition
+
     videos = [one for one in container.streams.video if not one.disposition & Disposition.attached_pic]
     videos = videos or [container.streams.video[0]]
     sizes = [(one.codec_context.width, one.codec_context.height) for one in videos]
@@ -88,7 +92,11 @@ def open_video(
     Raises:
         FFmpegError, OSError: raised as by `av.open`.
         ImageRefused: the frames are larger than the bound; the text gives the reason.
+        BadInput: PyAV is not installed.
     """
+    require_pyav("a video")
+    import av
+
     bound = {"max_pixels": str(most_pixels(size))}
     container: InputContainer = av.open(source, "r", options={**(options or {}), **bound}, timeout=timeout)
     for stream in container.streams.video:

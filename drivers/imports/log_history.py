@@ -126,7 +126,7 @@ class LandingMeter:
         self._landings: list[LoggedLanding] = []
 
     def flying(self, at_s: float) -> None:
-        """Note that the detector takes the vehicle to fly."""
+        """Note that the land detector reports a flying vehicle."""
         self._flown = True
         if self._armed_since_s is not None:
             self._lost += 1

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from av.error import FFmpegError
 
 from drivers.camera.images import ImageRefused
 from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame, Sample
@@ -69,6 +69,9 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
     Raises:
         BadInput: the file cannot be read, holds no video, or not one frame of it decodes.
     """
+    require_pyav(f"{path}: a video")
+    from av.error import FFmpegError
+
     try:
         container = open_video(str(path), size)
     except (FFmpegError, OSError, ImageRefused) as why:

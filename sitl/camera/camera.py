@@ -190,7 +190,7 @@ class Renderer:
         """Return the factors (H, W, 3) on the light of sky and floodlights from those under the sky alone (H, W)."""
         plane = self._lens.plane_at(R_cam_pad, t_cam_pad)
         if plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
-            # Shadows are the sun's: what the lamps add is not darker in them.
+            # Only the sun casts shadows: the light of the lamps is added undimmed.
             lamp = self.lamps.on_plane(self._lens, plane) * (self._vignette * np.float32(1.0))
             each = [
                 np.clip((gain + lamp * ratio) / lifted, 0.0, 32767.0).astype(np.int16)

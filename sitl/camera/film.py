@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from sitl.camera.automatic import Adjusted, Automatics, adjust, settings
@@ -192,6 +192,9 @@ class VideoLink:
         self._rng = np.random.default_rng([seed, 0x264])
         self._lost = False
         self._shown: U8 = np.full((height, width, 3), 16, np.uint8)
+        require_pyav("a scenario with a lossy video link")
+        import av
+
         encoder = av.CodecContext.create("libx264", "w")
         decoder = av.CodecContext.create("h264", "r")
         assert isinstance(encoder, av.VideoCodecContext)
@@ -214,6 +217,8 @@ class VideoLink:
 
     def send(self, px: U8) -> U8:
         """Return the picture that the receiver shows after this frame (H, W, 3) BGR was sent: the last one if nothing arrived."""
+        import av
+
         frame = av.VideoFrame.from_ndarray(px, format="bgr24")
         frame.pts = self._sent
         self._sent += 1

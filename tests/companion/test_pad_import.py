@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
+from companion.cli.progress import WorkProgress
 from companion.settings.load import read_toml
 from companion.tools.pads.clicked import clicked
 from companion.tools.pads.clutter import VIEWS, kind_of, view
@@ -181,3 +182,18 @@ def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_d
     assert found.found[5.0] <= 0.5
     assert replace(pad, calibration=known).is_calibrated
     assert not replace(pad, calibration=known, regions=pad.regions[:2]).is_calibrated
+
+
+def test_long_work_reports_itself_without_a_terminal_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    monkeypatch.setattr("companion.cli.progress.time.monotonic", lambda: now_s)
+    work = WorkProgress("searching clutter", "views")
+    for done in range(1, 121):
+        now_s += 1.0
+        work.take(done, 120)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["searching clutter: 1 of 120 views", "searching clutter: 31 of 120 views, 89 s left"]
+    assert lines[-1] == "searching clutter: 120 of 120 views"
+    assert len(lines) == 5

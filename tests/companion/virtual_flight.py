@@ -91,6 +91,8 @@ class FakeFlight:
         self.commands: list[tuple[int, str]] = []
         """Time and command as text: equal text is an equal command to the bit."""
         self.left = 0
+        self.push_up_m_s2 = 0.0
+        """Specific force beyond that of flight, such as a deck's."""
 
     def command(self, command: Command) -> None:
         self.commands.append((int(self._clock.now()), repr(command)))
@@ -107,14 +109,17 @@ class FakeFlight:
         finally:
             self.left += 1
 
+    def status(self, stamp: Stamp) -> VehicleStatus:
+        return VehicleStatus(stamp, True, "flying", 0.8, False, True)
+
     def tick(self, n: int) -> None:
         self.p_level = self.p_level + TICK_S * self._v_level
         now = self._clock.now()
         stamp = Stamp(now, now, 0.001, "sim")
         noise = np.random.default_rng(n).normal(0.0, 1e-3, (4, 3))  # a sensor that repeats itself is not believed
-        self.samples.offer(Imu(stamp, noise[0], np.array([0.0, 0.0, -9.80665]) + noise[1]))
+        self.samples.offer(Imu(stamp, noise[0], np.array([0.0, 0.0, -9.80665 - self.push_up_m_s2]) + noise[1]))
         if n % 2 == 0:
-            self.samples.offer(VehicleStatus(stamp, True, "flying", 0.8, False, True))
+            self.samples.offer(self.status(stamp))
             self.samples.offer(Attitude(stamp, Rotation.from_rpy(*(0.1 * noise[2])), 1e-5 * np.eye(3)))
             self.samples.offer(BodyVelocity(stamp, self._v_level + noise[3], np.diag([0.01, 0.01, UNKNOWN_VAR])))
         if n % 4 == 3:

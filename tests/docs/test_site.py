@@ -1,6 +1,7 @@
 """Test the navigation and every link of the documentation, without mkdocs; `make docs` builds the site itself."""
 
 import re
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -51,3 +52,9 @@ def test_every_link_leads_to_a_file_and_a_heading() -> None:
 
 def test_the_readme_leads_to_the_glossary() -> None:
     assert "(docs/conventions.md#glossary)" in (ROOT / "README.md").read_text()
+
+
+def test_the_changelog_and_the_pages_name_the_version() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\n## {version} - " in (ROOT / "CHANGELOG.md").read_text()
+    assert f"decklander_{version}_arm64.deb" in (DOCS / "installation.md").read_text()

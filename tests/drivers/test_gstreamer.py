@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from drivers.camera import gstreamer_program as wire
 from drivers.camera.gstreamer import PYTHONS, GstreamerChannel
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Frame
@@ -220,7 +220,7 @@ def test_it_does_not_outlive_the_service(tmp_path: Path) -> None:
     code = (
         "import asyncio\n"
         "from drivers.camera.options import CameraOptions\n"
-        "from drivers.camera.video_source import open_camera\n"
+        "from drivers.camera.open_camera import open_camera\n"
         "from drivers.clock import SystemClock\n"
         "from tests.drivers.test_gstreamer import LIVE, children\n"
         "async def main():\n"

@@ -21,7 +21,7 @@ from estimator.contracts.errors import Recoverable
 from supply import core, wheels
 
 ROOT = Path(__file__).parents[2]
-MOST_MB = 450
+MOST_MB = 300
 
 
 def checkout(target: Path) -> None:
@@ -90,7 +90,9 @@ def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypat
     assert run(f"{target}/bin/python -m compileall -q {target}/lib", tmp_path).returncode == 0
     assert megabytes(target.resolve()) < MOST_MB
     decklander = target / "bin/decklander"
-    assert run(f"{decklander} config check sim", tmp_path).returncode == 0
+    assert run(f"{decklander} config check raspberry_px4", tmp_path).returncode == 0
+    refused = run(f"{decklander} config check sim", tmp_path)
+    assert (refused.returncode, "decklander[video]" in refused.stderr) == (2, True)
     refused = run(f"{decklander} campaign demo --soak --plot soak.svg --hours 1", tmp_path)
     assert (refused.returncode, "matplotlib" in refused.stderr) == (2, True)
     flown = run(f"{decklander} simulate demo --seed 1 --json", tmp_path)

@@ -8,10 +8,10 @@ from typing import Any
 
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.v4l2 import cameras
 from drivers.camera.v4l2_device import KernelDevice
-from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
 from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until

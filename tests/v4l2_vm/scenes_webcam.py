@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
 from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
 from drivers.camera.v4l2 import cameras
-from drivers.camera.video_source import open_camera
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
 from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until

@@ -16,6 +16,8 @@ from companion.parts.mqtt.topics import split
 
 EVENTS = 200
 """The number of events kept for each drone."""
+LOAD_S = 10.0
+"""Time over which the load of a drone is counted, s."""
 DRONES = 256
 """The most drones that are kept, so that other writers on the broker cannot fill our memory."""
 
@@ -41,6 +43,25 @@ class Arrivals:
 
 
 @dataclass(slots=True)
+class Traffic:
+    """The messages of the last seconds, by our own clock."""
+
+    _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=1000))
+
+    def note(self, now_s: float, payload_bytes: int) -> None:
+        self._recent.append((now_s, payload_bytes))
+
+    def each_second(self, now_s: float) -> tuple[float, float]:
+        """Return messages/s and bytes/s of payload over the last `LOAD_S`, or since the first message if that is shorter."""
+        while self._recent and now_s - self._recent[0][0] > LOAD_S:
+            self._recent.popleft()
+        if not self._recent:
+            return 0.0, 0.0
+        seconds = max(1.0, now_s - self._recent[0][0])
+        return len(self._recent) / seconds, sum(size for _, size in self._recent) / seconds
+
+
+@dataclass(slots=True)
 class DroneModel:
     """The state of one drone, as received."""
 
@@ -51,6 +72,7 @@ class DroneModel:
     health: HealthReport | None = None
     events: deque[EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
+    traffic: Traffic = field(default_factory=Traffic)
     copies: int = 0
     """The number of events that arrived more than once."""
     missing: int = 0
@@ -63,6 +85,7 @@ class DroneModel:
         """Take a message; return the event if it is a new one."""
         if leaf.partition("/")[0] not in PUBLISHED:
             return None
+        self.traffic.note(now_s, len(payload))
         message = decode(leaf, payload)
         if message is None:
             self.malformed += 1

@@ -53,13 +53,15 @@ def _head(model: WatchModel, paint: Paint) -> str:
 
 
 def _fleet(model: WatchModel, now_s: float, paint: Paint) -> list[str]:
-    lines = [paint(f"{'DRONE':<16} {'':<8} {'PHASE':<24} {'BATTERY':<8}", _BOLD)]
+    lines = [paint(f"{'DRONE':<16} {'':<8} {'PHASE':<24} {'BATTERY':<8} {'MESSAGES/S':>10} {'KB/S':>6}", _BOLD)]
     for name, drone in sorted(model.drones.items()):
         state = drone.state
         vehicle = None if state is None else state.vehicle
         battery = "--" if vehicle is None or vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
         phase = "--" if state is None else _clean(state.phase)
-        lines.append(f"{name[:16]:<16} {_pad_to(_coloured_online(drone, now_s, paint), 8)} {phase[:24]:<24} {battery:<8}")
+        messages, size = drone.traffic.each_second(now_s)
+        online = _pad_to(_coloured_online(drone, now_s, paint), 8)
+        lines.append(f"{name[:16]:<16} {online} {phase[:24]:<24} {battery:<8} {messages:>10.1f} {size / 1e3:>6.1f}")
     return lines
 
 

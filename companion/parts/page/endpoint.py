@@ -56,6 +56,7 @@ from companion.settings.secret_files import is_token
 from companion.settings.tls import server_context
 from companion.tools.report.expected_place import camera_lean
 from drivers.mailbox import Latest, Line
+from drivers.pyav import has_pyav
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
@@ -106,7 +107,7 @@ class PageEndpoint(NullObserver):
         self._health = health
         self._vehicle = vehicle
         camera = pilot.camera
-        self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0
+        self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
         self._video = video_quality(settings)
         self._token, self._names = token_of(settings), own_names(settings)
         self._tls = server_context(settings)

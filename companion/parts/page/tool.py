@@ -9,7 +9,7 @@ from companion.parts.page.viewer import PageViewer
 
 
 class Tool(Protocol):
-    """One tool. It must not disturb a flight: what takes time or the link is done on the ground alone."""
+    """One tool. It must not disturb a flight: work that takes time or the link is done only on the ground."""
 
     kinds: tuple[type, ...]
     """The requests that it answers."""

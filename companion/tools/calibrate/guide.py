@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +13,11 @@ from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.tools.calibrate.views import Collection
 from drivers.camera import images
+from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size
-from drivers.camera.video_source import open_camera
 from drivers.camera.videos import open_video, video_of
 from drivers.clock import SystemClock
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Transform
 
@@ -142,6 +142,9 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
         collection.add(file.name, px)
         tell(collection)
         return
+    require_pyav(f"{file}: a video")
+    from av.error import FFmpegError
+
     try:
         with open_video(str(file), collection.size) as container:
             for i, frame in enumerate(container.decode(video_of(container, collection.size))):
@@ -151,7 +154,7 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
                 tell(collection)
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why}") from why
-    except (av.FFmpegError, OSError, IndexError) as why:
+    except (FFmpegError, OSError, IndexError) as why:
         raise BadInput(f"{file}: neither an image nor a video that can be read") from why
 
 

@@ -12,8 +12,8 @@ from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import defaults_of, differing, names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
+    FoundSystem,
     GimbalSnapshot,
-    HeardSystem,
     IdConflictSnapshot,
     LinkSnapshot,
     Snapshot,
@@ -114,7 +114,7 @@ _VERSION_S = 1.0
 _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05
-_HEARD_MAX = 256
+_FOUND_MAX = 256
 
 Say = Callable[[str], None]
 
@@ -123,25 +123,25 @@ Say = Callable[[str], None]
 class Notes:
     """Messages on the links that `Autopilot` does not keep."""
 
-    heard: dict[tuple[int, int], HeardSystem] = field(default_factory=dict)
+    systems: dict[tuple[int, int], FoundSystem] = field(default_factory=dict)
     enabled: bool | None = None
     healthy: bool | None = None
 
     def on_message(self, received: ReceivedMessage) -> None:
         m, name = received.message, received.message.get_type()
-        if name == "HEARTBEAT" and len(self.heard) < _HEARD_MAX:
-            self.heard[received.system, received.component] = _sender_of(received)
+        if name == "HEARTBEAT" and len(self.systems) < _FOUND_MAX:
+            self.systems[received.system, received.component] = _sender_of(received)
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
 
 
-def _sender_of(received: ReceivedMessage) -> HeardSystem:
+def _sender_of(received: ReceivedMessage) -> FoundSystem:
     m = received.message
     stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
     named = mav.enums["MAV_TYPE"].get(m.type)
     kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
-    return HeardSystem(received.system, received.component, stack, kind, is_autopilot(m, received.component))
+    return FoundSystem(received.system, received.component, stack, kind, is_autopilot(m, received.component))
 
 
 async def examine(
@@ -253,12 +253,12 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         wanted: the system id that the settings request; 0 for any.
         seconds: how long was listened.
     """
-    found = tuple(notes.heard[ids] for ids in sorted(notes.heard))
+    found = tuple(notes.systems[ids] for ids in sorted(notes.systems))
     links = tuple(link_snapshot(link) for link in autopilot.links.all)
     id_conflicts = tuple(IdConflictSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.id_conflicts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, heard=found, id_conflicts=id_conflicts)
+        return Snapshot(seconds, links, wanted_system=wanted, systems=found, id_conflicts=id_conflicts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
@@ -285,7 +285,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
-        heard=found,
+        systems=found,
         id_conflicts=id_conflicts,
     )
 

@@ -17,7 +17,7 @@ from companion.settings.referenced_files import check_files
 from companion.settings.ship_place import contradiction
 from companion.tools.doctor.snapshot import GimbalSnapshot, ServiceSnapshot
 from drivers.ardrone.options import ArDroneOptions
-from drivers.camera.video_source import open_camera
+from drivers.camera.open_camera import open_camera
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between

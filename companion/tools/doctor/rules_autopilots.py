@@ -249,7 +249,7 @@ def frame_not_supported(p: Snapshot) -> Finding | None:
 
 
 def init_failed(p: Snapshot) -> Finding | None:
-    """Find the autopilot's message that targets come too rarely to begin with."""
+    """Find the autopilot's message that targets come too rarely for it to begin."""
     if not _texts_of(p, "init failed"):
         return None
     return error(

@@ -163,7 +163,7 @@ def link_lossy(p: Snapshot) -> Finding | None:
 
 def wrong_system(p: Snapshot) -> Finding | None:
     """Find a wished system id that no autopilot has, while others are present."""
-    there = sorted({one.system for one in p.heard if one.hovers})
+    there = sorted({one.system for one in p.systems if one.hovers})
     if p.autopilot is not None or not p.wanted_system or not there:
         return None
     names = " or ".join(map(str, there))
@@ -179,13 +179,13 @@ def no_autopilot(p: Snapshot) -> Finding | None:
     """Find links with messages but no autopilot of a copter."""
     if p.autopilot is not None or wrong_system(p) is not None or not any(link.messages > 0 for link in p.links):
         return None
-    others = [one for one in p.heard if one.stack]
+    others = [one for one in p.systems if one.stack]
     if others:
         fix = "this service lands copters: check the firmware, the vehicle's frame type and the link"
         if any(one.component != 1 for one in others):
             fix = "an autopilot is expected as component 1: set its component id to 1"
         return error("no-autopilot", f"no HEARTBEAT of a copter's autopilot (component 1); found: {_listed(p)}", fix)
-    output = f"found: {_listed(p)}" if p.heard else "nothing sends HEARTBEATs"
+    output = f"found: {_listed(p)}" if p.systems else "nothing sends HEARTBEATs"
     return error(
         "no-autopilot",
         f"MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1); {output}",
@@ -194,7 +194,7 @@ def no_autopilot(p: Snapshot) -> Finding | None:
 
 
 def _listed(p: Snapshot) -> str:
-    shown = [str(one) if one.component == 1 or not one.stack else f"{one}, component {one.component}" for one in p.heard]
+    shown = [str(one) if one.component == 1 or not one.stack else f"{one}, component {one.component}" for one in p.systems]
     return ", ".join(shown[:_LISTED_MAX]) + (f" and {len(shown) - _LISTED_MAX} more" if len(shown) > _LISTED_MAX else "")
 
 
@@ -204,7 +204,7 @@ def several_autopilots(p: Snapshot) -> Finding | None:
     if any(one.name == "several-autopilots" for one in p.id_conflicts):
         return None  # `id_conflict` says more
     if a is not None and a.others and not p.wanted_system:
-        there = ", ".join(str(one) for one in p.heard if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
+        there = ", ".join(str(one) for one in p.systems if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
         return warning(
             "several-autopilots",
             f"system {a.system} was listened to; there too: {there}",

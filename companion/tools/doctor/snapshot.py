@@ -89,7 +89,7 @@ class AutopilotSnapshot(Struct, frozen=True):
     """True if SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
 
 
-class HeardSystem(Struct, frozen=True):
+class FoundSystem(Struct, frozen=True):
     """A component that sent HEARTBEATs, whether or not it is the autopilot that is meant."""
 
     system: int
@@ -169,7 +169,7 @@ class Snapshot(Struct, frozen=True):
     service: ServiceSnapshot = ServiceSnapshot()
     wanted_system: int = 0
     """System id of the autopilot that was requested; 0 for any."""
-    heard: tuple[HeardSystem, ...] = ()
+    systems: tuple[FoundSystem, ...] = ()
     """Everything that sent HEARTBEATs."""
     log: LogHistory | None = None
     """Events of the flight log that was examined; None for a setup that was examined itself."""

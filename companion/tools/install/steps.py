@@ -363,7 +363,7 @@ def _change(machine: Machine, name: str, old: str | None, options: InstallOption
 def _begin(machine: Machine, options: InstallOptions) -> None:
     enable(machine, packaged=options.packaged)
     if machine.read(SETTINGS) is None and not (machine.dry and options.config is not None):
-        machine.say(f"next: write {SETTINGS} (decklander config show raspberry_ardupilot), then: systemctl start decklander")
+        machine.say(f"next: decklander start --out {SETTINGS}, then: systemctl start decklander")
     elif not has_manager(machine):
         machine.say(
             "the service starts when this root is booted"

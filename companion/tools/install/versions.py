@@ -26,6 +26,10 @@ from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, S
 NAME = "decklander"
 PINS = "companion/tools/install/runtime.txt"
 """The pinned dependencies in the wheel (`requirements/runtime.txt` of its checkout)."""
+VIDEO_PINS = "companion/tools/install/video.txt"
+"""The same with the extra `video`."""
+VIDEO = "-video"
+"""The end of the name of a version that has it."""
 SLIM = "companion/tools/install/slim.sh"
 _VERSION = re.compile(r"\d+(\.\d+)*([abrc.+-].*)?")
 
@@ -48,12 +52,17 @@ class Release:
     """The folder that holds the dependencies; None to fetch them from the index."""
 
 
-def read(wheel: Path, wheels: Path | None = None) -> Release:
+def read(wheel: Path, wheels: Path | None = None, *, video: bool = False) -> Release:
     """Read a wheel of ours.
+
+    Args:
+        wheels: the folder with the dependencies; the extra `video` is installed if it is there.
+        video: whether to install it anyway.
 
     Raises:
         BadInput: it is none.
     """
+    video = video or (wheels is not None and any(wheels.glob("av-*.whl")))
     try:
         content = wheel.read_bytes()
         with zipfile.ZipFile(wheel) as archive:
@@ -63,7 +72,7 @@ def read(wheel: Path, wheels: Path | None = None) -> Release:
                 line.split(": ", 1) for line in archive.read(described).decode().split("\n\n")[0].splitlines() if ": " in line
             )
             files = {Path(name).name: archive.read(name) for name in names if re.fullmatch(r"configs/systemd/[^/]+", name)}
-            pins, slim = archive.read(PINS), archive.read(SLIM)
+            pins, slim = archive.read(VIDEO_PINS if video else PINS), archive.read(SLIM)
         if fields["Name"] != NAME:
             raise BadInput(f"{wheel}: a wheel of {fields['Name']}, not of {NAME}")
         version = fields["Version"]
@@ -72,17 +81,18 @@ def read(wheel: Path, wheels: Path | None = None) -> Release:
     except (zipfile.BadZipFile, StopIteration, KeyError, ValueError) as why:
         raise BadInput(f"{wheel}: not a wheel of {NAME} that can install itself ({why or type(why).__name__})") from why
     digest = hashlib.sha256(content).hexdigest()
-    return Release(wheel, version, f"{version}-{digest[:8]}", pins, slim, files, wheels)
+    return Release(wheel, version, f"{version}-{digest[:8]}{VIDEO if video else ''}", pins, slim, files, wheels)
 
 
 @contextmanager
-def release(source: str | None, wheels: Path | None) -> Iterator[Release]:
+def release(source: str | None, wheels: Path | None, *, video: bool = False) -> Iterator[Release]:
     """Yield the release that the user names; what is made or fetched for it is removed afterwards.
 
     Args:
-        source: a wheel, a folder of wheels, a checkout, a name such as `decklander==0.2.0`, or a version; None for that of this
+        source: a wheel, a folder of wheels, a checkout, a name such as `decklander==1.1.0`, or a version; None for that of this
             very program.
         wheels: a folder with the dependencies.
+        video: whether to install the extra `video`.
 
     Raises:
         BadInput: there is no such file, or it is no wheel of ours.
@@ -96,11 +106,11 @@ def release(source: str | None, wheels: Path | None) -> Iterator[Release]:
             _pip(
                 ["wheel", "--no-deps", *isolation, "--wheel-dir", folder, str(path.resolve())], f"{source}: no wheel can be built"
             )
-            yield read(_only(Path(folder)), wheels)
+            yield read(_only(Path(folder)), wheels, video=video)
         elif path.is_dir():
-            yield read(_only(path), wheels or path)
+            yield read(_only(path), wheels or path, video=video)
         elif path.suffix == ".whl":
-            yield read(path, wheels)
+            yield read(path, wheels, video=video)
         else:
             wanted = f"{NAME}=={source}" if _VERSION.fullmatch(source) else source
             if not re.match(rf"{NAME}\b", wanted):
@@ -112,7 +122,7 @@ def release(source: str | None, wheels: Path | None) -> Iterator[Release]:
                 ["download", "--no-deps", "--only-binary", ":all:", "--dest", folder, wanted],
                 f"{wanted} cannot be fetched; name a wheel or a folder of wheels",
             )
-            yield read(_only(Path(folder)), wheels)
+            yield read(_only(Path(folder)), wheels, video=video)
 
 
 def own() -> str:

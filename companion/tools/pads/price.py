@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -78,13 +79,17 @@ def price(
         progress: takes how many views are done, of how many.
     """
     bare = replace(pad, calibration=Calibration(least_support=_ALL, chance=0.0))
-    clutter = []
-    for k in range(views):
-        clutter.append(_finds(bare, view(k), k % 2 == 0))
-        progress(k + 1, views)
+    counted = count(1)
+    whole = views + len(_RADII_PX) * _EACH + len(others) * len(_TAKEN_PX)
+
+    def seen_in(finds: list[_Find]) -> list[_Find]:
+        progress(next(counted), whole)
+        return finds
+
+    clutter = [seen_in(_finds(bare, view(k), k % 2 == 0)) for k in range(views)]
     fewest = replace(pad, calibration=None).least_support
     tail = _Tail.of(clutter, pad.markings.is_searched_by_parts, 0.5 * fewest)
-    shown = {r: [_planted_finds(bare, bare, r, 100 * i + k) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
+    shown = {r: [seen_in(_planted_finds(bare, bare, r, 100 * i + k)) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
     clear = [max(find.support for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
     most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
     places = 2.0 * FRAMES if pad.reversible else FRAMES
@@ -93,7 +98,7 @@ def price(
     least_px = next((r for r in _RADII_PX if all(sure[s] >= _FOUND for s in _RADII_PX if s >= r)), 0.0)
     taken = []
     for name, other in others.items():
-        seen = [_planted_finds(bare, other, radius_px, 900 + k) for k, radius_px in enumerate(_TAKEN_PX)]
+        seen = [seen_in(_planted_finds(bare, other, radius_px, 900 + k)) for k, radius_px in enumerate(_TAKEN_PX)]
         if other.regions != pad.regions and np.any(_surest(seen, least) >= 0.0):
             taken.append(name)
     chance, nine = (min(1.0, places * tail.chance(least * (1.0 + odds / support_log_odds(2.0)))) for odds in (0.0, math.log(9.0)))

@@ -4,8 +4,6 @@ import math
 from fractions import Fraction
 from pathlib import Path
 
-import av
-import av.filter
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.plots import steering_states, times
 from companion.tools.report.video import drawn_frames
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import seconds_between
@@ -41,6 +40,7 @@ def write_animation(log: FlightLog, path: Path) -> int:
     Raises:
         BadInput: no frame was kept, nothing was estimated, or the file cannot be written.
     """
+    require_pyav(f"{path}: an animation")
     states = steering_states(log)
     if not states:
         raise BadInput(f"{path}: the recording holds no estimate to draw")
@@ -114,6 +114,9 @@ def _write(image: U8, text: str, at: tuple[int, int]) -> None:
 
 def _encode(path: Path, images: list[U8]) -> None:
     """Encode BGR images of one size with one palette for all of them."""
+    import av
+    import av.filter
+
     height, width = images[0].shape[:2]
     graph = av.filter.Graph()
     source = graph.add_buffer(width=width, height=height, format=av.VideoFormat("bgr24"), time_base=Fraction(1, RATE_HZ))

@@ -264,7 +264,7 @@ def _shifted(flight: PageFlight, by_s: float) -> PageFlight:
         video,
         [(t - by_s, text) for t, text in flight.phases],
         [(name, unit, digits, t - by_s, y) for name, unit, digits, t, y in flight.figures],
-        [(name, [(t - by_s, text) for t, text in told]) for name, told in flight.kinds],
+        [(name, [(t - by_s, text) for t, text in events]) for name, events in flight.kinds],
     )
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,14 @@ from companion.tools.report.flight_log import FlightLog, FrameRecord
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
 from companion.tools.report.plots import steering_states
 from drivers.camera import images
+from drivers.pyav import has_pyav, require_pyav
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from estimator.vision.camera import Camera
+
+if TYPE_CHECKING:
+    import av
 
 FILM_BYTES = 6_000_000
 """About the most that a film takes: base64 makes it a third longer, and many mailboxes take 10 MB."""
@@ -61,6 +65,9 @@ class FlightVideo:
             raise BadInput(f"{path}: a video needs an even width and height, got {width}x{height} px")
         if not fps > 0.0:
             raise BadInput(f"{path}: fps must be positive, got {fps}")
+        require_pyav(f"{path}: a video")
+        import av
+
         self.path = path
         self.frame_images = 0
         self._frames = TimedFrames(size)
@@ -146,9 +153,9 @@ def drawn_frames(log: FlightLog, scale: float = 1.0, apart_s: float = 0.0) -> It
 
 
 def film_of(log: FlightLog, fps: float = 30.0, scale: float = 1.0) -> FilmFile | None:
-    """Draw every kept frame of the log into a film; None if no frame was kept or none can be decoded."""
+    """Draw every kept frame of the log into a film; None if none was kept or can be decoded, or PyAV is not installed."""
     exposures = [frame.exposed_at for frame in log.frames if frame.image is not None]
-    if not exposures:
+    if not exposures or not has_pyav():
         return None
     duration_s = max(1.0, seconds_between(min(exposures), max(exposures)))
     most_bit_s = max(_LEAST_BIT_S, round(8 * FILM_BYTES / duration_s))

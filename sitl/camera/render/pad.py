@@ -308,7 +308,7 @@ def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
     q = [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
     there = np.stack([R[:, 0], R[:, 1], t], axis=1).astype(np.float32) @ np.stack(q).reshape(3, -1)
     uv = c.project(there.T.astype(float) / np.maximum(there[2:].T, 1e-6)).reshape(*coarse.shape)
-    # Beyond the horizon the plane says nothing: those pixels look where they are.
+    # Beyond the horizon no pixel meets the plane: those keep their own place.
     at = np.stack(np.meshgrid(*(CELL_PX * np.arange(-1, n - 1) + (CELL_PX - 1) / 2 for n in coarse.shape[1::-1])), axis=-1)
     sane = np.isfinite(uv).all(axis=-1) & (np.abs(uv - at).max(axis=-1) < 60.0) & (q[2] > 0) & (there[2] > 0).reshape(q[2].shape)
     return np.where(sane[..., None], uv, at).astype(np.float32)

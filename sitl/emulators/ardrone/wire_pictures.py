@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ardrone import pave
+from drivers.pyav import require_pyav
 from estimator.contracts.geometry import F64, Rotation
 from sitl.ardrone import uvlc as uvlc_encoder
 from sitl.ardrone.generations import P264
@@ -59,6 +59,9 @@ class Encoder:
             raise ValueError(f"cannot encode {width}x{height} at {fps} frames/s and {max_bitrate_kbps} kbit/s")
         self.width, self.height, self.fps, self.max_bitrate_kbps = width, height, fps, max_bitrate_kbps
         self._frames = 0
+        require_pyav("the video of a simulated AR.Drone 2.0")
+        import av
+
         context = av.CodecContext.create("libx264", "w")
         if not isinstance(context, av.VideoCodecContext):
             raise TypeError("libx264 is not a video encoder in this PyAV")
@@ -89,7 +92,9 @@ class Encoder:
         """
         if px.shape != (self.height, self.width, 3) or px.dtype != np.uint8:
             raise ValueError(f"the encoder wants ({self.height}, {self.width}, 3) uint8, got {px.shape} {px.dtype}")
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(px), format="bgr24")
+        from av import VideoFrame
+
+        frame = VideoFrame.from_ndarray(np.ascontiguousarray(px), format="bgr24")
         frame.pts = round(self._frames * 1000 / self.fps)
         self._frames += 1
         data = b"".join(bytes(packet) for packet in self._context.encode(frame))

@@ -14,8 +14,8 @@ from companion.tools.doctor.finding import Severity
 from companion.tools.doctor.rules_autopilots import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
+    FoundSystem,
     GimbalSnapshot,
-    HeardSystem,
     IdConflictSnapshot,
     LinkSnapshot,
     ServiceSnapshot,
@@ -119,10 +119,10 @@ def settings_of(**tables: dict[str, Any]) -> Settings:
     )
 
 
-HEARD = HeardSystem(1, 1, "ArduPilot", "quadrotor", True)
+FOUND = FoundSystem(1, 1, "ArduPilot", "quadrotor", True)
 SILENCE = dict.fromkeys(ARDUPILOT.wanted_hz, -1)
 UNANSWERED = replace(ARDUPILOT, parameters={}, absent=("PLND_ENABLED",), rates_hz={"HEARTBEAT": 1.0}, refused=SILENCE)
-ONE_WAY = replace(GOOD, autopilot=UNANSWERED, sync=TimeSyncSnapshot(False), heard=(HEARD,))
+ONE_WAY = replace(GOOD, autopilot=UNANSWERED, sync=TimeSyncSnapshot(False), systems=(FOUND,))
 NO_SOURCE = contradiction(settings_of(guidance={"rendezvous": {"enabled": True}}))
 UNUSED = contradiction(settings_of(vessel={"nmea": "127.0.0.1:10110"}))
 
@@ -163,20 +163,20 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
     "overloaded link": ("link-lossy", link(lost=600), "921600"),
-    "only a ground station heard": (
+    "only a ground station found": (
         "no-autopilot",
-        replace(GOOD, autopilot=None, sync=None, heard=(HeardSystem(255, 190, "", "gcs", False),)),
+        replace(GOOD, autopilot=None, sync=None, systems=(FoundSystem(255, 190, "", "gcs", False),)),
         "frame type",
     ),
     "nothing with a heart": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
     "a rover": (
         "no-autopilot",
-        replace(GOOD, autopilot=None, sync=None, heard=(HeardSystem(1, 1, "ArduPilot", "ground rover", False),)),
+        replace(GOOD, autopilot=None, sync=None, systems=(FoundSystem(1, 1, "ArduPilot", "ground rover", False),)),
         "lands copters",
     ),
     "another id than the wished one": (
         "wrong-system",
-        replace(GOOD, autopilot=None, sync=None, wanted_system=5, heard=(HEARD, HeardSystem(3, 1, "PX4", "hexarotor", True))),
+        replace(GOOD, autopilot=None, sync=None, wanted_system=5, systems=(FOUND, FoundSystem(3, 1, "PX4", "hexarotor", True))),
         "--system 1 or 3",
     ),
     "a radio that passes one direction": ("link-one-way", ONE_WAY, "TX"),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from companion.tools.install.layout import CURRENT, PREFIX, SETTINGS, UNIT
 from companion.tools.install.machine import Machine
-from companion.tools.install.versions import PINS, SLIM, Release, read
+from companion.tools.install.versions import PINS, SLIM, VIDEO_PINS, Release, read
 
 ROOT = Path(__file__).parents[3]
 GOOD, REFUSES, DIES, SILENT, ENDS_LATER, BLIND = "good", "refuses the settings", "dies", "silent", "ends later", "blind"
@@ -27,6 +27,7 @@ def wheel(folder: Path, version: str, behaviour: str = GOOD) -> Release:
         )
         made.writestr("behaviour", behaviour)
         made.writestr(PINS, (ROOT / "requirements/runtime.txt").read_bytes())
+        made.writestr(VIDEO_PINS, (ROOT / "requirements/video.txt").read_bytes())
         made.writestr(SLIM, (ROOT / "requirements/slim.sh").read_bytes())
         for file in (ROOT / "configs/systemd").iterdir():
             made.writestr(f"configs/systemd/{file.name}", file.read_bytes() + f"# of {version}\n".encode())

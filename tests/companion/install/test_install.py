@@ -49,7 +49,7 @@ def test_an_installation_runs_the_service_and_a_second_one_changes_nothing(tmp_p
 def test_without_settings_nothing_is_started_and_the_next_step_is_reported(tmp_path: Path, first: Release) -> None:
     computer = Computer(tmp_path / "root")
     steps.install(computer, first, options())
-    assert f"next: write {SETTINGS}" in computer.said
+    assert f"next: decklander start --out {SETTINGS}" in computer.said
     assert not any("restart" in line for line in computer.commands)
 
 

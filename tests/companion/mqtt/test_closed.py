@@ -180,16 +180,12 @@ async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothin
         assert leaves <= {"status", "state", "sighting", "health", "event"}
 
 
-async def test_the_script_in_the_docs_commands_a_drone(broker: Broker, tmp_path: Path, key_file: Path) -> None:
-    page = (ROOT / "docs/mqtt.md").read_text()
-    match = re.search(r"```python\n(# command\.py.*?)```", page, re.DOTALL)
-    assert match is not None
-    (tmp_path / "command.py").write_text(match[1])
+async def test_the_script_of_the_examples_commands_a_drone(broker: Broker, tmp_path: Path, key_file: Path) -> None:
     changes = {"commands": "signed", "command_key_file": str(key_file), "health_hz": 10.0}
     words = ["localhost", str(broker.port), str(broker.certificates / "ca.crt"), "ground", str(broker.folder / "ground.password")]
     async with listening(broker, tmp_path, **changes) as (rig, _):
         child = await asyncio.create_subprocess_exec(
-            *(sys.executable, str(tmp_path / "command.py"), *words, "deck", str(key_file), '{"command": "pause"}'),
+            *(sys.executable, str(ROOT / "examples/mqtt_command.py"), *words, "deck", str(key_file), '{"command": "pause"}'),
             stdout=asyncio.subprocess.PIPE,
         )
         async with asyncio.timeout(60):

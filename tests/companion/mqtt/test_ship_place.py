@@ -3,7 +3,6 @@
 import asyncio
 import json
 import math
-import re
 import sys
 from pathlib import Path
 
@@ -23,9 +22,6 @@ KEY = bytes(range(32))
 async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_without_its_key(
     broker: Broker, tmp_path: Path
 ) -> None:
-    match = re.search(r"```python\n(# ship\.py.*?)```", (ROOT / "docs/rendezvous.md").read_text(), re.DOTALL)
-    assert match is not None
-    (tmp_path / "ship.py").write_text(match[1])
     key_file = tmp_path / "command.key"
     key_file.touch(0o600)
     key_file.write_bytes(KEY)
@@ -43,7 +39,8 @@ async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_wit
         forged = {"run": "0" * 32, "at_ns": 1, "latitude_deg": 54.4, "longitude_deg": 10.2}
         await without_key.publish_message("decklander/v1/deck/vessel", json.dumps(forged).encode(), qos=1)
         child = await asyncio.create_subprocess_exec(
-            *(sys.executable, str(tmp_path / "ship.py"), *words, "deck", str(key_file)), stdin=asyncio.subprocess.PIPE
+            *(sys.executable, str(ROOT / "examples/ship_reports.py"), *words, "deck", str(key_file)),
+            stdin=asyncio.subprocess.PIPE,
         )
         assert child.stdin is not None
         try:

@@ -115,6 +115,13 @@ def test_a_fleet_is_a_table_above_the_first_by_name() -> None:
     lines = screen(model, 0.0, 150, 45, colour=False)
     assert [row.split()[:2] for row in lines[3:5]] == [["aft", "stopped"], ["deck", "online"]]
     assert lines[6].startswith("aft  stopped")
+    status = messages.encode(online())
+    for k in range(19):
+        on_message(model, "aft", "status", online(), 0.5 * (k + 1))
+    row = screen(model, 9.5, 150, 45, colour=False)[3].split()
+    assert (float(row[-2]), float(row[-1])) == pytest.approx((20 / 9.5, 20 * len(status) / 9.5e3), abs=0.1), (
+        "messages and kB a second"
+    )
     only = WatchModel("deck")
     assert only.on_message(Topics("aft").status, messages.encode(online()), 0.0) is None
     assert only.ignored == 1

@@ -1,0 +1,90 @@
+"""Open a camera that is not part of the vehicle: a V4L2 device, a GStreamer pipeline, a network camera or a video file.
+
+options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
+async with open_camera(options, (640, 480), clock) as camera:
+    async for frame in camera.frames: ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from drivers.camera.exposure import ExposureDrive
+from drivers.camera.options import CameraOptions, Size
+from drivers.camera.source import CameraLost, VideoSource
+from drivers.pyav import require_pyav
+from drivers.reconnect import BackOff, reconnect
+from drivers.running_beside import running_beside
+from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.ports import Clock
+
+
+@asynccontextmanager
+async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -> AsyncIterator[VideoSource]:
+    """Open the camera and keep it open; it does not wait for the first frame.
+
+    A camera that is unplugged, silent or absent is opened again with back-off, and counted; the reader of `frames` just waits.
+    The `async with` block raises the errors that another attempt cannot fix.
+
+    Args:
+        size: the width and height of the camera's frames, px. A device needs it; frames of a stream that have more than four
+            times as many pixels are not decoded, and with None any size is taken.
+
+    Raises:
+        ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
+        BadInput: the device cannot do what the options request (size, format, control).
+        SetupImpossible: permission is missing, or the device is not a camera.
+    """
+    camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)
+    # Each kind loads what it reads by only when it is used.
+    if options.source == "vehicle":
+        raise ValueError("the frames of this camera come with the vehicle")
+    if options.source == "stream":
+        require_pyav('camera.source = "stream"')
+        from drivers.camera.video_source import StreamChannel
+
+        body = StreamChannel(options, size, clock, camera).run
+    elif size is None:
+        raise ValueError("a device needs the size of its frames")
+    elif options.source == "v4l2":
+        from drivers.camera.v4l2 import V4l2Channel
+
+        body = V4l2Channel(options, size, clock, camera).run
+    else:
+        from drivers.camera.gstreamer import GstreamerChannel
+
+        body = GstreamerChannel(options, size, clock, camera).run
+    name, longest_s = options.device, options.reconnect_most_s
+    back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
+
+    async def attempt() -> None:
+        try:
+            await body()
+            raise CameraLost("ended", f"{name} ended by itself")
+        except CameraLost as why:
+            if why.reason != "ended":
+                raise
+            camera.down = in_words(why)
+            camera.frames.fail(why)
+
+    def on_failure(why: BaseException) -> None:
+        camera.down = in_words(why)
+        camera.counters.restarts[_reason(why)] += 1
+
+    try:
+        async with running_beside([("camera", reconnect(f"camera {name}", attempt, back_off, clock, on_failure))]):
+            try:
+                yield camera
+            finally:
+                camera.frames.fail(Recoverable("the camera is closed"))
+    except BaseExceptionGroup as errors:
+        if len(errors.exceptions) == 1:
+            raise errors.exceptions[0] from None
+        raise
+
+
+def _reason(why: BaseException) -> str:
+    while isinstance(why, BaseExceptionGroup):
+        why = why.exceptions[0]
+    return why.reason if isinstance(why, CameraLost) else "failed"
