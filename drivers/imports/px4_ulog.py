@@ -49,6 +49,10 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
         BadInput: the file cannot be read, is no ULog, or holds neither IMU nor attitude.
     """
     log = open_ulog(path, _TOPICS, tell)
+    if gaps := log.dropouts:
+        lost_s = sum(gap.duration for gap in gaps) / 1000
+        after_s = max(0, min(gap.timestamp for gap in gaps) - log.start_timestamp) * 1e-6
+        tell(f"the card did not keep up: {lost_s:.2f} s are lost, the first after {after_s:.1f} s")
     topics = {data.name: data.data for data in reversed(log.data_list) if data.name != "distance_sensor"}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
@@ -71,16 +75,11 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
         # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
-            log = ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
+            return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pyulog lets any error of its parser through
         raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
-    if gaps := log.dropouts:
-        lost_s = sum(gap.duration for gap in gaps) / 1000
-        after_s = max(0, min(gap.timestamp for gap in gaps) - log.start_timestamp) * 1e-6
-        tell(f"the card did not keep up: {lost_s:.2f} s are lost, the first after {after_s:.1f} s")
-    return log
 
 
 _KINDS = frozenset(b"BFIMPQARDLCSO")
