@@ -32,7 +32,7 @@ from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_cam
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 TIMED_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-READS_HZ, FRAMES_HZ = 5.0, 30.0
+FRAMES_HZ = 30.0
 READ_HZ, LOW_HZ, LOW_M = (3.75, 3.75, 5.0), 10.0, 1.0
 """Readings a second of the pad's surface, its surroundings and what passes, in a stream of `FRAMES_HZ`; of the last one, low."""
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
@@ -83,7 +83,7 @@ def times(tracker: TrackerConfig) -> None:
             frame, rests = Frame(STAMP, 0, scene.px), TrackerMemory()
             for _ in range(4):
                 _, rests = track(tracker, rests, frame, attitude, belief)
-            before = MonoNs(STAMP.measured_at - round(1e9 / READS_HZ))
+            before = MonoNs(STAMP.measured_at - round(1e9 / READ_HZ[0]))
             about, passing = rests.around, rests.passing
             key = None if about is None else replace(about, at=before, key_at=MonoNs(before - 10**10))
             was = None if passing is None else tuple(replace(each, at=before) for each in passing.readings)

@@ -29,8 +29,8 @@ _PERIOD_S, _GAP_S, LASTS_S = 0.24, 0.7, 10.0
 """Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
 _STEP_M, _MESH = 0.016, 10
 """Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
-_FAR_PX_M = 0.03
-"""Size of the frame's pixels on the deck from which on it is too far away, m."""
+_FAR_PX_M, _RING_M = 0.03, 0.15
+"""Size of the frame's pixels on the deck from which on it is too far away, and width of the ring that is worth a reading, m."""
 _CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
 """Number of corners, their least distance, and the window that is followed, px."""
 _BACK_PX, _MARGIN = 0.4, 8
@@ -96,7 +96,7 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         return memory
     camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
     corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
-    if memory is not None and (corner_m < rim_m or pose.range_m > _FAR_PX_M * camera.fx):
+    if memory is not None and (corner_m < rim_m + _RING_M or pose.range_m > _FAR_PX_M * camera.fx):
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
