@@ -25,8 +25,10 @@ from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
 
-_PERIOD_S, _GAP_S, LASTS_S = 0.24, 0.7, 10.0
-"""Time between two frames that are read, longest time that a corner is followed across, and for which a finding counts, s."""
+_PERIOD_S, _GAP_S = 0.24, 0.7
+"""Time between two frames that are read, and longest time that a corner is followed across, s."""
+MOVED_LASTS_S, STANDING_LASTS_S = 10.0, 60.0
+"""Times for which a finding counts, s. What stands is measured on the way down alone; a drone that waits must not forget it."""
 _STEP_M, _MESH = 0.016, 10
 """Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
 _FAR_PX_M, _RING_M = 0.03, 0.15
@@ -84,9 +86,10 @@ class AroundMemory:
 
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
-        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
+        if self.found is None or self.found_at is None:
             return None
-        return self.found
+        lasts_s = STANDING_LASTS_S if self.found.height_m > 0.0 else MOVED_LASTS_S
+        return self.found if seconds_between(self.found_at, at) <= lasts_s else None
 
 
 def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
@@ -108,7 +111,9 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
         new = _judged(sums, q, view.pad.disc_radius_m)
-        found, found_at = (found, found_at) if new is None else (new, at)
+        known = memory.near(at)
+        if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
+            found, found_at = new, at
         return AroundMemory(
             at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
         )

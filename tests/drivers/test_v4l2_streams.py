@@ -106,7 +106,7 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
         return thread
 
     async with asyncio.timeout(60), open_camera(options, None, CLOCK) as camera:
-        for first in (True, False):
+        for _ in range(2):
             stop = threading.Event()
             thread = send(stop)
             try:

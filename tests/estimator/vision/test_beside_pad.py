@@ -7,7 +7,7 @@ import pytest
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
-from estimator.vision.beside_pad import LASTS_S, AroundMemory, around
+from estimator.vision.beside_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, around
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import NearThing
 from sitl.camera.camera import Exposure, Renderer
@@ -74,8 +74,16 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
     assert memory.near(memory.at) is None
 
 
-def test_what_was_seen_counts_for_a_time_and_then_no_longer() -> None:
-    memory = came_down(Surroundings(WIDE), Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8))
+@pytest.mark.parametrize(
+    ("body", "lasts_s"),
+    [
+        (Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8), STANDING_LASTS_S),
+        (Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7), MOVED_LASTS_S),
+    ],
+    ids=["it stands", "it moves"],
+)
+def test_what_was_seen_counts_for_a_time_and_then_no_longer(body: Bystander, lasts_s: float) -> None:
+    memory = came_down(Surroundings(WIDE), body)
     assert memory.found_at is not None
-    assert memory.near(MonoNs(memory.found_at + round(1e9 * (LASTS_S - 0.1)))) is not None
-    assert memory.near(MonoNs(memory.found_at + round(1e9 * (LASTS_S + 0.1)))) is None
+    assert memory.near(MonoNs(memory.found_at + round(1e9 * (lasts_s - 0.1)))) is not None
+    assert memory.near(MonoNs(memory.found_at + round(1e9 * (lasts_s + 0.1)))) is None
