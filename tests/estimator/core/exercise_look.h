@@ -19,7 +19,7 @@ static void draw_judge(int kind, pad_judge *judge)
 static void draw_start(int kind, int alone, dl_start *start)
 {
     const dl_start some = {.prior = {.given = !alone || kind % 2, .sigma_deck_rad = 0.03, .cov_tilt = {1e-4, 0.0, 0.0, 1e-4}},
-                           .coarse = !alone && kind % 2, .tracked = kind % 3 == 0, .linear = kind % 4 == 0, .alone = alone,
+                           .coarse = !alone && kind % 2, .tracked = kind % 3 == 0, .alone = alone,
                            .sigma_tilt_rad = 0.05, .coded_px = alone && kind % 3 == 0 ? 0.12 : 0.0};
     *start = some;
     for (int i = 0; i < 12; i++) {
