@@ -173,9 +173,10 @@ APART = ("tests/packaging/test_installation.py",)
 
 
 def pytest_configure() -> None:
-    """Heed SIGINT again where a shell's background job ignores it, which everything that a test starts would inherit."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Heed SIGINT and SIGQUIT again where a shell's background job ignores them, which all that a test starts would inherit."""
+    for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True, scope="module")
