@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.beside_pad import MOVED_LASTS_S
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detection import NearThing
 from estimator.vision.from_above import from_above
@@ -26,8 +27,8 @@ F32 = NDArray[np.float32]
 
 _PERIOD_S, _LOW_PERIOD_S, _LOW_M = 0.19, 0.09, 1.0
 """Time between two frames that are read, and from this height down, where a thing is in view for a shorter time."""
-_SINCE_S, _GAP_S, LASTS_S = 0.15, 0.7, 10.0
-"""Least and most time between two that are compared, and for which a finding counts, s."""
+_SINCE_S, _GAP_S = 0.15, 0.7
+"""Least and most time between two that are compared, s."""
 _CELL_M, _MESH, _REACH_M = 0.04, 4, 0.5
 """Size of a cell, of the mesh on which cells are drawn, in cells, and what is read beyond the disc."""
 _STEP = 4
@@ -74,7 +75,7 @@ class PassMemory:
 
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what passed lately."""
-        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > LASTS_S:
+        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > MOVED_LASTS_S:
             return None
         return self.found
 

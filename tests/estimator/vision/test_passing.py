@@ -7,8 +7,9 @@ import pytest
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
+from estimator.vision.beside_pad import MOVED_LASTS_S
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.passing import LASTS_S, PassMemory, passed
+from estimator.vision.passing import PassMemory, passed
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light
 from sitl.camera.picture_effects import PictureEffects
@@ -79,8 +80,8 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
     assert near is not None
     assert at is not None
     assert near.from_centre_m < PAD.disc_radius_m + 1.2
-    assert memory.near(MonoNs(at + round(1e9 * (LASTS_S - 0.1)))) == near
-    assert memory.near(MonoNs(at + round(1e9 * (LASTS_S + 0.1)))) is None
+    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
+    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None
 
 
 @pytest.mark.parametrize("heights", [(4.8, 3.6), (2.4, 1.2), (0.7, 0.2)])
