@@ -62,7 +62,7 @@ static void view_of(const dl_belief *b, view *seen)
     double turning[9], moved[3], v_ned[3];
     for (int i = 0; i < 3; i++) {
         v_ned[i] = (i < 2 ? x[DL_VESSEL_VEL + i] : 0.0) - x[DL_VEL + i];
-        seen->w[i] = b->w_smooth[i] - x[DL_GYRO_BIAS + i];
+        seen->w[i] = b->w[i] - x[DL_GYRO_BIAS + i];
     }
     rotated_back(b->R, x + DL_POS_REL, seen->d_b);
     rotated_back(b->R, v_ned, seen->v_b);

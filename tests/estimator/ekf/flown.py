@@ -41,8 +41,8 @@ def sighting(
 ) -> LinearizedMeasurement:
     """Return the core's model of a sighting, with the arguments of the oracle's."""
     turning: Vec3 = tuple(np.asarray(w, dtype=float).tolist())  # type: ignore[assignment]
-    newest = (turning[0] + math.sqrt(rate_var), *turning[1:])
-    packed = PackedBelief.of(belief(R, x=x, w=newest, w_smooth=turning, levelled_by=levelled_by))
+    smooth = (turning[0] - math.sqrt(rate_var), *turning[1:])
+    packed = PackedBelief.of(belief(R, x=x, w=turning, w_smooth=smooth, levelled_by=levelled_by))
     seen = np.frombuffer(packed_event(s).seen, CORE.dtype("dl_sighting"))
     rows = PARTS.new("sighting_rows *")
     cov = np.ascontiguousarray(cov_levelled_by)

@@ -204,7 +204,7 @@ def test_the_model_of_a_sighting_is_the_oracle_s(seed: int, attitude_var: float,
     b = sighted_belief(seed)
     seen = look(rng, b, T)
     cov = attitude_var * np.diag(rng.uniform(0.1, 2.0, 3))
-    arguments = b.x, b.R, b.w_smooth, seen, b.levelled_by, cov, float(rng.uniform(0.1, 1.0))
+    arguments = b.x, b.R, b.w, seen, b.levelled_by, cov, float(rng.uniform(0.1, 1.0))
     more = {"place_only": place_only, "rate_var": float(rng.uniform(0.0, 1.0))}
     ours, oracle = (model(*arguments, **more) for model in (flown.sighting, models.sighting))
     for name in ("innov", "H", "R", "G"):

@@ -100,7 +100,7 @@ def sighting(
 
     Args:
         x: (N,), R: (3, 3) R_ned_body, at the sighting's stamp.
-        w: (3,) rad/s, gyro as measured, smoothed.
+        w: (3,) rad/s, gyro as measured.
         levelled_by: (3, 3) R_ned_body by the vehicle's own attitude; None when the filter's own must do.
         cov_levelled_by: (3, 3) rad^2, the part of the sighting's covariance that comes from that attitude; zeros leave it in.
         yaw_sigma: sigma of the relative heading, rad: an ambiguous heading is of use only when the sigma is small.

@@ -166,7 +166,7 @@ def _compared(
     cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
     apart = np.subtract(b.w, b.w_smooth)
     row = sighting.sighting(
-        b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only, rate_var=float(apart.dot(apart))
+        b.x, b.R, b.w, event, b.levelled_by, cov, yaw_sigma, place_only=place_only, rate_var=float(apart.dot(apart))
     )
     # The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is
     # poorly known, the delay is not corrected and its effect counts as noise.
