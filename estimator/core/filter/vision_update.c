@@ -28,6 +28,8 @@ static const double RATE_KNOWN_VAR = 0.35 * 0.35;
 static const double LOST_SIGMA_M = 0.3;
 /* Longest time between two sightings that counts for a heading, s. */
 static const double COUNTED_S = 0.5;
+/* Time since the newest sighting of a manoeuvre after which the next one is another manoeuvre, s. */
+static const double MANOEUVRE_S = 2.0;
 /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
 static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 /* Variance of a direction of the deck that was not seen. */
@@ -111,6 +113,7 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
     }
     forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
     b->x[DL_TURN_RATE] = 0.0;
+    b->swung = -1;
     for (int i = 0; i < 12; i++) {
         forget_state(P, DL_WAVES + i, 0.0);
         b->x[DL_WAVES + i] = 0.0;
@@ -181,7 +184,11 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         return first;
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
+    if (manoeuvres && (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S)) {
+        memcpy(b->vessel_before, b->x + DL_VESSEL_VEL, sizeof b->vessel_before);
+    }
     b->steered = manoeuvres ? b->t : b->steered;
+    b->swung = shown.var[2] > 0.0 ? b->t : b->swung;
     return second;
 }
 

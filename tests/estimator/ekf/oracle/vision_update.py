@@ -120,7 +120,10 @@ def _jolted(
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
-        wider = b._replace(P=deck_jolt.loosened(P, steered), excesses=excesses, steered=b.t)
+        again = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
+        before, swung = b.x[VESSEL_VEL] if again else b.vessel_before, b.t if steered[2] > 0.0 else b.swung
+        P = deck_jolt.loosened(P, steered)
+        wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
     row, again = _compared(wider, event, params)
     return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
 
@@ -203,7 +206,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
         x[PAD_YAW] = wrap_pi(heading(b.R) - event.yaw_rad)
         P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
         P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
-    return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)
+    return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0, swung=-1 if reset else b.swung)
 
 
 def _learned(b: Belief, event: Sighting, row: sighting.LinearizedMeasurement, params: FilterParams) -> Belief:
