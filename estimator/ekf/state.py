@@ -226,7 +226,7 @@ class Belief(NamedTuple):
     swung: int
     """The same of a manoeuvre in heading."""
     vessel_before: F64
-    """The vessel's velocity before her newest manoeuvre, (2,) m/s north and east."""
+    """The vessel's velocity before her newest manoeuvre in the frame of `ins_v`, (2,) m/s north and east."""
 
     def changed(self, **fields: Any) -> Belief:
         """Return the belief with these fields replaced: `_replace` in a third of its time, for what every sample does."""

@@ -153,7 +153,7 @@ class MotionWatch:
             self._stands_since = None
             return
         height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
-        # Over the highest deck so far: a vehicle keeps clear of the crests, and one that keeps its altitude over a trough does not climb.
+        # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
         self._crest_m = max(self._crest_m, altitude_m - height_m)
         self.highest_m = max(self.highest_m, altitude_m - self._crest_m)
         low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False

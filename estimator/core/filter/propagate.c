@@ -256,19 +256,24 @@ int is_adrift(const dl_belief *b, int64_t t)
     return b->swung >= 0 && b->sighted >= 0 && seconds(b->swung, b->sighted) < SWINGS_S && seconds(b->sighted, t) > UNSEEN_S;
 }
 
-/* Let velocity and turn of a pad that is adrift settle: a first-order Gauss-Markov process about those before. */
+/* Let velocity and turn of a pad that is adrift settle: a first-order Gauss-Markov process about those before. The velocity before is
+ * kept against the body's, of which the IMU alone knows the change since: the body's error over the ground is the ship's as well. */
 static void settle(dl_belief *b, double T, double *F, double *Q)
 {
     const int states[3] = {DL_VESSEL_VEL, DL_VESSEL_VEL + 1, DL_TURN_RATE};
-    const double about[3] = {b->vessel_before[0], b->vessel_before[1], 0.0}, sigma[3] = {SETTLED_M_S, SETTLED_M_S, SETTLED_RAD_S};
+    const double sigma[3] = {SETTLED_M_S, SETTLED_M_S, SETTLED_RAD_S};
     const double stays = exp(-T / SETTLES_S);
     for (int k = 0; k < 3; k++) {
-        const int at = states[k];
-        b->x[at] = about[k] + stays * (b->x[at] - about[k]);
+        const int at = states[k], body = DL_VEL + k;
+        const double comes = k < 2 ? 1.0 - stays : 0.0;
+        const double about = k < 2 ? b->x[body] + b->dv[k] - b->ins_v[k] + b->vessel_before[k] : 0.0;
+        b->x[at] = about + stays * (b->x[at] - about);
         for (int i = 0; i < DL_N; i++) {
-            AT(F, at, i) *= stays;
-            AT(Q, at, i) *= stays;
-            AT(Q, i, at) *= stays;
+            AT(F, at, i) = stays * AT(F, at, i) + comes * AT(F, body, i);
+            AT(Q, at, i) = stays * AT(Q, at, i) + comes * AT(Q, body, i);
+        }
+        for (int i = 0; i < DL_N; i++) {
+            AT(Q, i, at) = stays * AT(Q, i, at) + comes * AT(Q, i, body);
         }
         AT(Q, at, at) += (1.0 - stays * stays) * sigma[k] * sigma[k];
     }

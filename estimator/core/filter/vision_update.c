@@ -185,7 +185,9 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
     if (manoeuvres && (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S)) {
-        memcpy(b->vessel_before, b->x + DL_VESSEL_VEL, sizeof b->vessel_before);
+        for (int i = 0; i < 2; i++) {
+            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
+        }
     }
     b->steered = manoeuvres ? b->t : b->steered;
     b->swung = shown.var[2] > 0.0 ? b->t : b->swung;

@@ -265,11 +265,11 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     if is_adrift(b, b.t_cov):
         # A first-order Gauss-Markov process about the motion before.
         settling, stays = [*range(N)[VESSEL_VEL], TURN_RATE], math.exp(-T / 0.3)
-        about = np.append(b.vessel_before, 0.0)
+        about = np.append(x[VEL][:2] - ins_v[:2] + b.vessel_before, 0.0)
         x[settling] = about + stays * (x[settling] - about)
-        F[settling] *= stays
-        Q[settling] *= stays
-        Q[:, settling] *= stays
+        M = np.eye(N)
+        M[settling, settling], M[settling[:2], VEL_AXES[:2]] = stays, 1.0 - stays
+        F, Q = M.dot(F), M.dot(Q).dot(M.T)
         Q[settling, settling] += (1.0 - stays**2) * np.array([0.7, 0.7, 0.5]) ** 2
 
     R = orthonormalised(b.R)

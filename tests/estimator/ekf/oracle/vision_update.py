@@ -20,6 +20,7 @@ from estimator.ekf.state import (
     POS_REL,
     SWAY_PER_HEAVE,
     TURN_RATE,
+    VEL,
     VESSEL_VEL,
     WAVE_YAW,
     WAVES,
@@ -121,7 +122,8 @@ def _jolted(
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
         again = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
-        before, swung = b.x[VESSEL_VEL] if again else b.vessel_before, b.t if steered[2] > 0.0 else b.swung
+        before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if again else b.vessel_before
+        swung = b.t if steered[2] > 0.0 else b.swung
         P = deck_jolt.loosened(P, steered)
         wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
     row, again = _compared(wider, event, params)
