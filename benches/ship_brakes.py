@@ -2,9 +2,10 @@
 
     python -m benches.ship_brakes
 
-The ship stops from 1.5 m/s within 1 s, or turns by 60 degrees within 1 s with the pad 3.2 m aft, some time before the contact would
-come. The observer knows of it by the first frame that shows the deck three standard deviations beside where it would be, and lifts
-an AR.Drone at once, as its climb's response says. Where that is too late, it touches at the speed that the deck has gained by then.
+The ship stops from 1.5 m/s within 1 s, or turns by 60 degrees within 1 s with the pad 3.2 m aft, some time before the contact
+would come. The observer knows of it by the first frame that shows the deck three standard deviations beside where it would
+be, and lifts an AR.Drone at once, as its climb's response says. Where that is too late, it touches at the speed that the deck
+has gained by then.
 """
 
 import math

@@ -42,8 +42,10 @@ _GUST_S = 2.0
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
 _STEERS_SIGMA_M_S, _STEERS_M_S2 = 0.08, 2.0
-"""1-sigma of that speed that only a ship that brakes or turns makes while the vehicle feels its own acceleration, m/s, and her
-acceleration until the contact as the filter assumes it, m/s^2."""
+"""Doubt that a ship brakes: the least 1-sigma of that speed, m/s, and her acceleration until the contact, m/s^2.
+
+A vehicle that feels its own acceleration knows the speed better than that over any other ship.
+"""
 _DECIDES_M = 0.05
 """Height over the least one for a climb from which on such a doubt ends the commit, m: two frames of 30 a second and more."""
 LEANS_MORE_M_S2 = 2.5

@@ -224,7 +224,7 @@ class Belief(NamedTuple):
     steered: int
     """Instant of the newest sighting that showed a manoeuvre of the ship, ns; -1 if there is none."""
     swung: int
-    """The same of a manoeuvre in heading."""
+    """Instant of the newest sighting that showed a hard turn of the ship, ns; -1 if there is none."""
     vessel_before: F64
     """The vessel's velocity before her newest manoeuvre in the frame of `ins_v`, (2,) m/s north and east."""
 

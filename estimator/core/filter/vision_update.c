@@ -30,6 +30,8 @@ static const double LOST_SIGMA_M = 0.3;
 static const double COUNTED_S = 0.5;
 /* Time since the newest sighting of a manoeuvre after which the next one is another manoeuvre, s. */
 static const double MANOEUVRE_S = 2.0;
+/* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
+static const double SWUNG_RAD = 0.012;
 /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
 static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 /* Variance of a direction of the deck that was not seen. */
@@ -190,7 +192,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         }
     }
     b->steered = manoeuvres ? b->t : b->steered;
-    b->swung = shown.var[2] > 0.0 ? b->t : b->swung;
+    b->swung = shown.var[2] > SWUNG_RAD * SWUNG_RAD ? b->t : b->swung;
     return second;
 }
 
