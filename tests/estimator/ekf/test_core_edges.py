@@ -145,6 +145,26 @@ def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int
         assert bool(ours.P[VESSEL_NORTH, VESSEL_NORTH] > 0.2) is adrift
 
 
+@pytest.mark.parametrize(
+    ("before", "now", "shown_ms", "swings"),
+    [
+        ((1.0, 0.0), (0.0, 0.0), 100, False),  # she stops
+        ((1.0, 0.0), (1.0, 0.6), 100, True),
+        ((1.0, 0.0), (1.0, 0.4), 100, False),
+        ((1.0, 0.0), (1.0, 0.6), 501, False),
+        ((0.2, 0.0), (0.8, 0.0), 100, True),  # she lies still, so that nothing is along her way
+    ],
+)
+def test_a_pad_that_moves_across_the_ships_way_is_swung(
+    before: tuple[float, float], now: tuple[float, float], shown_ms: int, swings: bool
+) -> None:
+    x, P = under(), diagonal(d=1e-4)
+    x[VESSEL_VEL] = now
+    b = belief(x=x, P=P, steered=T - shown_ms * MS, vessel_before=np.array(before), ins_v=np.zeros(3))
+    after, _ = agrees(b, sighting((0.0, 0.0, 2.0)), TOOLS)
+    assert after.swung == (T if swings else -1)
+
+
 def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:
     for used in (EXCESSES_MAX - 1, EXCESSES_MAX):
         after = missed(tuple((used - k) * 5 * MS for k in range(used)), tuple(0.01 * k for k in range(used)))

@@ -100,8 +100,20 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     b = b._replace(
         sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
     )
+    if _moves_aside(b):
+        b = b._replace(swung=b.t)
     limit = nis_max(o.gate_probability, row.innov.size)
     return _learned(b, event, row, params), Outcome(Verdict.FUSED, row.innov, fix.S, nis, limit)
+
+
+def _moves_aside(b: Belief) -> bool:
+    """Return whether a manoeuvre shown in the last half second moves the pad across the ship's way."""
+    if b.steered < 0 or (b.t - b.steered) * 1e-9 > 0.5:
+        return False
+    was = b.x[VEL][:2] - b.ins_v[:2] + b.vessel_before
+    change, speed = b.x[VESSEL_VEL] - was, float(np.linalg.norm(was))
+    across = abs(float(change[0] * was[1] - change[1] * was[0]))
+    return (across / speed if speed > 0.3 else float(np.linalg.norm(change))) > 0.5
 
 
 def _jolted(
