@@ -133,8 +133,8 @@ def _jolted(
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
-        again = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
-        before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if again else b.vessel_before
+        anew = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
+        before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if anew else b.vessel_before
         swung = b.t if steered[2] > 0.012**2 else b.swung
         P = deck_jolt.loosened(P, steered)
         wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
