@@ -41,6 +41,13 @@ _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
+_STEERS_SIGMA_M_S, _STEERS_M_S2 = 0.08, 2.0
+"""Doubt that a ship brakes: the least 1-sigma of that speed, m/s, and her acceleration until the contact, m/s^2.
+
+A vehicle that feels its own acceleration knows the speed better than that over any other ship.
+"""
+_DECIDES_M = 0.05
+"""Height over the least one for a climb from which on such a doubt ends the commit, m: two frames of 30 a second and more."""
 LEANS_MORE_M_S2 = 2.5
 """Further lean that a gust may call for before the descent has ended, m/s^2: 17 degrees became 25."""
 _CLIMB_LEAST = 0.2
@@ -180,11 +187,16 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
     # Speed along the deck ends it for as long as a climb keeps the feet off it: feet that slide catch and tip the vehicle over.
-    lifts = estimate.height_m > lift_m(estimate, knowledge, cone)
+    over_m = estimate.height_m - lift_m(estimate, knowledge, cone)
+    lifts = over_m > 0.0
     speed = math.hypot(v[0], v[1]) if lifts else None
     ahead = _at_contact(knowledge, limits, _COMMIT_SPEED)
     if speed is not None and knowledge.deck is not None:
-        speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
+        sigma = _sigma_m_s(estimate)
+        speed += SIGMAS_AHEAD * max(0.0, sigma - _USUAL_SIGMA_M_S)
+        # Higher up the next frames say what she does.
+        if over_m < _DECIDES_M and sigma > _STEERS_SIGMA_M_S and not knowledge.unfelt:
+            speed += _STEERS_M_S2 * to_contact_s(estimate, knowledge, cone)
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),

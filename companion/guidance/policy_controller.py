@@ -25,7 +25,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _OTHER = 0.3
 """A vehicle whose delay or frequency differs by this share from those of the training is another one."""
 _AGE_MAX_S = 5.0
-_VIEW_FROM_M, _LEAN_LEAST_M_S2, _ANGLE_MOST_RAD = 0.6, 0.6, 1.2
+_VIEW_FROM_M, _LEAN_LEAST_M_S2, _OUT_RAD, _ANGLE_MOST_RAD = 0.6, 0.6, 0.1, 1.2
 """Limits as in the law (`keep_in_view` in estimator/core/law/law.c)."""
 
 
@@ -115,6 +115,8 @@ class PolicyController:
             ((self._view.forward_m, self._view.half_forward_rad), (self._view.right_m, self._view.half_right_rad))
         ):
             bearing = math.atan2(float(d[i]) - offset_m, float(d[2]))
+            if abs(bearing) > half_rad + _OUT_RAD:
+                continue
             most = G_M_S2 * math.tan(max(0.0, min(_ANGLE_MOST_RAD, half_rad - bearing)))
             least = -G_M_S2 * math.tan(max(0.0, min(_ANGLE_MOST_RAD, half_rad + bearing)))
             out[i] = min(max(most, trim[i] + _LEAN_LEAST_M_S2), max(min(least, trim[i] - _LEAN_LEAST_M_S2), lean[i]))

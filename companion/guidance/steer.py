@@ -26,7 +26,8 @@ def usable(s: GuidanceCycle, options: TryOptions, stale_after_s: float) -> Relat
     estimate = s.estimate
     if estimate is None or not estimate.consistent or abs(seconds_between(estimate.at, s.at)) > stale_after_s:
         return None
-    return estimate if sigma_m(estimate) <= options.blind_sigma_m else None
+    sigma_max_m = _ADRIFT * options.blind_sigma_m if estimate.adrift else options.blind_sigma_m
+    return estimate if sigma_m(estimate) <= sigma_max_m else None
 
 
 def without_estimate(climb_m_s: float, *, over_ground: bool) -> Command:
@@ -101,6 +102,8 @@ _FREE_M = 1.0
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
 """States that hold a place and may climb from it."""
 _REFUSED = (State.REFUSED, State.GAVE_UP)
+_ADRIFT = 5.0
+"""Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
 _LOOK_M_S, _LEG_S = 0.4, 20.0
 """Speed upwind and to lee of a search in wind, m/s, and the time of each way, s; the first has half of it."""
 _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
@@ -195,7 +198,9 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     rate = -o.tries.climb_m_s
     estimate = usable(s, o.tries, o.stale_after_s)
     fastest = fastest_climb_m_s(s, o)
-    old = estimate is not None and estimate.age_s(s.at) > o.tries.climb_after_s
+    # Where the pad was swung aside it comes back to a drone that goes on as the ship did.
+    flown_s = o.tries.blind_s if estimate is not None and estimate.adrift else o.tries.climb_after_s
+    old = estimate is not None and estimate.age_s(s.at) > flown_s
     if estimate is None or old or (p.track is not None and estimate.track != p.track):
         rising = 0.0 if over_ground else rising_m_s(s.knowledge)
         begun_s = 0.0 if p.since is None else seconds_between(p.since, s.at)

@@ -198,6 +198,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
     lost: tuple[str, ...] = field(default=())
     """Sensors that this belief does without because they lie, and what each does, in words."""
+    adrift: bool = False
+    """True if the pad went out of sight while its ship turned hard: `cov` says where it may have been swung."""
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))

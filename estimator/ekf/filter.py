@@ -83,6 +83,7 @@ class FilterAnswer:
             cov=cov,
             sighted=MonoNs(self._number("sighted")),
             consistent=fits and self._confirmed(cov, self._options),
+            adrift=bool(self._number("adrift")),
             details=Details(_figures(self._answer, self._evidence_of_rest)),
         )
 

@@ -37,12 +37,12 @@ _NOTHING = CORE.ffi.new("dl_filter_step *", {"P_index": -1, "bank_index": -1})
 """The step before all events."""
 _NO_BANKS = CORE.room("dl_bank", 0)
 _NUMBERS = (
-    "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "steered", "ins_var_m2_s2", "jolt_var_m2_s2",
-    "jolt_var_rad2", "over_pad", "coast_s", "nis_mean", "heading_held_s",
+    "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "steered", "swung", "ins_var_m2_s2",
+    "jolt_var_m2_s2", "jolt_var_rad2", "over_pad", "coast_s", "nis_mean", "heading_held_s",
 )  # fmt: skip
 _FLAGS = ("heading_is_given", "heading_known")
 _MATRICES = ("R", "R_cov", "turned", "cov_levelled_by")
-_VECTORS = ("x", "ins_p", "ins_v")
+_VECTORS = ("x", "ins_p", "ins_v", "vessel_before")
 _TUPLES = ("dv", "dp", "w", "w_smooth", "f")
 _AXES = tuple(tuple([i for i in range(4) if mask >> i & 1]) for mask in range(16))
 """The axes of a velocity and of a vessel's report, by the bits of the core's mask."""

@@ -223,6 +223,10 @@ class Belief(NamedTuple):
     """Instant of the newest sighting that measured a heading, ns; -1 if there is none."""
     steered: int
     """Instant of the newest sighting that showed a manoeuvre of the ship, ns; -1 if there is none."""
+    swung: int
+    """Instant of the newest sighting that showed a hard turn of the ship, ns; -1 if there is none."""
+    vessel_before: F64
+    """The vessel's velocity before her newest manoeuvre in the frame of `ins_v`, (2,) m/s north and east."""
 
     def changed(self, **fields: Any) -> Belief:
         """Return the belief with these fields replaced: `_replace` in a third of its time, for what every sample does."""
@@ -274,5 +278,5 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         heading_is_given=False, ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
         sighted=-1, agreed=0, nis_mean=1.0, excesses=InnovationExcesses(), heading_known=False, heading_held_s=0.0,
-        heading_seen=-1, steered=-1,
+        heading_seen=-1, steered=-1, swung=-1, vessel_before=np.zeros(2),
     )  # fmt: skip

@@ -35,6 +35,8 @@ _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
+_SWUNG_SIGMAS = 4.0
+"""Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
 """Samples with a stamp of their own each, many a second."""
 
 
@@ -168,6 +170,8 @@ def admit_sighting(
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     following, explained = tracks.associate(guard.tracks, place, expected, o)
+    if not explained and belief is not None and belief.adrift and expected is not None and _swung_there(expected, place):
+        following, explained = tracks.Tracks(following.number, 0, place), True
     if not (explained or guard.arbiter.explains(place)):
         return replace(guard, tracks=following), Verdict.ELSEWHERE
     seen = arbiter.follow(guard.arbiter, place)
@@ -243,6 +247,11 @@ def _pictured(state: inertial.Inertial, sighting: Sighting, attitude: Attitude) 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
     return tracks.Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
+
+
+def _swung_there(expected: tracks.Place, place: tracks.Place) -> bool:
+    """Return whether a pad that its ship swung out of sight can be at a place, by the estimate's own deviation."""
+    return math.dist(expected.d[:2], place.d[:2]) <= _SWUNG_SIGMAS * expected.sigma_m
 
 
 def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> tracks.Place:

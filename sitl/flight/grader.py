@@ -107,7 +107,7 @@ class FlightResult:
     faults: tuple[tuple[str, float], ...]
     """Each fault that began, in words, and the time at which it began, in seconds after the start."""
     highest_m: float = -math.inf
-    """Highest height over the pad while guidance commanded."""
+    """Highest height over the highest level of the pad so far, while guidance commanded."""
     named: tuple[tuple[str, float], ...] = ()
     """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
 

@@ -32,7 +32,7 @@ MET_AFTER_S = 0.5
 CLIMB_OUT_S = 1.0
 """Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
 TOO_HIGH_M = 3.0
-"""Unsafe height above the highest height that a flight calls for: waves and gusts do not carry a vehicle there."""
+"""Unsafe height above the highest height that a flight calls for: gusts do not carry a vehicle there."""
 RECEIVERS_M = 10.0
 """Error of a height over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 SLIDE_MAX_M_S = 0.5
@@ -130,7 +130,7 @@ class MotionWatch:
     """Watches how high the vehicle flies, and how long it stands with turning motors, while guidance commands it.
 
     Args:
-        highest_m: the highest height over the pad that the flight calls for.
+        highest_m: the highest height over the pad, at its highest, that the flight calls for.
         feet_below_m: distance of the feet below the body's origin.
     """
 
@@ -139,7 +139,8 @@ class MotionWatch:
         self.stood_s = 0.0
         """Longest time for which it stood with turning motors."""
         self._feet_below_m = feet_below_m
-        self._ground_m: float | None = None
+        self._crest_m = -math.inf
+        """Highest altitude of the deck so far."""
         self._stands_since: MonoNs | None = None
 
     def step(self, truth: Truth, phase: str | None, *, reached: bool) -> None:
@@ -152,10 +153,9 @@ class MotionWatch:
             self._stands_since = None
             return
         height_m, altitude_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
-        if self._ground_m is None:
-            self._ground_m = altitude_m - height_m
-        # The smaller of both: a deck that falls away under a vehicle that keeps its altitude does not make it climb.
-        self.highest_m = max(self.highest_m, min(height_m, altitude_m - self._ground_m))
+        # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
+        self._crest_m = max(self._crest_m, altitude_m - height_m)
+        self.highest_m = max(self.highest_m, altitude_m - self._crest_m)
         low = height_m < self._feet_below_m + _FEET_M + truth.contacts[-1].lateral_m if truth.contacts else False
         if not low or float(np.linalg.norm(truth.v_pad_ned - truth.v_body_ned)) > _STILL_M_S:
             self._stands_since = None

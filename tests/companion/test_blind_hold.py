@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.situation import GuidanceCycle
@@ -86,6 +87,9 @@ def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough
         found = usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), one)), options, 0.5)
         assert (found is one) is is_usable
     assert usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), options, 0.5) is None
+    for sigma_m in (2.4, 2.6):
+        swung = replace(estimate(NOW, (0.0, 0.0, 1.0), sigma=sigma_m), adrift=True)
+        assert (usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), swung)), options, 0.5) is swung) is (sigma_m < 2.5)
 
 
 @pytest.mark.parametrize("over_ground", [False, True])

@@ -278,6 +278,10 @@ def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
     least = seen.trim_level + 0.6 * np.sign(bearings)  # without any, the wind would carry it off
     assert asked(seen) == pytest.approx(np.where(np.abs(edge) > np.abs(least), edge, least))
     assert np.all(np.abs(asked(free)) > np.abs(asked(seen)))
+    # A pad that a level camera does not show is not kept in view: the drone flies to it.
+    away = known(0.0, (1.5, -0.04, 1.5))
+    (_, free), (_, seen) = stepped(LAW.start(), away), stepped(LAW.start(), away, law=FollowDeck(RESPONSE, T, field))
+    assert asked(seen)[0] == pytest.approx(asked(free)[0], rel=1e-3)
 
 
 @pytest.mark.parametrize("climb_delay_s", [0.0, 0.02, 0.1, 0.21])

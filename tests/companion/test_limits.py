@@ -269,13 +269,23 @@ def test_the_contact_is_that_of_the_lowest_foot_at_the_rate_that_is_flown() -> N
 
 
 def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
-    """Two sigma count beyond the usual one: a ship that brakes makes the speed unknown before it shows."""
-    for sigma_m_s, ends in ((0.15, False), (0.3, True)):
-        seen = estimate(NOW, (0.0, 0.0, 0.2), (0.2, 0.0, -0.4))
+    """Two sigma count beyond the usual one: a ship that brakes makes the speed unknown before it shows.
+
+    Who feels his own acceleration knows it better, and takes the last chance to climb where he suddenly does not.
+    """
+    cases = (
+        (0.2, 0.15, True, False),
+        (0.2, 0.3, True, True),
+        (0.2, 0.07, False, False),
+        (0.2, 0.1, False, True),
+        (0.25, 0.1, False, False),
+    )
+    for height_m, sigma_m_s, unfelt, ends in cases:
+        seen = estimate(NOW, (0.0, 0.0, height_m), (0.2, 0.0, -0.4))
         cov = seen.cov.copy()
         cov[3, 3] = cov[4, 4] = sigma_m_s**2
         seen = replace(seen, cov=cov)
-        found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, deck=tilted(0.0, 0.0)), LIMITS, CONE)
+        found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, deck=tilted(0.0, 0.0), unfelt=unfelt), LIMITS, CONE)
         assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
 
 

@@ -267,6 +267,17 @@ def test_a_deck_that_falls_away_below_makes_nobody_climb() -> None:
     assert len(watch.unsafe) == 1
 
 
+def test_a_vehicle_over_a_trough_is_as_high_as_it_is_over_the_crests() -> None:
+    # Seed 8102 of weather_6: the deck goes from 1.3 m up to 6.6 m, and the vehicle with it; then the deck falls.
+    watch = MotionWatch(7.0, 0.1)
+    for at_s, deck_m, altitude_m in ((0.0, 1.3, 8.3), (6.0, 6.6, 12.2), (12.0, -1.3, 12.2)):
+        watch.step(moved_to(at_s, altitude_m - deck_m, -altitude_m), "refused", reached=True)
+    assert watch.highest_m == pytest.approx(7.0)
+    assert watch.unsafe == ()
+    watch.step(moved_to(18.0, 15.0, -16.7), "refused", reached=True)
+    assert len(watch.unsafe) == 1
+
+
 def test_standing_on_the_deck_with_turning_motors_is_unsafe_after_three_seconds() -> None:
     stands = [(0.5 * n, 0.12, FLIES) for n in range(8)]
     assert dangers(SAFE, (), None, motion=moved(stands, "press")) == ("stood on the deck for 3.5 s with turning motors",)

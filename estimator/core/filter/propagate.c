@@ -18,6 +18,11 @@ static const double YAW_DAMPING = 0.5;
  * meanwhile: 2 m/s^2 and 0.5 rad/s^2 for a tenth of a second. */
 static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PSD = 0.5 * 0.5 * 0.1;
 
+/* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
+ * turn and unseen for UNSEEN_S, its velocity and turn come back to what they were before within about SETTLES_S, but for these
+ * standard deviations, m/s and rad/s. */
+static const double SWINGS_S = 1.0, UNSEEN_S = 0.3, SETTLES_S = 0.3, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
+
 double seconds(int64_t since, int64_t until)
 {
     return (double)(until - since) * 1e-9;
@@ -246,6 +251,34 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
     }
 }
 
+int is_adrift(const dl_belief *b, int64_t t)
+{
+    return b->swung >= 0 && b->sighted >= 0 && seconds(b->swung, b->sighted) < SWINGS_S && seconds(b->sighted, t) > UNSEEN_S;
+}
+
+/* Let velocity and turn of a pad that is adrift settle: a first-order Gauss-Markov process about those before. The velocity before is
+ * kept against the body's, of which the IMU alone knows the change since: the body's error over the ground is the ship's as well. */
+static void settle(dl_belief *b, double T, double *F, double *Q)
+{
+    const int states[3] = {DL_VESSEL_VEL, DL_VESSEL_VEL + 1, DL_TURN_RATE};
+    const double sigma[3] = {SETTLED_M_S, SETTLED_M_S, SETTLED_RAD_S};
+    const double stays = exp(-T / SETTLES_S);
+    for (int k = 0; k < 3; k++) {
+        const int at = states[k], body = DL_VEL + k;
+        const double comes = k < 2 ? 1.0 - stays : 0.0;
+        const double about = k < 2 ? b->x[body] + b->dv[k] - b->ins_v[k] + b->vessel_before[k] : 0.0;
+        b->x[at] = about + stays * (b->x[at] - about);
+        for (int i = 0; i < DL_N; i++) {
+            AT(F, at, i) = stays * AT(F, at, i) + comes * AT(F, body, i);
+            AT(Q, at, i) = stays * AT(Q, at, i) + comes * AT(Q, body, i);
+        }
+        for (int i = 0; i < DL_N; i++) {
+            AT(Q, i, at) = stays * AT(Q, i, at) + comes * AT(Q, i, body);
+        }
+        AT(Q, at, at) += (1.0 - stays * stays) * sigma[k] * sigma[k];
+    }
+}
+
 /* The position of the body by the IMU alone. The downward accelerometer bias is not removed: a change of its estimate in flight
  * would look like a jerk of the deck. */
 static void move_dead_reckoning(const dl_filter_params *o, dl_belief *b, double T)
@@ -275,6 +308,9 @@ void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, doubl
     move_dead_reckoning(o, b, T);
     move_deck(o, b, T, moved, F, Q);
     move_vessel(b, T, moved, F, Q);
+    if (is_adrift(b, b->t_cov)) {
+        settle(b, T, F, Q);
+    }
     for (int i = 0; i < 3; i++) {
         b->x[DL_POS_REL + i] += moved[i] - v[i] * T - b->dp[i];
         b->x[DL_VEL + i] += b->dv[i];

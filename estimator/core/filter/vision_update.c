@@ -28,6 +28,12 @@ static const double RATE_KNOWN_VAR = 0.35 * 0.35;
 static const double LOST_SIGMA_M = 0.3;
 /* Longest time between two sightings that counts for a heading, s. */
 static const double COUNTED_S = 0.5;
+/* Time since the newest sighting of a manoeuvre after which the next one is another manoeuvre, s. */
+static const double MANOEUVRE_S = 2.0;
+/* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
+static const double SWUNG_RAD = 0.012;
+/* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
+static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
 /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
 static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 /* Variance of a direction of the deck that was not seen. */
@@ -111,6 +117,7 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
     }
     forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
     b->x[DL_TURN_RATE] = 0.0;
+    b->swung = -1;
     for (int i = 0; i < 12; i++) {
         forget_state(P, DL_WAVES + i, 0.0);
         b->x[DL_WAVES + i] = 0.0;
@@ -181,7 +188,13 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         return first;
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
+    if (manoeuvres && (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S)) {
+        for (int i = 0; i < 2; i++) {
+            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
+        }
+    }
     b->steered = manoeuvres ? b->t : b->steered;
+    b->swung = shown.var[2] > SWUNG_RAD * SWUNG_RAD ? b->t : b->swung;
     return second;
 }
 
@@ -312,6 +325,22 @@ static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int sh
     b->heading_known |= shows_heading;
 }
 
+/* Note a pad that a manoeuvre moves aside, also where too little of it is in view for its heading. */
+static void note_swing(dl_belief *b)
+{
+    double was[2], change[2];
+    if (b->steered < 0 || seconds(b->steered, b->t) > ASIDE_S) {
+        return;
+    }
+    for (int i = 0; i < 2; i++) {
+        was[i] = b->x[DL_VEL + i] - b->ins_v[i] + b->vessel_before[i];
+        change[i] = b->x[DL_VESSEL_VEL + i] - was[i];
+    }
+    const double speed = hypot(was[0], was[1]), across = change[0] * was[1] - change[1] * was[0];
+    const double aside = speed > UNDER_WAY_M_S ? fabs(across) / speed : hypot(change[0], change[1]);
+    b->swung = aside > ASIDE_M_S ? b->t : b->swung;
+}
+
 void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
@@ -362,6 +391,7 @@ void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         }
     }
     fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
+    note_swing(b);
     learn(o, b, bank, s, row);
     tell_compared(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
 }

@@ -11,6 +11,8 @@
 
 /* Lean beside the trim that the view never takes away, m/s^2: without any, the wind would carry the drone off. */
 static const double LEAN_LEAST_M_S2 = 0.6;
+/* A pad so far outside the field of a level camera is not kept in view but flown to, rad. */
+static const double OUT_RAD = 0.1;
 /* Below this height the pad leaves the picture anyway, and the tilt is left alone. */
 static const double VIEW_FROM_M = 0.6;
 /* An estimate that leaps is another one, as when the pad is found again after a while. The observer would come after it for seconds
@@ -105,6 +107,9 @@ static void regulate(const dl_law_axis axes[2], const dl_law_gains *gains, const
 
 static double within_view(double lean, double trim, double bearing_rad, double half_rad)
 {
+    if (fabs(bearing_rad) > half_rad + OUT_RAD) {
+        return lean;
+    }
     const double most = GRAVITY_M_S2 * tan(fmax(0.0, fmin(ANGLE_MOST_RAD, half_rad - bearing_rad)));
     const double least = -GRAVITY_M_S2 * tan(fmax(0.0, fmin(ANGLE_MOST_RAD, half_rad + bearing_rad)));
     return fmin(fmax(most, trim + LEAN_LEAST_M_S2), fmax(fmin(least, trim - LEAN_LEAST_M_S2), lean));

@@ -24,6 +24,7 @@ from estimator.ekf.state import (
     PAD_YAW,
     POS_REL,
     SWAY_PER_HEAVE,
+    TURN_RATE,
     VEL,
     VEL_SCALE,
     VELOCITY,
@@ -118,6 +119,50 @@ def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_veloci
     assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers
     assert bool(abs(after.x[VESSEL_NORTH]) > 0.1) is steers
     assert after.P[VESSEL_EAST, VESSEL_EAST] < 1e-3, "the other axis shows nothing"
+
+
+@pytest.mark.parametrize(
+    ("seen_ms", "swung_ms", "adrift"), [(301, 301, True), (299, 299, False), (400, 1399, True), (400, 1401, False)]
+)
+def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int, swung_ms: int, adrift: bool) -> None:
+    """The truth is the first-order process about the speed before, which the body's error over the ground shifts alike."""
+    for common_m_s in (0.0, 1.3):
+        x, P, later = under(), diagonal(d=1e-4), T + 100 * MS
+        x[VEL] = common_m_s, 0.0, 0.0
+        x[VESSEL_VEL], x[TURN_RATE] = (common_m_s + 3.0, -2.0), 1.5
+        P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
+        b = belief(
+            x=x, P=P, sighted=T - seen_ms * MS, swung=T - swung_ms * MS, vessel_before=np.array([1.0, 0.5]), ins_v=np.zeros(3),
+        )  # fmt: skip
+        ours = PackedBelief.of(b).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
+        same(ours, propagated_with_covariance(b, later, TOOLS))
+        turned = b._replace(swung=-1)
+        free = PackedBelief.of(turned).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
+        stays = math.exp(-0.1 / 0.3) if adrift else 1.0
+        settled = np.array([common_m_s + 1.0, 0.5])
+        assert ours.x[VESSEL_VEL] == pytest.approx(settled + stays * (free.x[VESSEL_VEL] - settled))
+        assert ours.x[TURN_RATE] == pytest.approx(1.5 * stays)
+        assert bool(ours.P[VESSEL_NORTH, VESSEL_NORTH] > 0.2) is adrift
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "shown_ms", "swings"),
+    [
+        ((1.0, 0.0), (0.0, 0.0), 100, False),  # she stops
+        ((1.0, 0.0), (1.0, 0.6), 100, True),
+        ((1.0, 0.0), (1.0, 0.4), 100, False),
+        ((1.0, 0.0), (1.0, 0.6), 501, False),
+        ((0.2, 0.0), (0.8, 0.0), 100, True),  # she lies still, so that nothing is along her way
+    ],
+)
+def test_a_pad_that_moves_across_the_ships_way_is_swung(
+    before: tuple[float, float], now: tuple[float, float], shown_ms: int, swings: bool
+) -> None:
+    x, P = under(), diagonal(d=1e-4)
+    x[VESSEL_VEL] = now
+    b = belief(x=x, P=P, steered=T - shown_ms * MS, vessel_before=np.array(before), ins_v=np.zeros(3))
+    after, _ = agrees(b, sighting((0.0, 0.0, 2.0)), TOOLS)
+    assert after.swung == (T if swings else -1)
 
 
 def test_as_many_sightings_are_kept_as_there_is_room_for() -> None:

@@ -75,6 +75,7 @@ def sighted_belief(seed: int) -> Belief:
         heading_known=bool(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)),
         nis_mean=float(rng.uniform(0.5, 3.0)), heading_seen=int(rng.choice([-1, T - 100 * MS])),
         steered=int(rng.choice([-1, T - 300 * MS, T - 600 * MS])),
+        swung=int(rng.choice([-1, T - 300 * MS, T - 1600 * MS])), vessel_before=rng.normal(size=2),
         ins_var_m2_s2=float(rng.choice([0.0, 0.05])),
         levelled_by=None if rng.random() < 0.1 else b.R @ so3.exp(0.02 * rng.normal(size=3)),
         cov_levelled_by=np.diag(rng.choice([0.0, 1e-5, 1e-3, 0.1]) * rng.uniform(0.5, 2.0, 3)),

@@ -165,6 +165,16 @@ def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
     assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.1, 2.0), 0.001))[1] is Verdict.ELSEWHERE
 
 
+@pytest.mark.parametrize(("adrift", "beside_m", "taken"), [(True, 2.3, True), (True, 2.5, False), (False, 2.3, False)])
+def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_belief_can_have_it(
+    adrift: bool, beside_m: float, taken: bool
+) -> None:
+    t, swung = T + 500 * MS, replace(belief((1.0, 0.5, 2.0), 0.6), adrift=adrift)
+    guard, verdict = admit_sighting(followed(), sighting(t, (1.0 + beside_m, 0.5, 2.0)), attitude(t), swung)
+    assert (verdict, guard.tracks.number) == (None if taken else Verdict.ELSEWHERE, 1)
+    assert bool(guard.tracks.candidates) is not taken
+
+
 def test_a_belief_excludes_where_another_pad_can_be_and_it_does_not_expect_this_one() -> None:
     o, of = IntegrityOptions(), belief((1.0, 0.5, 2.0), 0.02)
     assert not excludes(of, sighting(T), o)

@@ -262,12 +262,27 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
         flat[_POS_BY_VEL] -= jolt * T
         flat[_VEL_BY_POS] -= jolt * T
 
+    if is_adrift(b, b.t_cov):
+        # A first-order Gauss-Markov process about the motion before.
+        settling, stays = [*range(N)[VESSEL_VEL], TURN_RATE], math.exp(-T / 0.3)
+        about = np.append(x[VEL][:2] - ins_v[:2] + b.vessel_before, 0.0)
+        x[settling] = about + stays * (x[settling] - about)
+        M = np.eye(N)
+        M[settling, settling], M[settling[:2], VEL_AXES[:2]] = stays, 1.0 - stays
+        F, Q = M.dot(F), M.dot(Q).dot(M.T)
+        Q[settling, settling] += (1.0 - stays**2) * np.array([0.7, 0.7, 0.5]) ** 2
+
     R = orthonormalised(b.R)
     belief = b.changed(R=R, x=x, t_cov=b.t, R_cov=R, dv=NO_VEC3, dp=NO_VEC3, turned=_ZERO33, coast_s=0.0,
         ins_p=ins_p, ins_v=ins_v, ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + params.psd_coast * b.coast_s,
         jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
     )  # fmt: skip
     return belief, F, Q
+
+
+def is_adrift(b: Belief, t: int) -> bool:
+    """Return whether the pad went out of sight while its ship swung it aside."""
+    return b.swung >= 0 and b.sighted >= 0 and (b.sighted - b.swung) * 1e-9 < 1.0 and (t - b.sighted) * 1e-9 > 0.3
 
 
 def peek(b: Belief) -> F64:

@@ -20,6 +20,7 @@ from estimator.ekf.state import (
     POS_REL,
     SWAY_PER_HEAVE,
     TURN_RATE,
+    VEL,
     VESSEL_VEL,
     WAVE_YAW,
     WAVES,
@@ -99,8 +100,20 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     b = b._replace(
         sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
     )
+    if _moves_aside(b):
+        b = b._replace(swung=b.t)
     limit = nis_max(o.gate_probability, row.innov.size)
     return _learned(b, event, row, params), Outcome(Verdict.FUSED, row.innov, fix.S, nis, limit)
+
+
+def _moves_aside(b: Belief) -> bool:
+    """Return whether a manoeuvre shown in the last half second moves the pad across the ship's way."""
+    if b.steered < 0 or (b.t - b.steered) * 1e-9 > 0.5:
+        return False
+    was = b.x[VEL][:2] - b.ins_v[:2] + b.vessel_before
+    change, speed = b.x[VESSEL_VEL] - was, float(np.linalg.norm(was))
+    across = abs(float(change[0] * was[1] - change[1] * was[0]))
+    return (across / speed if speed > 0.3 else float(np.linalg.norm(change))) > 0.5
 
 
 def _jolted(
@@ -120,7 +133,11 @@ def _jolted(
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
-        wider = b._replace(P=deck_jolt.loosened(P, steered), excesses=excesses, steered=b.t)
+        anew = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
+        before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if anew else b.vessel_before
+        swung = b.t if steered[2] > 0.012**2 else b.swung
+        P = deck_jolt.loosened(P, steered)
+        wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
     row, again = _compared(wider, event, params)
     return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
 
@@ -203,7 +220,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
         x[PAD_YAW] = wrap_pi(heading(b.R) - event.yaw_rad)
         P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
         P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
-    return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)
+    return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0, swung=-1 if reset else b.swung)
 
 
 def _learned(b: Belief, event: Sighting, row: sighting.LinearizedMeasurement, params: FilterParams) -> Belief:
