@@ -224,7 +224,9 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
             climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
         if p.state in _REFUSED and not over_ground:
             climb_m_s += _out_of_reach_m_s(p, s, o)
-        looks = _looks_upwind(p, s, o, climb_m_s) if p.state in (State.SEARCH, State.HOLD_BLIND) else None
+        # Low over the deck it does not search: a deck that comes up would meet feet that move along it.
+        searches = p.state is State.SEARCH or (p.state is State.HOLD_BLIND and p.seen_height_m >= o.tries.safe_height_m)
+        looks = _looks_upwind(p, s, o, climb_m_s) if searches else None
         return replace(p, held=None), looks or without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

@@ -357,6 +357,12 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         assert isinstance(found, Velocity)
         assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
         assert found.yaw_rate_rad_s == pytest.approx(0.32)
+    for seen_m, searches in ((2.0, True), (1.99, False)):
+        p = Progress(State.HOLD_BLIND, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW - 1.0), seen_height_m=seen_m)
+        found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
+        assert (isinstance(found, Velocity) and bool(found.v_level[1])) is searches, (
+            "low, feet would drag over a deck that comes up"
+        )
 
 
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
