@@ -23,9 +23,9 @@ PAD = drawn(EYES.camera, EYES.pad)
 SEA = np.full_like(PAD, (90, 60, 20))
 HEIGHT_M = 5.0 * EYES.pad.disc_radius_m
 SILENT_S, ENDS_S = (1.2, 2.4), 2.8
-"""When the samples are silent, and the end: sooner than a pad elsewhere is adopted."""
+"""Times between which no sample comes, and the end. It comes sooner than a pad elsewhere is adopted."""
 BEFORE_M, AFTER_M = 0.0, 0.85
-"""Where the picture has the pad before and after, aside: farther apart than two pads may lie."""
+"""The pad is in the picture so far aside before and after. It is farther than two pads may lie apart."""
 
 
 class Filmed(FakeFlight):
