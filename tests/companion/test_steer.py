@@ -111,8 +111,8 @@ def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
         assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
     p = Progress(State.PRESS, automatic=True, begun=True)
     for relative, silent_s, lands in ((known(), 0.15, False), (known(), 0.16, True), (known(consistent=False), 0.0, True)):
-        found = aim(p, GuidanceCycle(ns(NOW), relative, silent_s=silent_s), guided(), over_ground=False)[1]
-        assert (found == Land(on_deck=False)) is lands, "held by its own hover it would stay behind a deck that falls"
+        pressed = aim(p, GuidanceCycle(ns(NOW), relative, silent_s=silent_s), guided(), over_ground=False)[1]
+        assert (pressed == Land(on_deck=False)) is lands, "held by its own hover it would stay behind a deck that falls"
 
 
 @pytest.mark.parametrize(
