@@ -24,7 +24,9 @@ _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
 """Limits on the distance that an uncertain belief may explain, sideways and in height. Height has a check of its own."""
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
 _TURN_RAD_S = 1.0
-"""Rate of turn that a vehicle which hovers by itself keeps below."""
+"""Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind."""
+_SURELY = 0.9
+"""Share of the distance to another pad that is left for the errors of two looks."""
 _ALIVE_S = 1.0
 _MOST = 4
 _SEEN_AT_LEAST = 3
@@ -119,15 +121,15 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
 def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions) -> Tracks | None:
     """Process a place that was seen under an assumed attitude; return None if another pad can have come there unseen.
 
-    The body's true turn moves the place, too. Where that and the speed come to less than half of the distance to another pad
-    between two looks, a place nearer than the other half is the same pad's.
+    The body's true turn moves the place, too. Another pad is seen no nearer to the last place than it lies from this one, less what
+    turn and speed can have moved between the two looks.
     """
     last = tracks.last
     dt = 0.0 if last is None else (seen.t - last.t) * 1e-9
     if last is None or dt <= 0.0 or tracks.n < _ESTABLISHED:
         return None
     unknown_m = (_SPEED_M_S + _TURN_RAD_S * math.hypot(*seen.d)) * dt
-    same = max(unknown_m, _apart(last, seen)[0]) < 0.5 * o.pads_apart_m
+    same = unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
     return tracks._replace(last=seen, assumed=assumed) if same else None
 
 
