@@ -75,7 +75,7 @@ class VisionShare:
 log = logging.getLogger(__name__)
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
-_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S, _ATTITUDE_SILENT_S = 10, 0.005, 0.07
+_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S, _ATTITUDE_SILENT_S = 10, 0.005, 0.2
 _UNASKED_S = 0.1
 """Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
 
