@@ -121,7 +121,7 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
 def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions) -> Tracks | None:
     """Process a place that was seen under an assumed attitude; return None if another pad can have come there unseen.
 
-    The body's true turn moves the place, too. Another pad is seen no nearer to the last place than it lies from this one, less what
+    The body's true turn moves the place, too. Another pad is seen no nearer to the last place than two pads lie apart, less what
     turn and speed can have moved between the two looks.
     """
     last = tracks.last
