@@ -5,10 +5,12 @@ reaches no path and gets a verdict of its own. Several paths can run on the same
 comparison.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
 
+import numpy as np
 from msgspec import Struct, field, structs
 
 from estimator import dead_reckoning, ekf, filters, integrity
@@ -16,6 +18,7 @@ from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
+from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
@@ -35,6 +38,11 @@ from estimator.gimbal_history import GimbalHistory, HeldCamera
 from estimator.late import Late
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
+
+_MOMENT_S = 0.5
+"""Longest time since a pad was seen after which a frame without an attitude is looked at for it."""
+_ASSUMED_RAD = 0.1
+"""Standard deviation of an assumed attitude, about each axis."""
 
 
 class Memory(Struct, frozen=True):
@@ -204,6 +212,42 @@ def forecast(memory: Memory, now: MonoNs, horizons_s: Sequence[float]) -> Foreca
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
     """Return the attitude at the instant a frame was exposed; None if no sample covers it."""
     return memory.attitudes.at(stamp.measured_at, stamp)
+
+
+def assumed_at(memory: Memory, stamp: Stamp) -> Attitude | None:
+    """Return what to assume for a frame that no attitude covers, so that it may show that the pad has not left the picture.
+
+    That is the newest attitude, hardly known. None if the pad was not seen a moment before: it cannot be known again then.
+    """
+    tracks, samples = memory.guard.tracks, memory.attitudes.samples
+    if tracks.last is None or not samples or not 0 < stamp.measured_at - tracks.last.t <= _MOMENT_S * 1e9:
+        return None
+    newest = tracks.assumed or samples[-1]
+    return Attitude(stamp, newest.R_ned_body, _ASSUMED_RAD**2 * np.eye(3))
+
+
+def place_to_look(memory: Memory, assumed: Attitude) -> RelativeState | None:
+    """Return where a frame without an attitude is expected to show the pad: where it was a moment before."""
+    at, last = assumed.stamp.measured_at, memory.guard.tracks.last
+    believed = memory.paths[0].at(at)
+    if believed is None or last is None:
+        return None
+    away_m = math.hypot(*last.d)
+    var = [(0.03 + 0.02 * away_m) ** 2] * 3
+    d = Rotation.from_rpy(0.0, 0.0, assumed.R_ned_body.rpy_rad[2]).inv @ np.array(last.d)
+    cov = np.diag([*var, 1.0, 1.0, 1.0, 0.1**2])
+    return RelativeState(at, believed.path, d, np.zeros(3), believed.yaw_rad, cov, MonoNs(last.t), True)
+
+
+def follow(memory: Memory, sighting: Sighting, assumed: Attitude) -> Memory:
+    """Take note of a sighting in a frame that no attitude covers. It is not fused: it tells which pad is seen, and not where.
+
+    Args:
+        assumed: the attitude that levelled it.
+    """
+    if _refusal(memory.options, sighting) is not None:
+        return memory
+    return structs.replace(memory, guard=integrity.follow(memory.guard, sighting, assumed))
 
 
 def held_at(memory: Memory, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:

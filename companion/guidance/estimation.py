@@ -130,6 +130,17 @@ class Estimation:
         self._settle()
         return pipeline.attitude_at(self._memory, stamp)
 
+    def assumed_at(self, stamp: Stamp) -> Attitude | None:
+        """Return what to assume for a frame that no attitude covers; None if it is not to be looked at."""
+        self._settle()
+        return pipeline.assumed_at(self._memory, stamp)
+
+    def follow(self, seen: Detection, assumed: Attitude) -> None:
+        """Take note of what a frame without an attitude shows of the tracked pad."""
+        if seen.selected is not None:
+            self._settle()
+            self._memory = pipeline.follow(self._memory, seen.selected, assumed)
+
     def admit(self, frame: Frame) -> Verdict | None:
         """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
         self._settle()
@@ -195,6 +206,14 @@ class PadSearch:
         from estimator.vision.tracker import rehearse
 
         rehearse(replace(self._tracker, camera=self.camera))
+
+    def follow(self, known: pipeline.Memory, frame: Frame, assumed: Attitude) -> Detection:
+        """Search a frame that no attitude covers for the pad, beginning where it was; otherwise as `detect`."""
+        from estimator.vision.tracker import TrackerMemory, track
+
+        place = pipeline.place_to_look(known, assumed)
+        seen, self._memory = track(self._tracker, self._memory or TrackerMemory(), frame, assumed, place)
+        return seen
 
     def detect(self, known: pipeline.Memory, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         """Search a frame for the pad, beginning where it is expected.

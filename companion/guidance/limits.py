@@ -166,9 +166,11 @@ def lower_foot_m(knowledge: Knowledge, cone: ConeOptions) -> float:
 def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> float:
     """Return the height of the body from which a climb that is ordered now still keeps every foot off the deck, m.
 
-    The descent goes on for the climb's delay, and then ends as the response says, against a deck that rises meanwhile.
+    The descent goes on for the climb's delay, and then ends as the response says, against a deck that rises meanwhile. What makes
+    the speed along the deck uncertain makes the descent's uncertain as well.
     """
     down_m_s, climb = max(0.0, -estimate.v_pad_level.item(2)), knowledge.climb
+    down_m_s += SIGMAS_AHEAD * max(0.0, math.sqrt(estimate.cov.item(5, 5)) - _USUAL_SIGMA_M_S)
     if climb is None:
         return no_return_m(knowledge, cone)
     delay_s = climb.delay_s + (0.0 if knowledge.response is None else max(0.0, knowledge.response.longer_s))

@@ -276,6 +276,18 @@ class Pilot:
         """
         return self.search.detect(self.estimation.memory, frame, attitude, held)
 
+    def assumed_at(self, stamp: Stamp) -> Attitude | None:
+        """Return what to assume for a frame that no attitude covers; None if there is nothing to `follow` in it."""
+        return None if self.search.gimballed else self.estimation.assumed_at(stamp)
+
+    def follow(self, frame: Frame, assumed: Attitude) -> Detection:
+        """Search a frame that no attitude covers for the tracked pad; otherwise as `detect`."""
+        return self.search.follow(self.estimation.memory, frame, assumed)
+
+    def on_followed(self, seen: Detection, assumed: Attitude) -> None:
+        """Take note of whether the pad has left the picture. Nothing is fused."""
+        self.estimation.follow(seen, assumed)
+
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
         """Process the detection of a frame.
 

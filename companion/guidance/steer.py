@@ -97,6 +97,8 @@ Aim = Target | Command | None
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
 _HOLD_SPEED_M_S = 0.5
+_PRESS_SILENT_S = 0.15
+"""Time without a sample of the vehicle after which it is not pressed on: its driver would let it hover, s."""
 _FREE_M = 1.0
 """Height over the held one from which a held vehicle climbs no more with its deck, m."""
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
@@ -130,14 +132,16 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
             return p, _way_down(p, s, o, estimate)
-        case State.PRESS if estimate is not None:
+        case State.PRESS if estimate is not None and estimate.consistent and s.silent_s <= _PRESS_SILENT_S:
             level = np.array(estimate.d_body_pad_level)
             # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
             level_off = None if s.wind is not None and s.wind.drags else 0.0
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
         case State.PRESS | State.DOWN:
-            # The thesis' way ends in the air; every other one comes here by a contact.
-            return p, Land(on_deck=o.mission != "thesis" and _felt(p, s, o))
+            # The thesis' way ends in the air; every other one comes here by a contact. A vehicle of which nothing fit is known is
+            # not held on a deck that falls: it lands by itself, and no motor is stopped by force before it has pressed.
+            pressed = p.state is State.DOWN or estimate is None
+            return p, Land(on_deck=o.mission != "thesis" and pressed and _felt(p, s, o))
         case State.RENDEZVOUS if s.place is not None:
             return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.SEARCH if s.place is not None:
@@ -229,7 +233,9 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
             climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
         if p.state in _REFUSED and not over_ground:
             climb_m_s += _out_of_reach_m_s(p, s, o)
-        looks = _looks_upwind(p, s, o, climb_m_s) if p.state in (State.SEARCH, State.HOLD_BLIND) else None
+        # Low over the deck it does not search: a deck that comes up would meet feet that move along it.
+        searches = p.state is State.SEARCH or (p.state is State.HOLD_BLIND and p.seen_height_m >= o.tries.safe_height_m)
+        looks = _looks_upwind(p, s, o, climb_m_s) if searches else None
         return replace(p, held=None), looks or without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

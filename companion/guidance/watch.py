@@ -47,6 +47,8 @@ _FRESH_S = 0.2
 """Age of a sighting up to which it shows that the drone has left the deck, s."""
 _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
 """Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
+_TURNS_S = 1.0
+"""Time that a drone takes until an order to climb has ended its way down, and a rising deck's way up to it, s."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 BOUNCES_MOST = 2
@@ -348,9 +350,16 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
-                if lost_s > o.tries.climb_after_s or lies:
+                if lost_s > o.tries.climb_after_s or lies or _sinks_on(estimate, o):
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
+
+
+def _sinks_on(estimate: RelativeState | None, o: GuidanceOptions) -> bool:
+    """Return whether a drone without sight is at the deck before a climb would begin. Whose deck it is does not matter then."""
+    if estimate is None:
+        return False
+    return estimate.height_m - o.cone.feet_below_m < -estimate.v_pad_level.item(2) * _TURNS_S
 
 
 def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

@@ -75,7 +75,7 @@ class VisionShare:
 log = logging.getLogger(__name__)
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
-_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
+_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S, _ATTITUDE_SILENT_S = 10, 0.005, 0.2
 _UNASKED_S = 0.1
 """Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
 
@@ -318,6 +318,7 @@ class Daemon:
             verdict = refused
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
+            await self._follow(frame)
         elif held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         else:
@@ -335,6 +336,15 @@ class Daemon:
         camera = self._pilot.search.camera_held(held)
         return ProcessedFrame(frame, attitude, detection, verdict, began, done, results, times, camera)
 
+    async def _follow(self, frame: Frame) -> None:
+        """Look whether the pad is still in a picture that no attitude covers: it need not be another pad when samples come."""
+        assumed = self._pilot.assumed_at(frame.stamp)
+        if assumed is not None and self._tracker is not None:
+            began = self._clock.now()
+            seen = await self._tracker.run(self._pilot.follow, frame, assumed)
+            self._share.looked(began, seconds_between(began, self._clock.now()))
+            self._pilot.on_followed(seen, assumed)
+
     def _look(self, frame: Frame, attitude: Attitude, held: HeldCamera | None) -> tuple[Detection, float]:
         """Look at a frame on the thread of vision; return what was seen, and how long the look took, s."""
         began = self._clock.now()
@@ -345,15 +355,17 @@ class Daemon:
         """Return the attitude at the exposure, and how a gimbal held the camera; wait a little for what covers it.
 
         On a busy machine the vehicle's samples may still be in a socket when the frame is decoded. There is nothing to wait
-        for before the first ones.
+        for before the first ones, and while none come.
         """
         attitude, held = None, None
+        flow = self.health.flows.get("Attitude")
+        age_s = None if flow is None else flow.age_s(self._clock.now())
         for _ in range(_ATTITUDE_TRIES):
             self._take_waiting()
             attitude = self._pilot.attitude_at(frame.stamp)
             held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
             if attitude is None:
-                lacking = "Attitude" in self.health.flows
+                lacking = age_s is not None and age_s < _ATTITUDE_SILENT_S
             else:
                 lacking = held is None and self._pilot.awaits_gimbal(frame.stamp)
             if not lacking or self._link is None:

@@ -181,7 +181,7 @@ class Belief(NamedTuple):
     w: Vec3
     """(3,) rate as the gyro measured it, rad/s."""
     w_smooth: Vec3
-    """(3,) gyro rate after a first-order low-pass, rad/s: the newest one's distance from it is the rate that a stamp's error may miss."""
+    """(3,) gyro rate after a first-order low-pass, rad/s: as far as the newest is from it, a stamp's error misses the rate."""
     f: Vec3
     """(3,) specific force as the accelerometer measured it, m/s^2."""
     levelled_by: F64 | None

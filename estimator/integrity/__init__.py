@@ -3,6 +3,7 @@
     guard, admitted = admit(guard, samples)             # for each what may pass, or a verdict
     guard, verdict = admit_frame(guard, frame)          # None: the frame may pass
     guard, verdict = admit_sighting(guard, sighting, attitude, belief)
+    guard = follow(guard, sighting, assumed)            # of a frame that no attitude covers
     excludes(belief, sighting, options)                 # whether the tracked pad cannot be in that place
     alerts(guard, now)                                  # reasons not to descend by the estimate
 
@@ -10,7 +11,17 @@ The functions are pure. Freshness concerns the content and not the packet: a fra
 content is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, judged
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, follow, judged
 from estimator.integrity.options import IntegrityOptions
 
-__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "alerts", "excludes", "judged"]
+__all__ = [
+    "IntegrityGuard",
+    "IntegrityOptions",
+    "admit",
+    "admit_frame",
+    "admit_sighting",
+    "alerts",
+    "excludes",
+    "follow",
+    "judged",
+]

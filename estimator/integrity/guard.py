@@ -153,6 +153,8 @@ def admit_sighting(
     o = guard.options
     if sighting.d_body_pad_level.item(2) < -_ABOVE_M:
         return guard, Verdict.IMPOSSIBLE
+    if attitude is not None and guard.tracks.assumed is not None:
+        guard = _follow_on(guard, sighting, attitude, guard.tracks.assumed)
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
         # In flight a slower link cannot be distinguished from stamps that have become wrong.
@@ -169,6 +171,8 @@ def admit_sighting(
         guard = replace(guard, inertial=_pictured(guard.inertial, sighting, attitude))
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
+    if guard.tracks.assumed is not None and guard.tracks.last is not None and guard.tracks.last.t == place.t:
+        guard = replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
     following, explained = tracks.associate(guard.tracks, place, expected, o)
     if not explained and belief is not None and belief.adrift and expected is not None and _swung_there(expected, place):
         following, explained = tracks.Tracks(following.number, 0, place), True
@@ -181,6 +185,27 @@ def admit_sighting(
     if explained:
         guard = replace(guard, tracks=following)
     return replace(guard, arbiter=seen), None
+
+
+def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude) -> IntegrityGuard:
+    """Take note of where a frame without an attitude shows the pad: it may show that this is still the tracked one.
+
+    Args:
+        assumed: the attitude that levelled the sighting.
+    """
+    return _following(guard, _place(sighting, assumed), assumed)
+
+
+def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, assumed: Attitude) -> IntegrityGuard:
+    """Follow the pad into a frame with an attitude, by the one that was assumed before: the true one moves its place at once."""
+    d_body = attitude.R_ned_body.without_heading().inv @ sighting.d_body_pad_level
+    x, y, z = (assumed.R_ned_body @ d_body).tolist()
+    return _following(guard, _place(sighting, attitude)._replace(d=(x, y, z)), assumed)
+
+
+def _following(guard: IntegrityGuard, place: tracks.Place, assumed: Attitude) -> IntegrityGuard:
+    following = tracks.follow(guard.tracks, place, assumed, guard.options)
+    return guard if following is None else replace(guard, tracks=following)
 
 
 def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> bool:

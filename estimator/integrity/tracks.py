@@ -6,11 +6,14 @@ the estimator refuses it: the estimate is wrong then, and has its own way back. 
 history. The track never moves to a candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with
 a higher number begins; the consumers of the estimate see the number change. A candidate that was first seen so near to the
 expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the track goes on.
+
+Without an attitude nothing is estimated, but the frames go on to show whether the pad has left the picture (`follow`).
 """
 
 import math
 from typing import NamedTuple
 
+from estimator.contracts.samples import Attitude
 from estimator.integrity.options import IntegrityOptions
 
 _BESIDE_S = 0.1
@@ -20,6 +23,10 @@ _SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
 _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
 """Limits on the distance that an uncertain belief may explain, sideways and in height. Height has a check of its own."""
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
+_TURN_RAD_S = 1.0
+"""Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind."""
+_SURELY = 0.9
+"""Share of the distance to another pad that is left for the errors of two looks."""
 _ALIVE_S = 1.0
 _MOST = 4
 _SEEN_AT_LEAST = 3
@@ -68,6 +75,8 @@ class Tracks(NamedTuple):
     last: Place | None = None
     """Its newest sighting, whether or not the estimator fused it."""
     candidates: tuple[TrackCandidate, ...] = ()
+    assumed: Attitude | None = None
+    """The attitude that was assumed for the newest sighting, whose frame had none; None if it had one."""
 
     def disputed(self, now: int) -> bool:
         """Return whether a pad was repeatedly detected elsewhere within the last second."""
@@ -86,7 +95,7 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     last = tracks.last
     if last is None:
         return Tracks(1, 0, seen), True
-    if abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
+    if tracks.assumed is None and abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
         followed = seen.t > last.t and _apart(last, seen)[0] < 0.5 * o.pads_apart_m
         return (tracks._replace(last=seen) if followed else tracks), True
     known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
@@ -109,11 +118,27 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     return tracks._replace(candidates=candidates), False
 
 
+def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions) -> Tracks | None:
+    """Process a place that was seen under an assumed attitude; return None if another pad can have come there unseen.
+
+    The body's true turn moves the place, too. Another pad is seen no nearer to the last place than two pads lie apart, less what
+    turn and speed can have moved between the two looks.
+    """
+    last = tracks.last
+    dt = 0.0 if last is None else (seen.t - last.t) * 1e-9
+    if last is None or dt <= 0.0 or tracks.n < _ESTABLISHED:
+        return None
+    unknown_m = (_SPEED_M_S + _TURN_RAD_S * math.hypot(*seen.d)) * dt
+    same = unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
+    return tracks._replace(last=seen, assumed=assumed) if same else None
+
+
 def fused(tracks: Tracks, seen: Place) -> Tracks:
     """Record that the estimator fused the sighting: the next one is compared with it."""
-    last = tracks.last if tracks.last is not None and tracks.last.t > seen.t else seen
     alive = tuple(c for c in tracks.candidates if seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9)
-    return tracks._replace(n=tracks.n + 1, last=last, candidates=alive)
+    if tracks.last is not None and tracks.last.t > seen.t:
+        return tracks._replace(n=tracks.n + 1, candidates=alive)
+    return Tracks(tracks.number, tracks.n + 1, seen, alive)
 
 
 def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:

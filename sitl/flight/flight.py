@@ -432,6 +432,8 @@ class Flight:
         attitude = self._pilot.attitude_at(arrived.stamp)
         done = after(now, self._timing.vision_s)
         if attitude is None:
+            if (assumed := self._pilot.assumed_at(arrived.stamp)) is not None:
+                self._pilot.on_followed(self._pilot.follow(arrived, assumed), assumed)
             self._conclude(ProcessedFrame(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
         else:
             processed = self._pilot.detect(arrived, attitude)

@@ -207,6 +207,10 @@ class ModelPilot(Pilot):
         """Draw the detection of a frame."""
         return self._detector.detect(frame, attitude)
 
+    def follow(self, frame: Frame, assumed: Attitude) -> Detection:
+        """Draw the detection of a frame without an attitude."""
+        return self._detector.detect(frame, assumed)
+
 
 class _Detector:
     """Draws detections in a service's process: it remembers whether the newest frame showed the pad."""

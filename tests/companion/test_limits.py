@@ -250,6 +250,11 @@ def test_a_climb_from_the_height_of_lifting_keeps_the_feet_off_and_one_from_belo
     lower_m = CONE.feet_below_m * math.tan(math.radians(lean_deg))
     up_m_s, dt = most_m_s - max(0.0, -deck_down_m_s), 1e-3
     from_m = lift_m(seen, known, CONE)
+    cov = seen.cov.copy()
+    cov[5, 5] = 0.2**2
+    slower = estimate(NOW, (0.0, 0.0, 0.3), (0.0, 0.0, 0.1 - down_m_s))
+    doubted = lift_m(replace(slower, cov=cov), known, CONE)
+    assert down_m_s < 0.1 or doubted == pytest.approx(from_m), "two sigma beyond the usual 0.15 m/s count"
     feet, v, t = from_m - CONE.feet_below_m - lower_m, down_m_s, 0.0
     while t < delay_s or v > 0.0:
         t += dt

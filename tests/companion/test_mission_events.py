@@ -361,6 +361,15 @@ def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str,
     assert (found is not None and found.cause is ReasonCause.LOST_LOW) is at_once
 
 
+@pytest.mark.parametrize(("height_m", "sinks_m_s", "climbs"), [(0.5, 0.46, True), (0.5, 0.44, False), (0.3, -0.3, False)])
+def test_a_drone_that_sinks_without_sight_climbs_while_that_still_helps(height_m: float, sinks_m_s: float, climbs: bool) -> None:
+    """The feet, 4.5 cm below, would be on the deck within a second, whosever it is."""
+    p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.6, in_sight=False)
+    doubted = seen((0.0, 0.0, height_m), v=(0.0, 0.0, -sinks_m_s), consistent=False)
+    found = of(Event.LIMIT, p, cycle(replace(doubted, alerts=(IntegrityAlert.ELSEWHERE,))))
+    assert (found is not None and found.cause is ReasonCause.LOST_LOW) is climbs
+
+
 @pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
 def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(state: State) -> None:
     """0.12 m under the feet by two standard deviations, and 1.4 of the commit's limit aside at 0.4 m/s down."""

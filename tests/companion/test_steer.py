@@ -109,6 +109,10 @@ def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     assert found.d_body_pad_level.tolist() == list(ABOVE)
     for mission, on_deck in (("cone", True), ("thesis", False)):
         assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
+    p = Progress(State.PRESS, automatic=True, begun=True)
+    for relative, silent_s, lands in ((known(), 0.15, False), (known(), 0.16, True), (known(consistent=False), 0.0, True)):
+        pressed = aim(p, GuidanceCycle(ns(NOW), relative, silent_s=silent_s), guided(), over_ground=False)[1]
+        assert (pressed == Land(on_deck=False)) is lands, "held by its own hover it would stay behind a deck that falls"
 
 
 @pytest.mark.parametrize(
@@ -357,6 +361,12 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         assert isinstance(found, Velocity)
         assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
         assert found.yaw_rate_rad_s == pytest.approx(0.32)
+    for seen_m, searches in ((2.0, True), (1.99, False)):
+        p = Progress(State.HOLD_BLIND, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW - 1.0), seen_height_m=seen_m)
+        found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
+        assert (isinstance(found, Velocity) and bool(found.v_level[1])) is searches, (
+            "low, feet would drag over a deck that comes up"
+        )
 
 
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:

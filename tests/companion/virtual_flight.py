@@ -10,6 +10,7 @@ from types import MappingProxyType
 from unittest.mock import patch
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, VehicleLink
@@ -114,6 +115,15 @@ class FakeFlight:
 
     def tick(self, n: int) -> None:
         self.p_level = self.p_level + TICK_S * self._v_level
+        self.sense(n)
+        if n % 4 == 3:
+            now = self._clock.now()
+            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, self.picture(n)))
+
+    def picture(self, n: int) -> NDArray[np.uint8]:
+        return np.roll(NOISE, n, axis=0)
+
+    def sense(self, n: int) -> None:
         now = self._clock.now()
         stamp = Stamp(now, now, 0.001, "sim")
         noise = np.random.default_rng(n).normal(0.0, 1e-3, (4, 3))  # a sensor that repeats itself is not believed
@@ -122,8 +132,6 @@ class FakeFlight:
             self.samples.offer(self.status(stamp))
             self.samples.offer(Attitude(stamp, Rotation.from_rpy(*(0.1 * noise[2])), 1e-5 * np.eye(3)))
             self.samples.offer(BodyVelocity(stamp, self._v_level + noise[3], np.diag([0.01, 0.01, UNKNOWN_VAR])))
-        if n % 4 == 3:
-            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, np.roll(NOISE, n, axis=0)))
 
 
 @patch("companion.service.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none
@@ -135,7 +143,7 @@ async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds:
         await clock.pass_to(after(clock.now(), TICK_S))
         vehicle.tick(n)
         await settled()
-        while daemon.health.frames.total() < vehicle.frames.offered and not task.done():  # noqa: ASYNC110 (the thread of vision)
+        while daemon.looking and not task.done():  # noqa: ASYNC110 (the thread of vision)
             await asyncio.sleep(0)
         await settled()
     assert not task.done(), task.exception()

@@ -179,6 +179,8 @@ class Replay:
             self.counts.searched += 1
             detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
             verdict, results = self._pilot.on_detection(detection)
+        elif (assumed := self._pilot.assumed_at(stamp)) is not None:
+            self._pilot.on_followed(self._pilot.follow(replace(frame, stamp=stamp), assumed), assumed)
         self._pilot.landing.on_verdict(verdict)
         seen = replace(frame, stamp=stamp)
         camera = self._pilot.search.camera_held(held)

@@ -16,8 +16,9 @@ static const double SMOOTH_S = 0.03;
 /* Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds. */
 static const double DIVERGED_VAR = 0.35 * 0.35;
 
-/* Noise of a turn by differences of the vehicle's own attitude, as a part of that of a body with an unknown turn. */
-static const double TURN_BY_ATTITUDE = 0.02;
+/* Noise of a turn by differences of the vehicle's own attitude, and of a force by a thrust that carries the weight, as parts of that
+ * of a body of which neither is known. */
+static const double TURN_BY_ATTITUDE = 0.02, FORCE_BY_THRUST = 0.03;
 /* The cosine of the largest tilt at which a thrust is taken to carry the weight. */
 static const double LEAST_UPRIGHT = 0.7;
 
@@ -47,21 +48,26 @@ static void forget_the_pad(const dl_filter_params *o, dl_belief *b)
     }
 }
 
+/* The share of the noise of a body that coasts: a loss that is found late has spoilt all since it began. */
+static double unknown_share(const dl_filter_params *o, double lost_s, double substitute)
+{
+    return lost_s * 1e9 > o->hold_ns ? 1.0 : substitute;
+}
+
 /* Put what is known without it in place of a half that is no measurement. Its bias is added, because it is removed afterwards. A
- * multirotor's thrust is along its own vertical axis and carries its weight; the noise is that of a body that coasts. */
+ * multirotor's thrust is along its own vertical axis and carries its weight. */
 static void replace_lost(const dl_filter_params *o, dl_belief *b, const dl_imu *imu, double w[3], double f[3])
 {
     if (imu->gyro_lost_s > 0.0) {
         for (int i = 0; i < 3; i++) {
             w[i] += b->x[DL_GYRO_BIAS + i];
         }
-        /* A loss that is found late has spoilt the turn since it began. */
-        b->jolt_var_rad2 += (imu->gyro_lost_s * 1e9 > o->hold_ns ? 1.0 : TURN_BY_ATTITUDE) * o->psd_coast_turn * imu->gyro_lost_s;
+        b->jolt_var_rad2 += unknown_share(o, imu->gyro_lost_s, TURN_BY_ATTITUDE) * o->psd_coast_turn * imu->gyro_lost_s;
     }
     if (imu->accel_lost_s > 0.0) {
         memcpy(f, b->x + DL_ACCEL_BIAS, 3 * sizeof *f);
         f[2] -= GRAVITY_M_S2 / fmax(b->R[8], LEAST_UPRIGHT);
-        b->jolt_var_m2_s2 += o->psd_coast * imu->accel_lost_s;
+        b->jolt_var_m2_s2 += unknown_share(o, imu->accel_lost_s, FORCE_BY_THRUST) * o->psd_coast * imu->accel_lost_s;
     }
 }
 

@@ -12,7 +12,17 @@ from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity import IntegrityGuard, IntegrityOptions, admit, admit_frame, admit_sighting, alerts, excludes, judged
+from estimator.integrity import (
+    IntegrityGuard,
+    IntegrityOptions,
+    admit,
+    admit_frame,
+    admit_sighting,
+    alerts,
+    excludes,
+    follow,
+    judged,
+)
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.heights import HeightWatch
 from estimator.integrity.sensors import FrameWatch, Repeat, SensorWatch
@@ -248,3 +258,34 @@ def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing(
     assert verdict is Verdict.IMPOSSIBLE
     assert guard is before
     assert admit_sighting(IntegrityGuard(), sighting(T, (0.0, 0.0, -0.1)), attitude(T), None)[1] is None, "it stands on it"
+
+
+@pytest.mark.parametrize(
+    ("tilts_to_deg", "aside_m", "verdict"), [(20.0, 0.0, None), (20.0, 0.78, Verdict.ELSEWHERE), (0.0, 0.78, Verdict.ELSEWHERE)]
+)
+def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the_tilt_is_by_then(
+    tilts_to_deg: float, aside_m: float, verdict: Verdict | None
+) -> None:
+    """Own truth: the body tilts while its attitude is not known, which moves the place that is assumed by 1.1 m."""
+    p, step = np.array([0.2, 0.1, 3.0]), 33 * MS
+    guard = IntegrityGuard(options=IntegrityOptions(view_turned_min_rad=1.0))
+    for n in range(20):
+        guard, found = admit_sighting(guard, sighting(T + n * step, (0.2, 0.1, 3.0)), attitude(T + n * step), None)
+        assert found is None
+        guard = judged(guard, sighting(T + n * step, (0.2, 0.1, 3.0)), attitude(T + n * step), True)
+    assumed = attitude(T)
+    for n in range(20, 81):
+        roll = math.radians(tilts_to_deg) * (n - 20) / 60
+        d_level = Rotation.from_rpy(roll, 0.0, 0.0).inv @ p
+        guard = follow(guard, sighting(T + n * step, (d_level[0], d_level[1], d_level[2])), assumed)
+    assert guard.tracks.last is not None
+    assert (guard.tracks.last.t, guard.tracks.n) == (T + 80 * step, 20), "followed, and no sighting of the track"
+    verdicts = []
+    for n in (81, 82):
+        now = attitude(T + n * step, math.radians(tilts_to_deg))
+        seen = sighting(T + n * step, (0.2 + aside_m, 0.1, 3.0))
+        guard, found = admit_sighting(guard, seen, now, belief((-2.0, 0.0, 4.0), 0.01))
+        guard, _ = admit_one(guard, now)
+        verdicts.append(found)
+    assert verdicts == [Verdict.TOO_NEW, verdict], "followed also while the first stamp after the silence is doubted"
+    assert guard.tracks.number == 1
