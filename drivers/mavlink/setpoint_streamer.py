@@ -240,7 +240,7 @@ class SetpointStreamer:
                 self._request_again(Hand.TAKING)
 
     def _here(self, now: MonoNs) -> GeoPoint | None:
-        """Return where the vehicle is; None if nobody has told it lately."""
+        """Return the place of the vehicle; None if none was reported lately."""
         return self._place if seconds_between(self._placed_at, now) <= _PLACE_S else None
 
     def _modes_on_the_way(self) -> tuple[str | None, ...]:
