@@ -19,6 +19,14 @@ _SLOWEST_RAD_S, _FASTEST_RAD_S, _LEAST_DAMPING, _MOST_DAMPING = 1.0, 60.0, 0.2, 
 """Limits of a response."""
 
 
+def slow_side(frequency: float, sigma: float) -> float:
+    """Return the factor on the frequency that gains are made for.
+
+    The slow side takes phase. Gains for a faster vehicle than there is have no margin, and those of the file stand a faster one.
+    """
+    return min(1.0, frequency * math.exp(-sigma))
+
+
 class TiltShape(NamedTuple):
     """Difference of a vehicle's tilt from its file, beside the delay: factors, and how much less the place weighs for it."""
 
@@ -30,8 +38,8 @@ class TiltShape(NamedTuple):
 
     @property
     def slow(self) -> float:
-        """The factor on the frequency that gains are made for: one standard deviation slower, the side that takes phase."""
-        return self.frequency * math.exp(-self.sigma)
+        """The factor on the frequency that gains are made for: one standard deviation slower, and never faster than the file."""
+        return slow_side(self.frequency, self.sigma)
 
 
 AS_FILED = TiltShape()
@@ -64,5 +72,5 @@ def shape_of(given: TiltResponse, found: F64, cov: F64) -> TiltShape:
 def _softer(given: TiltResponse, shape: TiltShape) -> float:
     """Return the least factor that keeps the margins with the vehicle as it was found and as slow as gains assume it."""
     assumed = shaped(given, shape.slow, shape.damping)
-    believed = assumed, shaped(given, shape.frequency, shape.damping)
+    believed = assumed, shaped(given, min(1.0, shape.frequency), shape.damping)
     return next((one for one in _SOFTER[:-1] if keeps_margins(assumed, believed, one)), _SOFTER[-1])
