@@ -22,6 +22,7 @@ from companion.guidance.law_records import law_course, law_cycle, law_gains, law
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response_watch import DELAY_MAX_S
+from companion.guidance.retuning import shaped, slow_side
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
 from companion.guidance.tilt_model import tilt_model
 from companion.guidance.view import FieldOfView
@@ -37,7 +38,7 @@ from estimator.core.library import CORE
 # Softer gains let the place weigh a third and take the vehicle to answer 50 ms later than its file says: with the shipped
 # AR.Drone they stand 196 ms of further delay instead of 92, and err by 2.8 cm a side instead of 1.8
 # (`companion.guidance.margins`). A longer delay that is known takes gains of its own, with the place weighing less the longer
-# it is, so that the margin of 60 ms is kept.
+# it is, so that the margin of 60 ms is kept. So do another frequency and damping, with what `retuning` lets the place weigh.
 
 _STIFF_M = 0.01
 """Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""
@@ -59,6 +60,11 @@ class TuningChoice(NamedTuple):
     longer_s: float = 0.0
     """Delay beyond the one of the response file."""
     soft: bool = False
+    frequency: float = 1.0
+    damping: float = 1.0
+    """Factors on those of the response file."""
+    softer: float = 1.0
+    """Factor by which the place weighs less."""
 
 
 AS_GIVEN = TuningChoice()
@@ -69,15 +75,19 @@ def chosen_tuning(in_use: ResponseInUse | None) -> TuningChoice:
     """Return the gains for the response in use; None flies by the file as it is."""
     if in_use is None:
         return AS_GIVEN
-    return TuningChoice(_STEP_S * round(in_use.longer_s / _STEP_S), in_use.state is ResponseState.ASSUMED)
+    longer_s, soft = _STEP_S * round(in_use.longer_s / _STEP_S), in_use.state is ResponseState.ASSUMED
+    slow = slow_side(in_use.frequency, in_use.frequency_sigma)
+    return TuningChoice(longer_s, soft, slow, in_use.damping, in_use.softer)
 
 
 def tuned(given: TiltResponse, weights: TiltWeights, choice: TuningChoice) -> tuple[TiltResponse, TiltWeights]:
     """Return the response that the gains are made for, and their weights."""
     longer = choice.longer_s + (SOFTER_LONGER_S if choice.soft else 0.0)
     delay_s = min(_LONGEST_S, max(0.0, given.delay_s + longer))
-    softer = (_SOFTER if choice.soft else 1.0) * (1.0 + _SOFTER_PER_S * max(0.0, choice.longer_s))
-    return structs.replace(given, delay_s=delay_s), weights._replace(p_m=weights.p_m * softer)
+    softer = (_SOFTER if choice.soft else choice.softer) * (1.0 + _SOFTER_PER_S * max(0.0, choice.longer_s))
+    return structs.replace(shaped(given, choice.frequency, choice.damping), delay_s=delay_s), weights._replace(
+        p_m=weights.p_m * softer
+    )
 
 
 def _at_once(response: TiltResponse) -> TiltResponse:
@@ -243,7 +253,9 @@ class FollowDeck:
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, sigma_p_m), self._gains(before, sigma_p_m)
             observers = self._observers_unfelt if unfelt else self._observers
-            self._in_use[key] = law_in_use(self._params, gains, chosen(observers, sigma_p_m), earlier)
+            of = self._tuning(memory.tuning).response
+            params = {**self._params, "frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
+            self._in_use[key] = law_in_use(params, gains, chosen(observers, sigma_p_m), earlier)
         return self._in_use[key]
 
     def _gains(self, choice: TuningChoice, sigma_p_m: float) -> Mapping[str, Any]:

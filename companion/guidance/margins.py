@@ -8,10 +8,12 @@ Source: Astrom & Murray, Feedback Systems, 2nd ed., sec. 10.3 (margins), 12.2 (s
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
 from companion.guidance.law_records import law_gains, law_in_use, law_params
@@ -31,6 +33,10 @@ _LATE_M_S2 = 0.6
 The median error of 20 flights of sea_state_4 with video 0.26 s late was 3.2 cm, of 20 with 0.09 s 2.2 cm.
 """
 _SIGMA_P_M = 0.01
+PHASE_LEAST_DEG, PEAK_MOST = 30.0, 2.0
+"""Margins that gains for an identified response keep."""
+_FEW = 120
+"""Number of frequencies that tell them within half a degree and 0.02."""
 _AXIS, _MEASURED = ("p", "w", "d", "b", "lean", "rate", "lag"), ("p", "w", "lean", "rate", "a_body")
 """The numbers of an axis of the law before the commands under way, and those that are measured."""
 _ANY_CLIMB = ClimbResponse(0.1, 0.1)
@@ -101,8 +107,26 @@ def margins(
         around: what disturbs it.
     """
     loop = _closed(assumed, true or assumed, weights, noise, delay_line, around or AxisDisturbances())
-    L = _open_loop(*loop.broken)
-    return LoopMargins(loop.stable, *by_frequency(*L), *loop.errors())
+    return LoopMargins(loop.stable, *by_frequency(*_open_loop(loop.vehicle, loop.law)), *loop.errors())
+
+
+def keeps_margins(assumed: TiltResponse, believed: Sequence[TiltResponse], softer: float) -> bool:
+    """Return whether gains for one response keep 30 degrees of phase and a sensitivity of 2 with each of several vehicles.
+
+    Args:
+        assumed: the response that the law is made for.
+        believed: what the vehicle's own may be.
+        softer: factor by which the place weighs less.
+    """
+    usual, around = TiltWeights(), AxisDisturbances()
+    law = _law(assumed, usual._replace(p_m=usual.p_m * softer), None, delay_line=True)
+    for vehicle in (_plant(one, around) for one in believed):
+        own = vehicle.A + np.outer(vehicle.B, law.D @ vehicle.measured)
+        M = np.block([[own, np.outer(vehicle.B, law.C)], [law.B @ vehicle.measured, law.A]])
+        _, phase_deg, _, peak = by_frequency(*_open_loop(vehicle, law, _FEW))
+        if phase_deg < PHASE_LEAST_DEG or peak > PEAK_MOST or float(np.abs(np.linalg.eigvals(M)).max()) >= 1.0:
+            return False
+    return True
 
 
 def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
@@ -136,10 +160,55 @@ def pushed_axis(response: TiltResponse) -> tuple[F64, F64]:
         M (n, n) and b (n,); the push is an acceleration of the vehicle in m/s^2 that the law knows nothing of.
     """
     loop = _closed(response, response, None, None, True, AxisDisturbances())
-    states = len(loop.broken[0])
+    states = len(loop.vehicle.A)
     b = loop.M[:, states].copy()
     b[states] = 0.0
     return loop.M, b
+
+
+class _Plant(NamedTuple):
+    """One axis of the vehicle, and what of its state is measured."""
+
+    A: F64
+    B: F64
+    measured: F64
+
+
+class _Law(NamedTuple):
+    """The law of one axis: observer, regulator and the commands under way."""
+
+    A: F64
+    B: F64
+    C: F64
+    D: F64
+
+
+def _plant(true: TiltResponse, around: AxisDisturbances) -> _Plant:
+    vehicle = tilt_model(true, PERIOD_S)
+    A, measured = vehicle.A.copy(), np.zeros((5, len(vehicle.A)))
+    A[1, 1] -= PERIOD_S * around.drag_1_s
+    measured[[0, 1, 2, 3, 4], [0, 1, 2, 3, 2]] = 1.0
+    return _Plant(A, vehicle.B, measured)
+
+
+def _law(assumed: TiltResponse, weights: TiltWeights | None, noise: ObserverNoise | None, *, delay_line: bool) -> _Law:
+    gains = tilt_gains(assumed, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
+    seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
+    n, seen = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9)), len(_AXIS)
+    params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
+    flown = law_in_use(params, law_gains(gains, n, 1, assumed.slowness_s), seeing)
+
+    def step(state: F64, z: F64) -> tuple[F64, float]:
+        before = dict(zip(_AXIS, state.tolist(), strict=False)) | {"under_way": state[seen:].tolist()}
+        measured = CORE.ffi.new("dl_axis_measured *", dict(zip(_MEASURED, z.tolist(), strict=True)))
+        was, after = CORE.ffi.new("dl_law_axis *", before), CORE.ffi.new("dl_law_axis *")
+        u = CORE.lib.dl_law_axis_step(flown, PERIOD_S, state[-1], was, measured, after)
+        return np.array([*(getattr(after, name) for name in _AXIS), u, *state[seen:-1]]), u
+
+    own = [step(e, np.zeros(5)) for e in np.eye(seen + n)]
+    driven = [step(np.zeros(seen + n), e) for e in np.eye(5)]
+    (A, C), (B, D) = ((np.array([c[0] for c in of]).T, np.array([c[1] for c in of])) for of in (own, driven))
+    return _Law(A, B, C, D)
 
 
 class _ClosedLoop(NamedTuple):
@@ -151,7 +220,8 @@ class _ClosedLoop(NamedTuple):
     """The row that gives the commanded tilt of the loop's state."""
     sampled_m_s2: float
     """The commanded tilt by one sample of the accelerometer."""
-    broken: tuple[F64, F64, F64, F64, F64, F64, F64]
+    vehicle: _Plant
+    law: _Law
 
     @property
     def stable(self) -> bool:
@@ -173,29 +243,9 @@ def _closed(
     delay_line: bool,
     around: AxisDisturbances,
 ) -> _ClosedLoop:
-    gains = tilt_gains(assumed, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
-    seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
-    vehicle = tilt_model(true, PERIOD_S)
-    n = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9))
-    a_plant, own = len(vehicle.A), len(_AXIS) + n
-    A = vehicle.A.copy()
-    A[1, 1] -= PERIOD_S * around.drag_1_s
-    params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
-    flown, seen = law_in_use(params, law_gains(gains, n, 1, assumed.slowness_s), seeing), len(_AXIS)
-
-    def law(state: F64, z: F64) -> tuple[F64, float]:
-        before = dict(zip(_AXIS, state.tolist(), strict=False)) | {"under_way": state[seen:].tolist()}
-        measured = CORE.ffi.new("dl_axis_measured *", dict(zip(_MEASURED, z.tolist(), strict=True)))
-        was, after = CORE.ffi.new("dl_law_axis *", before), CORE.ffi.new("dl_law_axis *")
-        u = CORE.lib.dl_law_axis_step(flown, PERIOD_S, state[-1], was, measured, after)
-        return np.array([*(getattr(after, name) for name in _AXIS), u, *state[seen:-1]]), u
-
-    columns = [law(e, np.zeros(5)) for e in np.eye(own)]
-    Ac, Cc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])
-    columns = [law(np.zeros(own), e) for e in np.eye(5)]
-    Bc, Dc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])
-    measured = np.zeros((5, a_plant))
-    measured[[0, 1, 2, 3, 4], [0, 1, 2, 3, 2]] = 1.0
+    vehicle, law = _plant(true, around), _law(assumed, weights, noise, delay_line=delay_line)
+    (A, B, measured), (Ac, Bc, Cc, Dc) = vehicle, law
+    B, a_plant, own = B[:, None], len(A), len(Ac)
 
     exo = (
         around.gust_m_s2, around.tilt_m_s2, around.place_m, around.speed_m_s, around.accel_m_s2, around.deck_m_s2,
@@ -208,7 +258,6 @@ def _closed(
     sensed[0, 2] = sensed[1, 3] = sensed[4, 4] = sensed[4, 0] = sensed[4, 6] = 1.0
     sensed[4, 1] = -1.0
     keep = np.diag([math.exp(-PERIOD_S / w.time_s) for w in exo])
-    B = vehicle.B[:, None]
     M = np.block(
         [
             [A + B @ (Dc @ measured)[None], by_exo + B @ (Dc @ sensed)[None], B @ Cc[None]],
@@ -222,7 +271,7 @@ def _closed(
     white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
     Q += around.sample_m_s2**2 * np.outer(white, white)
     command = np.concatenate([Dc @ measured, Dc @ sensed, Cc])
-    return _ClosedLoop(M, Q, command, around.sample_m_s2 * Dc[4], (A, vehicle.B, measured, Ac, Bc, Cc, Dc))
+    return _ClosedLoop(M, Q, command, around.sample_m_s2 * Dc[4], vehicle, law)
 
 
 def stationary(M: F64, Q: F64) -> F64:
@@ -233,20 +282,15 @@ def stationary(M: F64, Q: F64) -> F64:
     return X
 
 
-def _open_loop(
-    A: F64, B: F64, measured: F64, Ac: F64, Bc: F64, Cc: F64, Dc: F64
-) -> tuple[F64, np.ndarray[tuple[int, ...], np.dtype[np.complex128]]]:
-    w = np.geomspace(0.05, 0.98 * math.pi / PERIOD_S, 1500)
-    out = np.empty(w.size, complex)
-    for i, z in enumerate(np.exp(1j * w * PERIOD_S)):
-        plant = measured @ np.linalg.solve(z * np.eye(len(A)) - A, B)
-        out[i] = -((Cc @ np.linalg.solve(z * np.eye(len(Ac)) - Ac, Bc) + Dc) @ plant)
-    return w, out
+def _open_loop(vehicle: _Plant, law: _Law, points: int = 1500) -> tuple[F64, NDArray[np.complex128]]:
+    w = np.geomspace(0.05, 0.98 * math.pi / PERIOD_S, points)
+    z = np.exp(1j * w * PERIOD_S)[:, None, None]
+    plant = vehicle.measured @ np.linalg.solve(z * np.eye(len(vehicle.A)) - vehicle.A, vehicle.B[:, None])
+    answer = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B) + law.D
+    return w, -(answer * plant[..., 0]).sum(axis=-1)
 
 
-def by_frequency(
-    w: F64, L: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
-) -> tuple[tuple[float, float], float, float, float]:
+def by_frequency(w: F64, L: NDArray[np.complex128]) -> tuple[tuple[float, float], float, float, float]:
     """Return gain margins, phase margin in deg, delay margin in s and the sensitivity of a loop that -L closes.
 
     Args:

@@ -7,6 +7,9 @@ nothing. A fit whose model is not the vehicle's counts for nothing, nor one whos
 stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the loop
 swings about the pad and never comes to the gate.
 
+Frequency and damping are of the same fits. Where two in a row are sure of other ones than are flown by, gains for these take over
+(`retuning`).
+
 No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
 own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
 fit errs that way.
@@ -23,9 +26,11 @@ from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance import response_watch
 from companion.guidance.response_course import Track, asked_lean, course_of
 from companion.guidance.response_fit import FlightCourse, TiltFit, fit_tilt
+from companion.guidance.retuning import AS_FILED, TiltShape, shape_of, shaped
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Command
+from estimator.contracts.geometry import F64
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 CONTRADICTION_S = 0.04
@@ -36,8 +41,8 @@ _SURELY = 2.0
 """Standard deviations that a delay has to be beyond it."""
 _WINDOW_S = 12.0
 _EACH_S, _EACH_KNOWN_S = 1.0, 2.0
-"""Time between two fits, and the same while the response is known and not doubted, s."""
-_STEPS = 1
+"""Time between two fits, and the same while delay and frequency are known and not doubted, s."""
+_STEPS = 2
 """Steps of the search in each fit: the next one goes on from there."""
 _APART_S = 0.008
 """Reports that follow closer than this are left out, s."""
@@ -50,7 +55,16 @@ _EXPLAINED = 0.7
 _GAIN_OFF = 0.35
 """A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
 _COURSE_OFF_S = 0.15
-"""A tilt that follows by this much slower or quicker than the file says, beside the delay, is another vehicle's, s."""
+"""A tilt that follows by this much slower or quicker than what is flown by, beside the delay, tells no delay, s."""
+_SHAPE_SIGMAS = np.array([0.1, 0.2])
+"""Standard deviations up to which frequency and damping are known, as natural logarithms."""
+_SHAPE_OFF = np.array([0.12, 0.3])
+"""Differences up to which they are ignored: the margins tolerate them."""
+_SHAPE_MOST = np.log([2.5, 2.5])
+"""A vehicle beyond these is not of the file's kind at all."""
+_SHAPE_SURELY = 2.5
+_BETTER = 0.5
+"""A shape that is known this much better is looked at again: its gains may be stiffer."""
 
 
 class ResponseWatch(Struct, frozen=True, eq=False):
@@ -66,6 +80,10 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     """The delay, where it is too long to fly with, s; None otherwise."""
     late_doubt: bool = False
     """True if the newest fit reports it."""
+    shape: TiltShape = AS_FILED
+    """Frequency and damping that are flown by."""
+    shape_doubt: F64 | None = None
+    """Contradiction of the newest fit to these: logarithms of their factors, (2,)."""
     asked: tuple[tuple[float, float, float], ...] = ()
     reported: tuple[tuple[float, float, float], ...] = ()
     """Instants, s, and tilt forward and right, m/s^2, since the newest fit."""
@@ -92,7 +110,15 @@ def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
 def landed(watch: ResponseWatch) -> ResponseWatch:
     """Return the memory for another flight: what is known stays, the courses begin again."""
     return structs.replace(
-        watch, doubt=None, asked=(), reported=(), asked_before=None, reported_before=None, late_s=None, late_doubt=False
+        watch,
+        doubt=None,
+        shape_doubt=None,
+        asked=(),
+        reported=(),
+        asked_before=None,
+        reported_before=None,
+        late_s=None,
+        late_doubt=False,
     )
 
 
@@ -120,7 +146,8 @@ def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: f
         return watch
     since = now / NS_PER_S - _WINDOW_S
     u, y = _appended(watch.asked_before, watch.asked, since), _appended(watch.reported_before, watch.reported, since)
-    calm = watch.doubt is None and watch.in_use.state is not ResponseState.ASSUMED
+    undoubted = watch.doubt is None and watch.shape_doubt is None
+    calm = undoubted and watch.in_use.state is not ResponseState.ASSUMED and _tells_shape(watch.fit)
     due = MonoNs(now + round((_EACH_KNOWN_S if calm else _EACH_S) * NS_PER_S))
     watch = structs.replace(watch, asked=(), reported=(), asked_before=u, reported_before=y, due=due)
     course = None if u is None or y is None else course_of(u, y, watch.stamp_sigma_s)
@@ -131,16 +158,40 @@ def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> Respo
     fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS)
     if fit is None:
         return watch
-    delay_s = fit.response.delay_s
-    late = delay_s - _SURELY * fit.delay_sigma_s > DELAY_MAX_S and _explains(watch.given, course, fit)
+    delay_s, explains = fit.response.delay_s, _explains(course, fit)
+    flown = shaped(watch.given, watch.shape.frequency, watch.shape.damping)
+    late = delay_s - _SURELY * fit.delay_sigma_s > DELAY_MAX_S and explains and _alike(flown, fit)
     watch = structs.replace(watch, fit=fit, late_doubt=late, late_s=delay_s if late and watch.late_doubt else None)
-    says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(watch.given, course, fit) else watch.in_use
+    watch = _reshaped(watch, fit, known=explains and fit.delay_sigma_s <= known_s)
+    says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(flown, course, fit) else watch.in_use
     if says is watch.in_use:
         return structs.replace(watch, doubt=None)
     agreed = watch.doubt is not None and watch.doubt.state is says.state
     if agreed and watch.doubt is not None and abs(watch.doubt.delay_s - says.delay_s) <= CONTRADICTION_S:
         return structs.replace(watch, in_use=says, doubt=None)
     return structs.replace(watch, doubt=says)
+
+
+def _tells_shape(fit: TiltFit | None) -> bool:
+    return fit is not None and bool(np.all(np.sqrt(np.diagonal(fit.fitted.cov)[1:3]) <= _SHAPE_SIGMAS))
+
+
+def _reshaped(watch: ResponseWatch, fit: TiltFit, *, known: bool) -> ResponseWatch:
+    """Return the memory after what a fit says of frequency and damping."""
+    found = fit.fitted.values[1:3] - np.log([watch.given.frequency_rad_s, watch.given.damping])
+    cov = fit.fitted.cov[1:3, 1:3]
+    sigmas = np.sqrt(np.diagonal(cov))
+    sure = known and _tells_shape(fit) and bool(np.all(np.abs(found) <= _SHAPE_MOST))
+    off = np.abs(found - np.log([watch.shape.frequency, watch.shape.damping]))
+    other = bool(np.any(off > np.maximum(_SHAPE_OFF, _SHAPE_SURELY * sigmas)))
+    better = watch.shape != AS_FILED and float(sigmas[0]) < _BETTER * watch.shape.sigma
+    if not (sure and (other or better)):
+        return structs.replace(watch, shape_doubt=None)
+    before = watch.shape_doubt
+    if before is None or bool(np.any(np.abs(found - before) > _SHAPE_OFF)):
+        return structs.replace(watch, shape_doubt=found)
+    as_filed = bool(np.all(np.abs(found) <= _SHAPE_OFF))
+    return structs.replace(watch, shape=AS_FILED if as_filed else shape_of(watch.given, found, cov), shape_doubt=None)
 
 
 def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: float) -> ResponseInUse:
@@ -161,17 +212,19 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
     return ResponseInUse(ResponseState.IDENTIFIED, delay_s, sigma, delay_s - given.delay_s)
 
 
-def _trusted(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
-    """Return whether the fit is good enough to fly by."""
-    return 0.0 < fit.response.delay_s <= DELAY_MAX_S and _explains(given, course, fit)
+def _trusted(flown: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
+    """Return whether the fit's delay is good enough to fly by: it answers as what is flown by, only later."""
+    return 0.0 < fit.response.delay_s <= DELAY_MAX_S and _alike(flown, fit) and _explains(course, fit)
 
 
-def _explains(given: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
-    """Return whether the fit's model is the vehicle's: it answers as its file says, only later and with little beside it."""
+def _alike(flown: TiltResponse, fit: TiltFit) -> bool:
     of = fit.response
+    return abs((of.slowness_s - of.delay_s) - (flown.slowness_s - flown.delay_s)) <= _COURSE_OFF_S
+
+
+def _explains(course: FlightCourse, fit: TiltFit) -> bool:
+    """Return whether the fit tells most of the motion, and about as much of it as was commanded."""
     if not fit.fitted.settled or abs(fit.gain - 1.0) > _GAIN_OFF:
-        return False
-    if abs((of.slowness_s - of.delay_s) - (given.slowness_s - given.delay_s)) > _COURSE_OFF_S:
         return False
     noted = np.asarray((course.reported - fit.fitted.offset)[course.counts])
     moved = float((noted - noted.mean(axis=0)).std())
@@ -216,7 +269,12 @@ class ResponseIdentifier:
     @property
     def in_use(self) -> ResponseInUse | None:
         """The response to fly by; None if it is not identified."""
-        return self._watch.in_use if self._on else None
+        if not self._on:
+            return None
+        shape, of = self._watch.shape, self._watch.in_use
+        if shape is AS_FILED:
+            return of
+        return replace(of, frequency=shape.frequency, frequency_sigma=shape.sigma, damping=shape.damping, softer=shape.softer)
 
     @property
     def late_s(self) -> float | None:
@@ -238,7 +296,7 @@ class ResponseIdentifier:
             return None
         on_deck = state in _ON_DECK
         self._watch = response_watch.asked(self._watch, now, None if on_deck else command, self._known_s)
-        if on_deck or self._watch.in_use is self._told:
+        if on_deck or self.in_use == self._told:
             return None
-        self._told = self._watch.in_use
+        self._told = self.in_use
         return self._told

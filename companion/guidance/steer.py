@@ -148,8 +148,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, rendezvous.along_pattern(p.search_leg, s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
-        case State.REFUSED | State.GAVE_UP if o.refused == "return" and _out_of_reach_m_s(p, s, o) == 0.0:
-            return p, Hover(returns=True)
+        case State.REFUSED | State.GAVE_UP if o.refused != "hold" and _out_of_reach_m_s(p, s, o) == 0.0:
+            return p, Hover(returns=True) if o.refused == "return" else Hover(elsewhere=o.elsewhere.landing_place)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
             return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
     return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)

@@ -208,7 +208,8 @@ def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
     """Return a recorded response of the vehicle. Raises ValueError if there is no such state."""
     if of is None:
         return None
-    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s)
+    shape = of.frequency, of.frequency_sigma, of.damping, of.softer
+    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s, *shape)
 
 
 def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:

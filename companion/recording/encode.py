@@ -205,7 +205,8 @@ def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
     """Return the record of a vehicle's response."""
     if of is None:
         return None
-    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s)
+    shape = of.frequency, of.frequency_sigma, of.damping, of.softer
+    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s, *shape)
 
 
 def transition(of: StateChange) -> rec.TransitionRecord:

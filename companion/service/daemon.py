@@ -23,7 +23,6 @@ from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.base.response_in_use import ResponseState
 from companion.base.supervise import Body, run, uncancelled
 from companion.base.worker import Worker
 from companion.guidance.pilot import WAITING_MOST, Pilot
@@ -437,7 +436,7 @@ class Daemon:
             level = logging.WARNING if change.event in FAULTS else logging.INFO
             log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
         if decision.response is not None:
-            level = logging.WARNING if decision.response.state is ResponseState.IDENTIFIED else logging.INFO
+            level = logging.WARNING if decision.response.contradicts else logging.INFO
             log.log(level, "%s", decision.response.text)
         entry = (decision.phase, _NUMBER.sub("", decision.reason))
         if entry != self._logged and not decision.transitions:

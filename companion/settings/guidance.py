@@ -8,6 +8,8 @@ from msgspec import Struct
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
 from companion.settings.rendezvous import RendezvousOptions
+from estimator.contracts.commands import LandingPlace
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.keys import check_ranges, choice, name, number, text
 
 _TUNED = "tuned in simulation"
@@ -100,6 +102,32 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
         return math.radians(self.turn_max_deg_s)
 
 
+class ElsewhereOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """The place, on land or on a ship at rest, where a drone lands that refused. It needs GNSS; another one holds.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    latitude_deg: Annotated[float, number("latitude, north positive", "deg", -90.0, 90.0)] = 0.0
+    longitude_deg: Annotated[float, number("longitude, east positive", "deg", -180.0, 180.0)] = 0.0
+    height_m: Annotated[
+        float,
+        number(
+            "height over the sea to which it climbs on the way, above all that stands there; it keeps a larger one", "m", 0, 5e3
+        ),
+    ] = 0.0
+    range_max_m: Annotated[float, number("distance beyond which it does not fly there, and holds", "m", 10.0, 50_000.0)] = 1000.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def landing_place(self) -> LandingPlace:
+        """The place as a command holds it."""
+        return LandingPlace(GeoPoint.of_degrees(self.latitude_deg, self.longitude_deg, self.height_m), self.range_max_m)
+
+
 class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """Guidance: from the estimate to commands.
 
@@ -128,12 +156,14 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
     ] = 6.0
     refused: Annotated[
-        Literal["hold", "return"],
+        Literal["hold", "return", "land elsewhere"],
         choice(
-            "what a drone does that refused or gave up, once it is as high as it goes around: hold over the pad, or fly back by "
-            "the autopilot's own return, to home or a rally point (set one: home may be at sea); an AR.Drone has none and holds"
+            "what a drone does that refused or gave up, once it is as high as it goes around: hold over the pad; fly back by "
+            "the autopilot's own return, to home or a rally point (set one: home may be at sea); or fly to the place "
+            "`elsewhere` and land there by the autopilot's own landing. An AR.Drone has neither and holds"
         ),
     ] = "hold"
+    elsewhere: ElsewhereOptions = ElsewhereOptions()
     controller: Annotated[
         str,
         name(
@@ -157,3 +187,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        if self.refused == "land elsewhere" and self.elsewhere == ElsewhereOptions():
+            raise ValueError(
+                'refused = "land elsewhere" needs a place: set latitude_deg, longitude_deg and height_m of elsewhere'
+            )

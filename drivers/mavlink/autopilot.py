@@ -37,7 +37,7 @@ from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
@@ -297,7 +297,11 @@ class Autopilot:
         known.parameters.on_message(message)
         if name == "PARAM_VALUE":
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
-        self._offer(known.sampler.samples(message, received_at))
+        samples = known.sampler.samples(message, received_at)
+        for fix in samples:
+            if isinstance(fix, GeoFix):
+                known.streamer.on_place(fix.place, received_at)
+        self._offer(samples)
         known.streamer.on_condition(known.sampler.condition)
         self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:

@@ -15,6 +15,7 @@ When the process itself falls silent the autopilot's own failsafe acts: ArduPilo
 """
 
 import math
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -22,8 +23,29 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, TakingOff, velocity_setpoint
-from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from drivers.mavlink.vehicle import (
+    HOLD_MODE,
+    LAND_MODE,
+    RETURN_MODE,
+    VELOCITY_MODE,
+    Condition,
+    Identity,
+    Stack,
+    reposition,
+    set_mode,
+)
+from estimator.contracts.commands import (
+    Command,
+    CutMotors,
+    Hover,
+    Land,
+    LandingPlace,
+    Lean,
+    LeaveEmergency,
+    TakeOff,
+    Velocity,
+)
+from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
@@ -75,6 +97,10 @@ class MotorStop:
 
 
 STILL = Velocity(np.zeros(3), 0.0)
+_PLACE_S = 2.0
+"""Age of the vehicle's place beyond which nothing is done by it, s."""
+_REACHED_M = 3.0
+"""Distance from another place at which the vehicle is there, m."""
 _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
 
@@ -92,6 +118,8 @@ class Hand(Enum):
     """The vehicle stands on the deck: its motors are being stopped."""
     HOLDING = "holding"
     """Guidance is silent: the autopilot is in its own hold mode, or on its way there."""
+    LEAVING = "leaving"
+    """The autopilot flies to another place by itself, and lands there."""
     RELEASED = "released"
     """A person chose another mode, or the mode was refused."""
 
@@ -113,6 +141,11 @@ class SetpointStreamer:
         self._taking_off: TakingOff | None = None
         self._returns = False
         """True if the vehicle is to fly back by its own mode."""
+        self._place: GeoPoint | None = None
+        self._placed_at = MonoNs(0)
+        self._goal: GeoPoint | None = None
+        """Place to land at, with the height to fly at."""
+        self._there = False
         self._rest = RestVelocity()
         self._stop: MotorStop | None = None
         self._felt_at: MonoNs | None = None
@@ -187,6 +220,8 @@ class SetpointStreamer:
             if command.returns and not self._returns and self.hand is Hand.OURS:
                 self._request_again(Hand.OURS)
             self._returns = command.returns
+            if (self.hand is Hand.LEAVING) != (command.elsewhere is not None) and self.hand in (Hand.OURS, Hand.LEAVING):
+                self._leave_for(command.elsewhere, now)
             if v_deck_level is not None:
                 self._v_deck, self._steered_at = v_deck_level, now
             if self.hand is Hand.STANDING and self._condition.armed is not False:
@@ -200,9 +235,27 @@ class SetpointStreamer:
             self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
             self._returns = False
-            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING)
+            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING, Hand.LEAVING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
                 self._request_again(Hand.TAKING)
+
+    def _here(self, now: MonoNs) -> GeoPoint | None:
+        """Return the place of the vehicle; None if none was reported lately."""
+        return self._place if seconds_between(self._placed_at, now) <= _PLACE_S else None
+
+    def _modes_on_the_way(self) -> tuple[str | None, ...]:
+        own = self._mode, HOLD_MODE[Stack.PX4] if self._id.stack is Stack.PX4 else None
+        return (*own, LAND_MODE.get(self._id.stack)) if self._there else own
+
+    def _leave_for(self, where: LandingPlace | None, now: MonoNs) -> None:
+        """Begin the way to another place if that is known to be in range, or end it."""
+        here = self._here(now)
+        if where is None:
+            self._request_again(Hand.TAKING)
+        elif here is not None and math.hypot(*ned_between(here, where.place)[:2]) <= where.range_max_m:
+            highest_m = max(where.place.height_m or 0.0, here.height_m or 0.0)
+            self._goal, self._there = replace(where.place, height_m=highest_m), False
+            self._request_again(Hand.LEAVING)
 
     def _call_off(self) -> None:
         """End the landing; the velocity mode then holds the vehicle in place."""
@@ -224,6 +277,7 @@ class SetpointStreamer:
             (self.hand is Hand.OURS and not in_mode)
             or (self.hand is Hand.LANDING and condition.mode not in landing_modes)
             or (self.hand is Hand.HOLDING and condition.mode not in held_modes)
+            or (self.hand is Hand.LEAVING and condition.mode not in self._modes_on_the_way())
         )
         if self._taking_off is not None:
             if self._taking_off.flew and not in_mode:
@@ -245,6 +299,10 @@ class SetpointStreamer:
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""
         self._down_m = down_m
+
+    def on_place(self, place: GeoPoint, now: MonoNs) -> None:
+        """Take the autopilot's place on the Earth."""
+        self._place, self._placed_at = place, now
 
     def on_velocity(self, v_ned: F64, now: MonoNs) -> None:
         """Take the autopilot's velocity over the ground, (3,) m/s."""
@@ -268,6 +326,8 @@ class SetpointStreamer:
             out += self._stood(now)
         elif self.hand is Hand.HOLDING:
             out += self._hold(now)
+        elif self.hand is Hand.LEAVING:
+            out += self._go(now)
         else:
             self._streaming_since = None
         return out
@@ -320,6 +380,20 @@ class SetpointStreamer:
             # In its own mode it is no longer ours.
             out.append(set_mode(self._id.stack, self._id.address, back))
         return out
+
+    def _go(self, now: MonoNs) -> list[Message]:
+        """Send the autopilot to the place, and let it land there by its own mode; it lands nowhere else by this."""
+        goal, here, mode = self._goal, self._here(now), LAND_MODE.get(self._id.stack)
+        if goal is None or here is None or mode is None or self._condition.mode == mode:
+            return []
+        if not self._there and math.hypot(*ned_between(here, goal)[:2]) <= _REACHED_M:
+            self._there = True
+            self._request_again(Hand.LEAVING)
+        # To PX4 the end of the setpoints is a failure until it has left OFFBOARD; to ArduCopter one more is another goal.
+        out = self._setpoint(now, self._held(now)) if self._condition.mode == "offboard" else []
+        if not self._may_ask(now):
+            return out
+        return [*out, set_mode(self._id.stack, self._id.address, mode) if self._there else reposition(self._id.address, goal)]
 
     def _held(self, now: MonoNs) -> Velocity:
         """Return the velocity that holds over the surface below while its velocity is known, later over the ground."""

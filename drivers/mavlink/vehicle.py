@@ -1,9 +1,11 @@
 """The autopilot's identity and condition from HEARTBEAT: stack, modes, landed state."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.geodesy import GeoPoint
 
 
 class Stack(Enum):
@@ -85,6 +87,15 @@ def set_mode(stack: Stack, target: tuple[int, int], name: str) -> Message:
         return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, main, sub, 0, 0, 0, 0)
     number = _COPTER_NUMBERS[name]
     return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, number, 0, 0, 0, 0, 0)
+
+
+def reposition(target: tuple[int, int], goal: GeoPoint) -> Message:
+    """Return the MAV_CMD_DO_REPOSITION that flies to a place of known height, in a mode that both stacks hold it by."""
+    latitude, longitude = (round(1e7 * math.degrees(angle)) for angle in (goal.latitude_rad, goal.longitude_rad))
+    return mav.MAVLink_command_int_message(
+        *target, mav.MAV_FRAME_GLOBAL, mav.MAV_CMD_DO_REPOSITION, 0, 0,
+        -1.0, mav.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE, 0.0, math.nan, latitude, longitude, goal.height_m or 0.0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

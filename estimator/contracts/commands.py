@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import force_setattr
 
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, own_array
 
 
@@ -59,6 +60,16 @@ class Lean(Struct, frozen=True, eq=False):
 
 
 @dataclass(frozen=True, slots=True)
+class LandingPlace:
+    """A place on the Earth that does not move."""
+
+    place: GeoPoint
+    """Its height is the one above mean sea level at which the vehicle flies there, if it is not higher already."""
+    range_max_m: float
+    """Distance beyond which nobody flies to it."""
+
+
+@dataclass(frozen=True, slots=True)
 class Hover:
     """Hold the position with the vehicle's own means; never descend."""
 
@@ -66,6 +77,8 @@ class Hover:
     """A person's order: it also ends a landing that a person ordered."""
     returns: bool = False
     """True if a vehicle that knows the way flies back by itself, by its own rules; one that does not hovers."""
+    elsewhere: LandingPlace | None = None
+    """Place to which a vehicle that knows its own flies by itself, and lands there by its own rules; another one hovers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,8 @@ from tests.companion.metrics.test_metrics import Clock, value
 ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
 KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
 LATER = ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1)
-ALL = (ASSUMED, KNOWN, LATER)
+SLOWER = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, frequency=0.75, frequency_sigma=0.05, damping=0.9, softer=2.0)
+ALL = (ASSUMED, KNOWN, LATER, SLOWER)
 
 
 def decision(response: ResponseInUse | None, at: int = 7) -> Decision:
@@ -44,7 +45,8 @@ def test_it_is_an_event_once() -> None:
     (event,) = changes.decision(decision(LATER))
     assert event.kind == "vehicle"
     assert event.text == "the vehicle answers 100 ms longer than its response file says: 150 ms (sigma 12) is flown with"
-    assert event.data == {"response": "identified", "delay_s": 0.15, "sigma_s": 0.012, "longer_s": 0.1}
+    shape = {"frequency": 1.0, "damping": 1.0}
+    assert event.data == {"response": "identified", "delay_s": 0.15, "sigma_s": 0.012, "longer_s": 0.1, **shape}
     (event,) = changes.decision(decision(ASSUMED))
     assert event.data["sigma_s"] is None
     assert changes.decision(decision(None)) == []
@@ -69,8 +71,9 @@ def test_the_ground_station_learns_of_a_contradiction_only() -> None:
     component = Component(ComponentOptions(0.39, 0.5), Nobody(), None, healthy=lambda: None, clock=Clock())  # type: ignore[arg-type]
     output: list[tuple[MavSeverity, str]] = []
     component.texts.say = lambda severity, words, now: output.append((severity, words))  # type: ignore[method-assign,assignment]
-    for response in (ASSUMED, KNOWN, LATER):
+    for response in ALL:
         component.on_decision(decision(response))
-    (only,) = [one for one in output if "answers" in one[1] or "response" in one[1]]
-    assert only[0] is MavSeverity.WARNING
-    assert LATER.text in only[1]
+    told = [one for one in output if "answers" in one[1] or "response" in one[1]]
+    assert [severity for severity, _ in told] == 2 * [MavSeverity.WARNING]
+    assert LATER.text in told[0][1]
+    assert "this vehicle answers 25 % slower than its file (sigma 5 %), damped 10 % less; the vehicle's" in told[1][1]

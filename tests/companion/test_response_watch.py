@@ -29,6 +29,7 @@ from companion.guidance.response_watch import (
     landed,
     reported,
 )
+from companion.guidance.retuning import AS_FILED, shaped
 from companion.guidance.tilt_law import TiltWeights
 from companion.guidance.tilt_model import tilt_model
 from companion.settings.follow_deck import FollowDeckOptions
@@ -148,8 +149,6 @@ def course(kind: str) -> tuple[F64, F64, float]:
         return 5.0 * u, np.clip(5.0 * y, -0.6, 0.6), 0.01
     if kind == "reports two seconds old":
         return u, y, 2.0
-    if kind == "another attitude loop":
-        return u, answers(structs.replace(GIVEN.tilt, frequency_rad_s=2.0), u, 5), 0.01
     if kind == "later than may be flown with":
         return u, answers(structs.replace(GIVEN.tilt, delay_s=0.5), u, 5), 0.01
     raise ValueError(kind)
@@ -160,13 +159,35 @@ def course(kind: str) -> tuple[F64, F64, float]:
     "kind",
     [
         "held by hand", "standing still", "degrees for radians", "turned the wrong way", "axes swapped", "at its limit of tilt",
-        "reports two seconds old", "another attitude loop", "later than may be flown with",
+        "reports two seconds old", "later than may be flown with",
     ],
 )  # fmt: skip
 def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt: TiltResponse) -> None:
     first = begun(given_tilt, KNOWN_S)
     for _, after in watched(first, *course(kind)):
         assert after.in_use is first.in_use
+        assert after.shape is AS_FILED
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(0.75, 1.0), (1.25, 1.0), (1.0, 0.55), (0.5, 1.0), (1.0, 1.0)])
+def test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping(
+    frequency: float, damping: float
+) -> None:
+    u, watch = leans(5, 16.0, 0.6), begun(SURE, KNOWN_S)
+    true = structs.replace(shaped(SURE, frequency, damping), delay_s=0.06)
+    for before, after in watched(watch, u, answers(true, u, 5)):
+        assert after.shape is before.shape or before.shape_doubt is not None, "never by one fit"
+        watch = after
+    differs = (frequency, damping) != (1.0, 1.0)
+    assert (watch.shape is not AS_FILED) is differs
+    assert watch.in_use.state is ResponseState.KNOWN, "the delay is the file's"
+    if differs:
+        assert watch.shape[:2] == pytest.approx((frequency, damping), rel=0.15)
+        gains_for, weights = tuned(SURE, TiltWeights(), TuningChoice(0.0, False, watch.shape.slow, *watch.shape[1:3]))
+        kept = margins(gains_for, true, weights=weights)
+        assert kept.stable
+        assert kept.phase_deg > 25.0
+        assert kept.sensitivity < 2.3 < margins(SURE, true).sensitivity or frequency > 1.0
 
 
 def test_the_same_course_without_the_nonsense_is_identified() -> None:

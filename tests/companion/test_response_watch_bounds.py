@@ -90,7 +90,12 @@ def test_the_newest_reports_are_kept() -> None:
 def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_there_is_none(
     in_use: ResponseInUse, doubt: ResponseInUse | None, each_s: float
 ) -> None:
-    watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt), ns(5.0), None, KNOWN_S)
+    tells = fit(0.05)
+    tells = structs.replace(tells, fitted=tells.fitted._replace(cov=np.diag([1e-4, 0.1**2, 0.2**2, 1.0])))
+    for unknown in (None, fit(0.05)):
+        watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt, fit=unknown), ns(5.0), None, KNOWN_S)
+        assert watch.due == ns(6.0), "nobody knows the frequency yet"
+    watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt, fit=tells), ns(5.0), None, KNOWN_S)
     assert watch.due == ns(5.0 + each_s)
     assert watch.asked == ()
     early = asked(watch, MonoNs(watch.due - 1), Lean(np.array([0.3, 0.1]), np.zeros(2), np.zeros(3), 0.0), KNOWN_S)

@@ -16,7 +16,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim, allowed, asks_to_descend
 from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion
@@ -370,8 +370,12 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
 
 
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
-    for refused in ("hold", "return"):
-        o = replace(guided(), refused=refused)
+    there = ElsewhereOptions(63.4, 10.4, 20.0)
+    after = {"hold": Hover(), "return": Hover(returns=True), "land elsewhere": Hover(elsewhere=there.landing_place)}
+    with pytest.raises(ValueError, match="needs a place"):
+        GuidanceOptions(refused="land elsewhere")
+    for refused, ends in after.items():
+        o = replace(guided(), refused=refused, elsewhere=there)
         for since_s in (1.0, 9.0):
             p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s))
             found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), o, over_ground=False)[1]
@@ -379,7 +383,7 @@ def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
                 assert isinstance(found, Velocity)
                 assert found.v_level.tolist() == [0.0, 0.0, -o.tries.climb_m_s]
             else:
-                assert found == Hover(returns=refused == "return")
+                assert found == ends
     for seen_m, silent, climbs_s in (
         (1.5, False, 4.0),
         (3.0, False, 2.0),

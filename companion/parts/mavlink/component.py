@@ -21,7 +21,6 @@ from importlib import metadata
 from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.base.response_in_use import ResponseState
 from companion.parts.mavlink.commands import CommandServer, Offered
 from companion.parts.mavlink.computer import ComputerReader, computer_status
 from companion.parts.mavlink.operator import Operator
@@ -207,7 +206,7 @@ class Component(NullObserver):
         self._decided = decision.at
         if self._believe is None:
             self._belief = decision.belief
-        if decision.response is not None and decision.response.state is ResponseState.IDENTIFIED:
+        if decision.response is not None and decision.response.contradicts:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         lost = () if decision.belief is None else decision.belief.lost
         for text in lost:

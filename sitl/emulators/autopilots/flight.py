@@ -6,6 +6,7 @@ daemon and the ground station by MAVLink over UDP.
 """
 
 import asyncio
+import math
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +19,7 @@ import cv2
 import msgspec
 
 from companion.base.health import Health
-from companion.base.mission import FlightOutcome
+from companion.base.mission import REFUSALS, FlightOutcome
 from companion.base.observer import Observer
 from companion.settings.model import Settings
 from drivers.camera.exposure import ExposureSetting
@@ -29,6 +30,7 @@ from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
+from estimator.contracts.geodesy import ned_between
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
@@ -49,6 +51,7 @@ from sitl.flight.grader import FlightResult
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario
+from sitl.sensors.gnss import ORIGIN
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 Name = Literal["arducopter", "px4"]
@@ -104,6 +107,8 @@ class FlightEnd:
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
     silences: tuple[Silence, ...] = ()
     """Flight of the vehicle while the service was killed."""
+    elsewhere_m: float | None = None
+    """Horizontal distance in which a refused vehicle ended from the place at which it was to land; None for another end."""
 
     @property
     def without_outcome(self) -> str:
@@ -188,7 +193,8 @@ class AutopilotFlight:
         relayed = self.autopilot.unaided or bool(self.scenario.faults)
         to_daemon = free_udp_port() if relayed else from_program
         settings = self.service_settings(to_daemon)
-        service = self._service = KillableService(lambda once: self._serving(settings, once))
+        stays = self.settings.guidance.refused == "hold"
+        service = self._service = KillableService(lambda once: self._serving(settings, once and stays))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
@@ -289,13 +295,27 @@ class AutopilotFlight:
             self.graded.result(pilot, health),
             stopped,
             tuple(self._silences),
+            self._from_elsewhere_m(service),
         )
 
     def _flown(self, service: KillableService) -> bool:
         """Return whether the landing that was ordered has ended by itself."""
         if self.autopilot.unaided:
             return self.body is not None and not self.body.flying
+        if self._refused(service):
+            return self.body is not None and not self.body.flying
         return service.ended(self.station.task is Task.WATCH)
+
+    def _refused(self, service: KillableService) -> bool:
+        """Return whether the service has refused and the vehicle leaves the pad."""
+        return self.settings.guidance.refused != "hold" and service.now.pilot.outcome in REFUSALS
+
+    def _from_elsewhere_m(self, service: KillableService) -> float | None:
+        of = self.settings.guidance
+        if of.refused != "land elsewhere" or self.body is None or not self._refused(service):
+            return None
+        there = ned_between(ORIGIN, of.elsewhere.landing_place.place)
+        return math.hypot(*(self.body.state().p_ned - there)[:2])
 
     async def _listen(self, links: Links) -> None:
         async for received in links.received:

@@ -1,6 +1,7 @@
 """Holder of the vehicle, and the message that is sent in each period."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
-from estimator.contracts.commands import CutMotors, Hover, Land, Lean, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, LandingPlace, Lean, TakeOff, Velocity
+from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -166,6 +168,48 @@ def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
     flight.told(back)
     assert flight.periods(3.0, Hover(returns=True)) == []
     assert flight.streamer.hand is Hand.RELEASED
+
+
+@pytest.mark.parametrize(("stack", "ours", "way", "land"), [
+    (Stack.ARDUPILOT, "guided", "guided", (9, 0)), (Stack.PX4, "offboard", "auto.loiter", (4, 6)),
+])  # fmt: skip
+def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(
+    stack: Stack, ours: str, way: str, land: tuple[float, float]
+) -> None:
+    there = GeoPoint.of_degrees(63.44, 10.4, 30.0)
+    leaves = Hover(elsewhere=LandingPlace(there, 1000.0))
+
+    def asked(seconds: float, north_m: float | None, command: Hover = leaves) -> list[Message]:
+        out = []
+        for _ in range(round(5 * seconds)):
+            if north_m is not None:
+                flight.streamer.on_place(moved(replace(there, height_m=12.0), np.array([north_m, 0.0, 0.0])), flight.now)
+            out += flight.periods(0.2, command)
+        return out
+
+    flight = Flight(stack, ours)
+    flight.periods(3.0, GO)
+    flight.told(ours)
+    for north_m in (None, 1100.0):
+        assert {m.get_type() for m in asked(1.0, north_m)} == {"SET_POSITION_TARGET_LOCAL_NED"}, "no place, or too far: it holds"
+    first = asked(0.2, 400.0)
+    (sent,) = [m for m in first if m.get_type() == "COMMAND_INT"]
+    assert (sent.command, sent.x, sent.y, sent.z, sent.frame) == (mav.MAV_CMD_DO_REPOSITION, 634400000, 104000000, 30.0, 0)
+    assert flight.streamer.hand is Hand.LEAVING
+    flight.told(way)
+    assert velocities(asked(3.0, 200.0)) == [] == modes(asked(3.0, 5.0)), "a setpoint would end the way, and nobody lands on it"
+    flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
+    assert flight.streamer.hand is Hand.RELEASED, "a person landed it on the way"
+    flight.streamer.engage()
+    for mode, velocity in ((ours, GO), (way, leaves)):
+        flight.periods(3.0, velocity)
+        flight.told(ours)
+        asked(0.4, 200.0)
+        flight.told(mode)
+    assert modes(asked(0.4, 2.0)) == [land]
+    flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
+    assert asked(2.0, 0.0) == []
+    assert modes(flight.periods(2.0, Hover())) != [], "an order to hold takes it back"
 
 
 def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:

@@ -92,6 +92,7 @@ class CopterStandIn(StandIn):
         self._p_shaped: F64 | None = None
         self._place = np.zeros(3)
         self._take_off_to_m: float | None = None
+        self._goal: F64 | None = None
         self._lift_s = self._idle_s = self._still_s = 0.0
         self._f_slow = np.array([0.0, 0.0, -G_M_S2])
         self._f_filtered, self._w_filtered = LowPass(self._f_slow, step_s), LowPass(np.zeros(3), step_s)
@@ -123,8 +124,7 @@ class CopterStandIn(StandIn):
         if m.coordinate_frame != 1 or m.type_mask not in (0x05C7, 0x0407):
             self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
             return
-        if self._take_off_to_m is not None:
-            self._take_off_to_m = None
+        self._take_off_to_m = self._goal = None
         self._v_wanted, self._wanted_s, self._yaw_rate = np.array([m.vx, m.vy, m.vz]), self.now_s, m.yaw_rate
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
 
@@ -144,8 +144,15 @@ class CopterStandIn(StandIn):
         velocity = velocity + (0.3 * share / dt) * (seen - carried) if moving else np.zeros(3)
         self._target = (self.now_s, carried + share * (seen - carried), velocity)
 
+    def goes_to(self, p_ned: F64) -> None:
+        """Fly to a place in GUIDED until another setpoint comes."""
+        if self.mode != "guided":
+            self._enter("guided")
+        self._goal = p_ned
+
     def entered(self, name: str) -> None:
         """Hold from here: modes that hold do so over the ground."""
+        self._goal = None
         if self.state is not None:
             self._place = self.state.p_ned.copy()
             self._v_shaped, self._a_shaped, self._p_shaped = self.state.v_ned.copy(), np.zeros(3), None
@@ -197,6 +204,8 @@ class CopterStandIn(StandIn):
         if self.mode == "guided":
             if self._take_off_to_m is not None:
                 return np.array([0.0, 0.0, max(-1.0, min(0.0, -(self._take_off_to_m + self.p_ned[2])))]), nothing
+            if self._goal is not None:
+                return toward(self._goal - s.p_ned, 1.0, 5.0), nothing
             fresh = self.now_s - self._wanted_s <= self.parameter("GUID_TIMEOUT")
             return (self._v_wanted, self._a_wanted) if fresh else (nothing, nothing)
         if self.mode == "land":

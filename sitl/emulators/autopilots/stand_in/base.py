@@ -28,7 +28,7 @@ from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
-from estimator.contracts.geodesy import moved
+from estimator.contracts.geodesy import GeoPoint, moved, ned_between
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
 from sitl.emulators.autopilots.body import Body, BodyState
@@ -388,6 +388,20 @@ class StandIn(MiniatureAutopilot, ABC):
             return int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
         self.armed = True
         return int(mav.MAV_RESULT_ACCEPTED)
+
+    def _on_command_int(self, m: Message, received: ReceivedMessage) -> None:
+        """MAV_CMD_DO_REPOSITION: fly to a place, in the mode that holds it."""
+        if m.command != mav.MAV_CMD_DO_REPOSITION or m.target_system != self.system:
+            return
+        self.commands[m.command] += 1
+        self.goes_to(ned_between(ORIGIN, GeoPoint.of_degrees(1e-7 * m.x, 1e-7 * m.y, m.z)))
+        ack = mav.MAVLink_command_ack_message(m.command, mav.MAV_RESULT_ACCEPTED, 0, 0, received.system, received.component)
+        self.send(ack)
+        self.send(self.heartbeat())
+
+    @abstractmethod
+    def goes_to(self, p_ned: F64) -> None:
+        """Begin the way to a place, (3,) m from the world's origin."""
 
     @abstractmethod
     def why_not_armed(self) -> str | None:

@@ -103,6 +103,11 @@ class Px4StandIn(StandIn):
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
         self._yaw_rate = m.yaw_rate
 
+    def goes_to(self, p_ned: F64) -> None:
+        """Fly to a place in Hold and stay there."""
+        self._enter("auto.loiter")
+        self._place = p_ned
+
     def entered(self, name: str) -> None:
         """Fix the place that a mode goes to: where the vehicle is now, over the ground."""
         if self.state is None:
