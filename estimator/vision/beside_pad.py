@@ -56,7 +56,7 @@ _STAYS, _STAYS_PART, _STAYS_M = 4.0, 0.15, 0.06
 explains, up to so many metres."""
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
 """Least deviation from the best place and height that is a motion, m, and in standard deviations."""
-_OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.1
+_OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
 """Part that the drone's own shadow leaves of the deviation where it is that; how far a part of it is from its middle at most, and
 the standard deviation that is assumed of that."""
 _AGREE, _CLUSTER_M = 3, 0.5
@@ -199,8 +199,8 @@ def _heights(sums: F64, disc_radius_m: float) -> _Heights:
     qq = np.maximum(0.0, sums[:, 7] - w * np.square(mean_q).sum(axis=1))
     z = aq / aa
     left = np.maximum(0.0, qq - aq * aq / aa)
-    reads, not_own = sums[:, 15], _left_by_own(sums) > _OWN * left
-    often = (reads >= _READS) & not_own
+    reads, own = sums[:, 15], _left_by_own(sums)
+    often = (reads >= _READS) & (own > _OWN * left)
     place = mean_q - z[:, None] * mean_a
     freedom = np.maximum(1.0, 2.0 * reads - 3.0)
     # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
@@ -209,7 +209,12 @@ def _heights(sums: F64, disc_radius_m: float) -> _Heights:
         flat = float(np.clip(_MAD * np.median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
     # What is high turns and grows on the way down, and its corners are followed less well.
     stays = left < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
-    stands = (reads >= _READS_STANDS) & not_own & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure)) & stays
+    stands = (
+        (reads >= _READS_STANDS)
+        & (own > left + _STANDS_SIGMAS**2 * freedom)
+        & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure))
+        & stays
+    )
     stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M + _CLUSTER_M) & (z < _BELOW * np.sqrt(sums[:, 10] / w))
     moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
     return _Heights(place, z, stays, stands, moves)
