@@ -64,6 +64,17 @@ _AGREE, _CLUSTER_M = 3, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Heights:
+    """The best place and height of each corner, and what it is."""
+
+    place: F64
+    z: F64
+    stays: NDArray[np.bool_]
+    stands: NDArray[np.bool_]
+    moves: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AroundMemory:
     """Corners about the pad, with the sums of their readings, and what was found."""
 
@@ -80,6 +91,7 @@ class AroundMemory:
     sums: F64
     """(N, 16) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2, h, q - c (2); and number of
     readings."""
+    of: _Heights
     began: int
     """Number of corners when the picture was taken."""
     stood: F64
@@ -121,20 +133,20 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
         uv, kept = _followed(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        stood = _stood(memory, kept, view.pad.disc_radius_m, at)
-        new, known = _judged(sums, q, stood, view.pad.disc_radius_m), memory.near(at)
+        stood, of = _stood(memory, kept, at), _heights(sums, view.pad.disc_radius_m)
+        new, known = _judged(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
             found, found_at = new, at
         if len(uv) > _LEFT * memory.began and not memory.ends(height_m, at):
             corners = memory.corners[kept]
-            return replace(memory, at=at, corners=corners, uv=uv, sums=sums, stood=stood, found=found, found_at=found_at)
-    # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
-    stays = _heights(sums, view.pad.disc_radius_m).stays
-    uv, sums = uv[stays], sums[stays]
+            return replace(memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood, found=found, found_at=found_at)
+        # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
+        uv, sums = uv[of.stays], sums[of.stays]
     more = _corners(above, shown, view.pad.disc_radius_m, uv)
     q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
     sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
-    return AroundMemory(at, at, above, height_m, uv, uv, sums, len(uv), stood, found, found_at)
+    of = _heights(sums, view.pad.disc_radius_m)
+    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found, found_at)
 
 
 def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -180,17 +192,6 @@ def _reading(q: F64, below: F64, height_m: float, px_m: float) -> F64:
     return np.column_stack([np.column_stack(rows) * w[:, None], np.ones(len(q))])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Heights:
-    """The best place and height of each corner, and what it is."""
-
-    place: F64
-    z: F64
-    stays: NDArray[np.bool_]
-    stands: NDArray[np.bool_]
-    moves: NDArray[np.bool_]
-
-
 def _heights(sums: F64, disc_radius_m: float) -> _Heights:
     w = sums[:, 0]
     mean_q, mean_a = sums[:, 1:3] / w[:, None], sums[:, 3:5] / w[:, None]
@@ -233,18 +234,17 @@ def _left_by_own(sums: F64) -> F64:
     return np.asarray(np.where(within, np.maximum(0.0, own - np.square(aside).sum(axis=1) / weight), own))
 
 
-def _stood(memory: AroundMemory, kept: NDArray[np.intp], disc_radius_m: float, at: MonoNs) -> F64:
+def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
     """Return the corners that stood and were lost lately, those that are not among the `kept` ones now included."""
-    of = _heights(memory.sums, disc_radius_m)
+    of = memory.of
     lost = of.stands.copy()
     lost[kept] = False
     rows = np.column_stack([of.place[lost], of.z[lost], np.full(np.count_nonzero(lost), memory.at * 1e-9)])
     return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < MOVED_LASTS_S], rows])
 
 
-def _judged(sums: F64, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
+def _judged(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
     """Return the nearest thing that several corners agree on, with those that stood and were lost."""
-    of = _heights(sums, disc_radius_m)
     standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
     best: NearThing | None = None
     moving = q[of.moves], np.zeros(np.count_nonzero(of.moves))
