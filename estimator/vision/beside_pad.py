@@ -128,8 +128,8 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
     above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-    uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4))
-    if memory is not None and 0.0 <= since_s <= _GAP_S and memory.is_like(height_m, at):
+    uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
+    if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and memory.is_like(height_m, at):
         uv, kept = _followed(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
