@@ -59,8 +59,8 @@ _MOVES_M, _MOVES_TIMES = 0.12, 6.0
 _OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
 """Part that the drone's own shadow leaves of the deviation where it is that; how far a part of it is from its middle at most, and
 the standard deviation that is assumed of that."""
-_AGREE, _CLUSTER_M = 3, 0.5
-"""Least number of corners that agree, within this distance."""
+_AGREE, _CLUSTER_M, _LOST_S = 3, 0.5, 1.5
+"""Least number of corners that agree, within this distance. Third: time for which one that was lost agrees with others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,7 +240,7 @@ def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
     lost = of.stands.copy()
     lost[kept] = False
     rows = np.column_stack([of.place[lost], of.z[lost], np.full(np.count_nonzero(lost), memory.at * 1e-9)])
-    return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < MOVED_LASTS_S], rows])
+    return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < _LOST_S], rows])
 
 
 def _judged(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
@@ -253,7 +253,9 @@ def _judged(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing
             continue
         apart = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1))
         agree = (apart < _CLUSTER_M).sum(axis=1)
-        for k in np.flatnonzero((agree >= _AGREE) & (np.hypot(*those.T) < reach_m)):
+        # What was lost confirms what is followed, and nothing alone.
+        followed = np.arange(len(those)) < len(those) - (len(stood) if reach_m < math.inf else 0)
+        for k in np.flatnonzero(followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)):
             one = apart[k] < _CLUSTER_M
             x, y = np.median(those[one], axis=0).tolist()
             seen = NearThing(x, y, float(np.median(up[one])))
