@@ -54,7 +54,7 @@ LAST, LAST_SURE = 10, 3
 
 @dataclass(frozen=True, slots=True)
 class Approached:
-    """What an approach has shown."""
+    """Findings of an approach."""
 
     check: PadCheck | None
     """The check in the last frame."""
@@ -63,7 +63,7 @@ class Approached:
     near_m: float
     """The same about it."""
     lands: bool
-    """Whether the pad is sure in the last frames."""
+    """True if the pad is sure in the last frames."""
 
 
 def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB:
