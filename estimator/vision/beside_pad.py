@@ -173,9 +173,7 @@ def _corners(above: U8, shown: U8, disc_radius_m: float, old: F64) -> F64:
     for x, y in np.rint(old).astype(int).tolist():
         cv2.circle(mask, (x, y), _APART_PX, 0, -1)
     found = cv2.goodFeaturesToTrack(above, 3 * _CORNERS, 0.02, _APART_PX, mask=mask, blockSize=5)
-    if found is None:
-        return np.empty((0, 2))
-    corners = found[:, 0].astype(float)
+    corners = np.empty((0, 2)) if found is None else found[:, 0].astype(float)
     far = np.hypot(*(corners - middle).T) * _STEP_M > disc_radius_m + _STANDS_REACH_M
     return np.asarray(corners[np.argsort(far, kind="stable")][: max(0, _CORNERS - len(old))])
 

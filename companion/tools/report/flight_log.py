@@ -218,12 +218,12 @@ class FlightLog:
             self.sightings.append(selected)
         if detection.elsewhere is not None:
             self.sightings.append(detection.elsewhere)
-        for seen in things_of(detection):
-            known = next((each for each in reversed(self.things) if each.is_same(at, seen)), None)
+        for thing in things_of(detection):
+            known = next((each for each in reversed(self.things) if each.is_same(at, thing)), None)
             if known is None:
-                self.things.append(LoggedThing(at, at, seen))
+                self.things.append(LoggedThing(at, at, thing))
             else:
-                known.last, known.seen = at, seen
+                known.last, known.seen = at, thing
 
     def add_forecast(self, ahead: DeckOutlook) -> None:
         """Keep the deck at the horizons of `HORIZONS_KEPT_S`."""
