@@ -3,16 +3,17 @@
 The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis. The tracker has a
 prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
 random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
-`--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame.
-Bodies are crates of 0.4 m and people that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the
-pad and back: seen counts any frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
+`--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame;
+where the pad is sure in fewer than three of the last ten frames, nobody lands. Bodies are crates of 0.3 to 1 m and people of 0.8
+to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the pad and back: seen counts any
+frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
 """
 
 import argparse
 import math
 import sys
 from collections import defaultdict
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -44,10 +45,25 @@ from sitl.faults.kinds import Bystander  # noqa: E402
 from sitl.sea.sea import SEA_STATES, Waves  # noqa: E402
 from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
 
-LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast")
+LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
 BODIES = ("crate", "stands", "walks", "bird", "drone")
 HUES = ("grey", "any hue", "disc's hue")
 HIGH_M, LOW_M, FRAMES, PERIOD_S = 5.0, 0.9, 41, 0.1
+LAST, LAST_SURE = 10, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Approached:
+    """Findings of an approach."""
+
+    check: PadCheck | None
+    """The check in the last frame."""
+    first_m: float
+    """Greatest height at which something was seen on the pad, 0 for none."""
+    near_m: float
+    """The same about it."""
+    lands: bool
+    """True if the pad is sure in the last frames."""
 
 
 def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB:
@@ -63,23 +79,27 @@ def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB
 
 def approach(
     seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
-) -> tuple[PadCheck | None, float, float]:
-    """Return the check in the last frame, and the greatest heights at which something was seen on and about the pad, 0 for none.
+) -> Approached:
+    """Return what an approach shows.
 
     About every other seed has a small deck on waves, and bodies are about the pad.
     """
     rng = np.random.default_rng([50, seed])
     lit = random_light(rng, "shadow" if light == "mast" else light)
+    if light == "dusk":
+        lit = replace(lit, colour_temperature_k=9000.0, drone_shadow=0.0, visibility_m=400.0)
     if light == "mast":
         lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6))
     small = seed // 6 % 2 == 1
     deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
     waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None
     around = Surroundings(replace(deck, paint=DECK_PAINTS[seed % 4], seed=seed % 7), waves, things)
-    sensor = Sensor(float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)))
+    sensor = Sensor(
+        float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)), full_well_e=500.0 if light == "dusk" else 8000.0
+    )
     renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
     effects = PictureEffects(tracker.camera, tracker.pad, lit, seed)
-    memory, check, first_m, near_m = TrackerMemory(), None, 0.0, 0.0
+    memory, check, first_m, near_m, sure = TrackerMemory(), None, 0.0, 0.0, 0
     yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
     for k in range(FRAMES):
         t = k * PERIOD_S
@@ -100,18 +120,19 @@ def approach(
         )  # fmt: skip
         attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
         seen, memory = track(tracker, memory, Frame(stamp, k, px), attitude, belief if k else None)
+        sure += k >= FRAMES - LAST and seen.selected is not None and seen.selected.confidence >= 0.5
         if seen.on_pad is not None:
             check = seen.on_pad
             first_m = first_m or (height_m if check.thing is not None else 0.0)
             near_m = near_m or (height_m if check.near is not None else 0.0)
-    return check, first_m, near_m
+    return Approached(check, first_m, near_m, sure >= LAST_SURE)
 
 
 def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
     if not runs:
         return
-    seen: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    seen: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
     heights: list[float] = []
     for seed in runs:
         rng = np.random.default_rng([51, seed])
@@ -120,15 +141,17 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
         a, r = rng.uniform(0, math.tau), (tracker.pad.disc_radius_m - 0.5 * size_m) * math.sqrt(rng.uniform())
         colour = paint(rng, hue, contrast, tracker.pad.markings.colours.disc)
         thing = Decal("crate", (r * math.cos(a), r * math.sin(a)), size_m, float(rng.uniform(0, math.pi)), "pad", colour)
-        check, first_m, _ = approach(seed, light, (thing,), tracker)
-        found = check is not None and check.thing is not None
-        heights += [first_m] if found else []
+        of = approach(seed, light, (thing,), tracker)
+        check, found = of.check, of.check is not None and of.check.thing is not None
+        heights += [of.first_m] if found else []
         for key in ((hue, "15 cm and more" if size_m >= 0.15 else "less"), ("all", light)):
-            seen[key].append(found)
+            seen[key].append((found, of.lands and not found))
         if not found:
-            print(f"  not seen: seed {seed}, {100 * size_m:.0f} cm, {hue}, {light}, {100 * r:.0f} cm off, {check}", flush=True)
+            why = "not seen" if of.lands else "no pad"
+            print(f"  {why}: seed {seed}, {100 * size_m:.0f} cm, {hue}, {light}, {100 * r:.0f} cm off, {check}", flush=True)
     for key, each in sorted(seen.items()):
-        print(f"{', '.join(key)}: {sum(each)} of {len(each)} seen", flush=True)
+        found_n, missed_n = np.sum(each, axis=0)
+        print(f"{', '.join(key)}: {found_n} of {len(each)} seen, {missed_n} landed upon", flush=True)
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
@@ -137,10 +160,13 @@ def without(runs: range, tracker: TrackerConfig) -> None:
     wrong: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = LIGHTS[seed % len(LIGHTS)]
-        check, first_m, near_m = approach(10_000 + seed, light, (), tracker)
-        wrong[light].append((first_m > 0.0, near_m > 0.0))
-        if first_m or near_m:
-            print(f"  false: seed {seed}, {light}, on it from {first_m:.1f} m, about it from {near_m:.1f} m, {check}", flush=True)
+        of = approach(10_000 + seed, light, (), tracker)
+        wrong[light].append((of.first_m > 0.0, of.near_m > 0.0))
+        if of.first_m or of.near_m:
+            print(
+                f"  false: seed {seed}, {light}, on it from {of.first_m:.1f} m, about it from {of.near_m:.1f} m, {of.check}",
+                flush=True,
+            )
     for light, each in wrong.items():
         on, about = np.sum(each, axis=0)
         print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it", flush=True)
@@ -157,18 +183,16 @@ def with_bodies(runs: range, tracker: TrackerConfig) -> None:
         stands = Bystander(at_s=0.0, forward_m=x, right_m=y)
         walks = changed(stands, to_forward_m=-x, to_right_m=-y, speed_m_s=float(rng.uniform(0.6, 1.4)))
         body = {
-            "crate": changed(stands, thing="box", width_m=0.4, height_m=0.4),
-            "stands": stands,
+            "crate": changed(stands, thing="box", width_m=float(rng.uniform(0.2, 0.6)), height_m=float(rng.uniform(0.3, 1.0))),
+            "stands": changed(stands, height_m=float(rng.uniform(0.8, 1.8))),
             "walks": walks,
             "bird": changed(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
             "drone": changed(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
         }[kind]
-        _, first_m, near_m = approach(20_000 + seed, light, (), tracker, (body,))
-        seen[kind].append(max(first_m, near_m) > 0.0)
-        print(
-            f"  {seed}, {kind}, {light}, {r:.2f} m off: on the pad from {first_m:.1f} m, about it from {near_m:.1f} m",
-            flush=True,
-        )
+        of = approach(20_000 + seed, light, (), tracker, (body,))
+        seen[kind].append(max(of.first_m, of.near_m) > 0.0)
+        where = f"{seed}, {kind}, {light}, {body.height_m:.1f} m high, {r:.2f} m off"
+        print(f"  {where}: on the pad from {of.first_m:.1f} m, about it from {of.near_m:.1f} m", flush=True)
     for kind, each in seen.items():
         print(f"{kind}: {sum(each)} of {len(each)} seen", flush=True)
 

@@ -1,5 +1,7 @@
 """State where things lie on the pad, and about it, for those who watch."""
 
+import math
+
 from msgspec import Struct
 
 from estimator.vision.detection import Detection
@@ -14,6 +16,15 @@ class ThingReport(Struct, frozen=True, kw_only=True):
     """Its larger extent, if it lies on the pad."""
     height_m: float | None = None
     """Height that it stands out of the deck, if it is about the pad; 0 for what moves."""
+
+    @property
+    def words(self) -> str:
+        """Text on what it does where, in one line."""
+        if self.width_m is not None:
+            how = f"{100.0 * self.width_m:.0f} cm wide lies on the pad"
+        else:
+            how = f"stands {100.0 * self.height_m:.0f} cm out of the deck" if self.height_m else "moves about the pad"
+        return f"something {how}, {math.hypot(self.x_m, self.y_m):.2f} m from its centre"
 
 
 def things_of(detection: Detection | None) -> tuple[ThingReport, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from companion.base.mission import Event, State, StateChange
 from companion.base.observer import DeckOutlook, FrameTimes
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.recording import records as rec
@@ -156,6 +157,14 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         of.track,
         tuple(_alert_named(name) for name in of.alerts),
         tuple(of.lost),
+    )
+
+
+def order(of: rec.OrderRecord) -> HandledOrder:
+    """Return the order of a record, with its answer. Raises ValueError for an order or a way that does not exist."""
+    refusal = None if of.accepted else of.refusal or ""
+    return HandledOrder(
+        MonoNs(of.at_ns), OrderSender(OrderSource(of.source), of.sender), OperatorOrder(of.order), refusal, of.detail
     )
 
 

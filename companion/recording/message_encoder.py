@@ -106,6 +106,8 @@ class MessageEncoder:
             case HandledOrder():
                 yield channels.ORDER, t, encode.order(what)
                 yield channels.LOG, t, fox.log_line(t, fox.INFO if what.accepted else fox.WARNING, "operator", str(what))
+            case rec.OrderRecord():
+                yield from self.messages(at, decode.order(what))
             case rec.TruthRecord():
                 yield channels.TRUTH, t, what
                 pose = fox.pose_in_pad(t, np.array(what.d_body_pad_level), what.yaw_rad)

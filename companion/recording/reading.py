@@ -105,7 +105,9 @@ class RecordedFrame:
         return Frame(self.stamp, r.seq, px, r.exposure_s, r.gain, r.coded or isinstance(self.image, VideoImage))
 
 
-Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
+Event = (
+    Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord | rec.OrderRecord
+)
 
 
 def instant(event: Event) -> MonoNs:
@@ -115,7 +117,7 @@ def instant(event: Event) -> MonoNs:
             return event.done
         case Decision():
             return event.at
-        case rec.FusionRecord() | rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+        case rec.FusionRecord() | rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord() | rec.OrderRecord():
             return MonoNs(event.at_ns)
         case _:
             return event.stamp.received_at
@@ -301,6 +303,9 @@ class EventAssembly:
             case rec.FusionRecord():
                 decode.fusion(message)
                 return message
+            case rec.OrderRecord():
+                decode.order(message)
+                return message
             case rec.LinkRecord() | rec.HealthRecord():
                 return message
             case _:
@@ -329,7 +334,6 @@ FOR_VIEWERS = {
     channels.TRANSFORMS,
     channels.FIXED_TRANSFORMS,
     channels.LOG,
-    channels.ORDER,
     channels.TRUE_POSE,
     channels.SCENE,
     channels.ELLIPSOID,

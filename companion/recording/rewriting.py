@@ -20,7 +20,7 @@ from companion.recording.frame_video import RECORDED, VideoImage
 from companion.recording.mcap_file import About, Attachment, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
-from companion.recording.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.recording.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus
@@ -171,7 +171,9 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
                 form = "png" if image.startswith(b"\x89PNG") else "jpeg"
                 file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, image, form))
             file.add(channels.DETECTION, t, _without_methods(event.record) if cut.inputs else event.record)
-        elif cut.inputs and not isinstance(event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | Decision):
+        elif cut.inputs and not isinstance(
+            event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | OrderRecord | Decision
+        ):
             record = encode.sample(event)
             file.add(channels.SAMPLES[type(record)], t, record)
         elif cut.inputs and isinstance(event, TruthRecord):
@@ -191,7 +193,7 @@ def _without_methods(record: DetectionRecord) -> DetectionRecord:
 
 def _kept(event: Event, cut: Cut, met: Counter[str]) -> bool:
     match event:
-        case Decision() | FusionRecord() | LinkRecord() | HealthRecord():
+        case Decision() | FusionRecord() | LinkRecord() | HealthRecord() | OrderRecord():
             return not cut.inputs
         case TruthRecord() | VehicleStatus():
             return True

@@ -5,12 +5,12 @@ is painted on the deck stays where it is, at the same size. Corners of an earlie
 & Kanade, Proc. IJCAI 1981; Shi & Tomasi, CVPR 1994). A point z above the deck is seen where the ray through it meets the deck,
 q = p + (q - c) z / h for a camera at height h over the place c: while the drone comes down, height and place follow by least
 squares. What fits no place and height moves. The drone's own shadow, drops on the lens and its own feet keep their place in its
-cone, q = c + s h, and count for nothing. So does what seems to be below the deck: the sea, and mirrored things. Several corners
+cone, q = c + r + s h, and count for nothing. So does what seems to be below the deck: the sea, mirrored things. Several corners
 must agree.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,20 +43,35 @@ _STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
 """Distances beyond the disc within which what stands out (rotor and margin) and what moves counts; the ring's start, in radii."""
 _SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
 """Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
-_READS = 4
-"""Least number of readings of a corner."""
+_READS, _READS_STANDS = 4, 3
+"""Least number of readings of a corner, and of one that stands high."""
 _STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
 """Least height of what stands out, and in standard deviations."""
 _FLAT_LEAST, _SIGMAS_ARE, _MAD = 12, (0.4, 1.0), 1.4826
 """Least number of corners that say what a standard deviation is worth, and between which limits."""
-_STAYS = 4.0
-"""Largest mean square, in variances, that a place and a height leave of a corner that stands."""
+_BELOW = 0.8
+"""Largest height of what stands, in parts of the camera's."""
+_STAYS, _STAYS_PART, _STAYS_M = 4.0, 0.15, 0.06
+"""Largest mean square that is left of a corner that stands: in variances, and of a high one more, in parts of what the height
+explains, up to so many metres."""
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
 """Least deviation from the best place and height that is a motion, m, and in standard deviations."""
-_OWN = 0.5
-"""Part that the drone's own cone leaves of the deviation, where it is the drone's own shadow."""
-_AGREE, _CLUSTER_M = 3, 0.5
-"""Least number of corners that agree, within this distance."""
+_OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
+"""Part that the drone's own shadow leaves of the deviation where it is that; how far a part of it is from its middle at most, and
+the standard deviation that is assumed of that."""
+_AGREE, _CLUSTER_M, _LOST_S = 3, 0.5, 1.5
+"""Least number of corners that agree, within this distance. Third: time for which one that was lost agrees with others."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Heights:
+    """The best place and height of each corner, and what it is."""
+
+    place: F64
+    z: F64
+    stays: NDArray[np.bool_]
+    stands: NDArray[np.bool_]
+    moves: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,15 +89,23 @@ class AroundMemory:
     uv: F64
     """Their places in the last frame that was read, (N, 2) px from above."""
     sums: F64
-    """(N, 13) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2; and number of readings."""
+    """(N, 16) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2, h, q - c (2); and number of
+    readings."""
+    of: _Heights
     began: int
     """Number of corners when the picture was taken."""
+    stood: F64
+    """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
     found: NearThing | None = None
     found_at: MonoNs | None = None
 
     def is_like(self, height_m: float, at: MonoNs) -> bool:
         """Return whether corners of the picture can be followed in one from this height, exposed at an instant."""
-        return seconds_between(self.key_at, at) < _KEY_S and _LOWER * self.key_height_m < height_m < 1.5 * self.key_height_m
+        return seconds_between(self.key_at, at) < 2.0 * _KEY_S and _LOWER * self.key_height_m < height_m < 1.5 * self.key_height_m
+
+    def ends(self, height_m: float, at: MonoNs) -> bool:
+        """Return whether the next picture may be too unlike this one."""
+        return seconds_between(self.key_at, at) > _KEY_S or not 0.65 * self.key_height_m < height_m < 1.3 * self.key_height_m
 
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
@@ -105,22 +128,25 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
     above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-    # New corners in a frame of their own: that costs as much as to follow the old ones.
-    if memory is not None and 0.0 <= since_s <= _GAP_S and len(memory.uv) > _LEFT * memory.began and memory.is_like(height_m, at):
+    uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
+    if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and memory.is_like(height_m, at):
         uv, kept = _followed(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        new = _judged(sums, q, view.pad.disc_radius_m)
-        known = memory.near(at)
+        stood, of = _stood(memory, kept, at), _heights(sums, view.pad.disc_radius_m)
+        new, known = _judged(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
             found, found_at = new, at
-        return AroundMemory(
-            at, memory.key_at, memory.key, memory.key_height_m, memory.corners[kept], uv, sums, memory.began, found, found_at
-        )
-    corners = _corners(above, shown, view.pad.disc_radius_m)
-    q = (corners - (len(above) - 1) / 2) * _STEP_M
-    sums = np.zeros((len(q), 13)) + _reading(q, centre[:2], height_m, px_m)
-    return AroundMemory(at, at, above, height_m, corners, corners, sums, len(corners), found, found_at)
+        if len(uv) > _LEFT * memory.began and not memory.ends(height_m, at):
+            corners = memory.corners[kept]
+            return replace(memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood, found=found, found_at=found_at)
+        # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
+        uv, sums = uv[of.stays], sums[of.stays]
+    more = _corners(above, shown, view.pad.disc_radius_m, uv)
+    q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
+    sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
+    of = _heights(sums, view.pad.disc_radius_m)
+    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found, found_at)
 
 
 def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -138,32 +164,33 @@ def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[
     return uv[kept], kept
 
 
-def _corners(above: U8, shown: U8, disc_radius_m: float) -> F64:
-    """Return corners in the ring about the pad, (N, 2) px from above."""
+def _corners(above: U8, shown: U8, disc_radius_m: float, old: F64) -> F64:
+    """Return new corners in the ring about the pad, (N, 2) px from above, those near the pad first, beside the old ones."""
     middle = (len(above) - 1) // 2
     mask = cv2.erode(shown, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
     mask[:_MARGIN], mask[-_MARGIN:], mask[:, :_MARGIN], mask[:, -_MARGIN:] = 0, 0, 0, 0
     cv2.circle(mask, (middle, middle), math.ceil(_OFF_DISC * disc_radius_m / _STEP_M), 0, -1)
-    found = cv2.goodFeaturesToTrack(above, _CORNERS, 0.02, _APART_PX, mask=mask, blockSize=5)
-    return np.empty((0, 2)) if found is None else found[:, 0].astype(float)
+    for x, y in np.rint(old).astype(int).tolist():
+        cv2.circle(mask, (x, y), _APART_PX, 0, -1)
+    found = cv2.goodFeaturesToTrack(above, 3 * _CORNERS, 0.02, _APART_PX, mask=mask, blockSize=5)
+    corners = np.empty((0, 2)) if found is None else found[:, 0].astype(float)
+    far = np.hypot(*(corners - middle).T) * _STEP_M > disc_radius_m + _STANDS_REACH_M
+    return np.asarray(corners[np.argsort(far, kind="stable")][: max(0, _CORNERS - len(old))])
 
 
 def _reading(q: F64, below: F64, height_m: float, px_m: float) -> F64:
-    """Return the weighted sums, (N, 13), of one reading of corners that are seen at places on the deck, (N, 2) m."""
+    """Return the weighted sums, (N, 16), of one reading of corners that are seen at places on the deck, (N, 2) m."""
     sigma = np.sqrt((_SIGMA_PX * px_m) ** 2 + _SIGMA_M**2 + (_SIGMA_AWAY * np.hypot(*q.T)) ** 2)
     w, off = 1.0 / np.maximum(sigma, 1e-6) ** 2, q - below
     a = off / max(height_m, 0.05)
     rows = [
         np.ones(len(q)), *q.T, *a.T, (a * q).sum(axis=1), (a * a).sum(axis=1), (q * q).sum(axis=1),
-        *(height_m * off).T, np.full(len(q), height_m**2), (off * off).sum(axis=1),
+        *(height_m * off).T, np.full(len(q), height_m**2), (off * off).sum(axis=1), np.full(len(q), height_m), *off.T,
     ]  # fmt: skip
     return np.column_stack([np.column_stack(rows) * w[:, None], np.ones(len(q))])
 
 
-def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
-    """Return the nearest thing that several corners agree on."""
-    if not len(sums):
-        return None
+def _heights(sums: F64, disc_radius_m: float) -> _Heights:
     w = sums[:, 0]
     mean_q, mean_a = sums[:, 1:3] / w[:, None], sums[:, 3:5] / w[:, None]
     aa = np.maximum(1e-9, sums[:, 6] - w * np.square(mean_a).sum(axis=1))
@@ -171,8 +198,7 @@ def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
     qq = np.maximum(0.0, sums[:, 7] - w * np.square(mean_q).sum(axis=1))
     z = aq / aa
     left = np.maximum(0.0, qq - aq * aq / aa)
-    own = np.maximum(0.0, sums[:, 11] - np.square(sums[:, 8:10]).sum(axis=1) / np.maximum(sums[:, 10], 1e-9))
-    reads = sums[:, 12]
+    reads, own = sums[:, 15], _left_by_own(sums)
     often = (reads >= _READS) & (own > _OWN * left)
     place = mean_q - z[:, None] * mean_a
     freedom = np.maximum(1.0, 2.0 * reads - 3.0)
@@ -180,20 +206,57 @@ def _judged(sums: F64, q: F64, disc_radius_m: float) -> NearThing | None:
     sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
     if np.count_nonzero(often) >= _FLAT_LEAST:
         flat = float(np.clip(_MAD * np.median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
-    stands = often & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure)) & (left < _STAYS * freedom)
-    stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M) & (np.hypot(*place.T) > 0.0)
+    # What is high turns and grows on the way down, and its corners are followed less well.
+    stays = left < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
+    stands = (
+        (reads >= _READS_STANDS)
+        & (own > left + _STANDS_SIGMAS**2 * freedom)
+        & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure))
+        & stays
+    )
+    stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M + _CLUSTER_M) & (z < _BELOW * np.sqrt(sums[:, 10] / w))
     moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
+    return _Heights(place, z, stays, stands, moves)
+
+
+def _left_by_own(sums: F64) -> F64:
+    """Return what the drone's own shadow leaves of each corner's squares, (N,).
+
+    A corner of it is seen at q = c + r + s h: the shadow keeps its size, r, while its middle, s h, comes nearer.
+    """
+    hh = np.maximum(sums[:, 10], 1e-9)
+    own = np.maximum(0.0, sums[:, 11] - np.square(sums[:, 8:10]).sum(axis=1) / hh)
+    aside = sums[:, 13:15] - (sums[:, 12] / hh)[:, None] * sums[:, 8:10]
+    weight = np.maximum(0.0, sums[:, 0] - sums[:, 12] ** 2 / hh) + _OWN_SIGMA_M**-2
+    within = np.hypot(*aside.T) < _OWN_M * weight
+    return np.asarray(np.where(within, np.maximum(0.0, own - np.square(aside).sum(axis=1) / weight), own))
+
+
+def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
+    """Return the corners that stood and were lost lately, those that are not among the `kept` ones now included."""
+    of = memory.of
+    lost = of.stands.copy()
+    lost[kept] = False
+    rows = np.column_stack([of.place[lost], of.z[lost], np.full(np.count_nonzero(lost), memory.at * 1e-9)])
+    return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < _LOST_S], rows])
+
+
+def _judged(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
+    """Return the nearest thing that several corners agree on, with those that stood and were lost."""
+    standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
     best: NearThing | None = None
-    for which, at, height in ((stands, place, z), (moves, q, np.zeros(len(q)))):
-        those, up = at[which], height[which]
+    moving = q[of.moves], np.zeros(np.count_nonzero(of.moves))
+    for (those, up), reach_m in ((standing, disc_radius_m + _STANDS_REACH_M), (moving, math.inf)):
         if len(those) < _AGREE:
             continue
         apart = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1))
         agree = (apart < _CLUSTER_M).sum(axis=1)
-        for k in np.flatnonzero(agree >= _AGREE):
-            of = apart[k] < _CLUSTER_M
-            x, y = np.median(those[of], axis=0).tolist()
-            seen = NearThing(x, y, float(np.median(up[of])))
+        # What was lost confirms what is followed, and nothing alone.
+        followed = np.arange(len(those)) < len(those) - (len(stood) if reach_m < math.inf else 0)
+        for k in np.flatnonzero(followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)):
+            one = apart[k] < _CLUSTER_M
+            x, y = np.median(those[one], axis=0).tolist()
+            seen = NearThing(x, y, float(np.median(up[one])))
             if best is None or seen.from_centre_m < best.from_centre_m:
                 best = seen
     return best

@@ -93,9 +93,9 @@ _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _NEAR_DRAWN_M = 0.4
 """Width of the outline of something about the pad, whose own is not known."""
-_SHOWS, _PLACE_M = 0.5, 0.08
+_SHOWS, _PLACE_M, _TURNED_RAD = 0.5, 0.08, 0.1
 """Limits for reading the pad's surface. First: share of the edges that agree with a registration. Second, without a
-registration: standard deviation of the predicted place, in radii of the disc."""
+registration: standard deviation of the predicted place, in radii of the disc. Third: how far a heading is off the belief's."""
 _SMALL_PX, _LEAST_ABOUT = 15.0, 0.12
 """Radius of the disc, px, below which a pad that the estimate did not lead to is searched some pixels about its place.
 
@@ -175,7 +175,7 @@ def by_paint(
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     best = registered.settled().tracked
     deck, about, passing = _deck_of(now, best, belief), memory.around, memory.passing
-    shows = best is not None and best.sighting.confidence >= SURE and best.agreement >= _SHOWS
+    shows = best is not None and best.sighting.confidence >= SURE and _shows(now, best, belief)
     # A frame in which one of them is read has cost enough: the others follow in the next ones.
     if best is not None and best.found is not None and shows and deck is memory.deck:
         at, pose = frame.stamp.measured_at, best.found.pose
@@ -241,7 +241,7 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     to where the pad is believed, else where it is believed.
     """
     memory, at = now.memory.deck, now.frame.stamp.measured_at
-    found = None if best is None or best.agreement < _SHOWS else best.found
+    found = None if best is None or not _shows(now, best, belief) else best.found
     if best is not None and found is not None and best.sighting.confidence >= SURE:
         return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     if belief is None or now.attitude is None or not belief.consistent:
@@ -255,6 +255,14 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     if found is not None and float(np.linalg.norm(found.pose.t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
         return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
     return checked_deck(memory, now.view, start, at, 1.0, sigma_m)
+
+
+def _shows(now: _Now, best: _Registered, belief: RelativeState | None) -> bool:
+    """Return whether the deck can be read where a registration puts it: all that is painted moves against a wrong heading."""
+    yaw_rad, known_rad = best.sighting.yaw_rad, None if belief is None else belief.yaw_rad
+    if yaw_rad is None or known_rad is None or alike_headings(now.tracker.pad) > 1:
+        return best.agreement >= _SHOWS
+    return best.agreement >= _SHOWS and abs(math.remainder(yaw_rad - known_rad, math.pi)) < _TURNED_RAD
 
 
 def _known_to(found: Looked) -> tuple[float, float]:

@@ -40,6 +40,8 @@ _LEAST, _LEAST_VALUE, _NOISES = 0.25, 10.0, 4.0
 _CELLS_LEAST = 8
 """Least number of cells of a thing."""
 _BOX = np.ones((3, 3), np.uint8)
+_DRONE_M = 0.3
+"""Half the width of the drone's shadow, which does not shrink with its cone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +90,8 @@ def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs
     light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _MESH, 3)
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     if memory is None or not 0.0 <= since_s <= _GAP_S:
-        now = _Reading(at, light, np.full_like(light, _ONE), shown, centre[:2], float(-centre[2]))
+        # Its share of a mean that is itself says nothing: a shadow that is there already would seem to come.
+        now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), centre[:2], float(-centre[2]))
         found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
         return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found, found_at)
     mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
@@ -129,9 +132,11 @@ def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8,
     # What comes in from where nothing was read may be the drone's own.
     change = cv2.min(cv2.min(before.shown, now.shown), cv2.erode(own_seen, _BOX))
     level = np.minimum(mean, 255 - _FLOOR) + np.uint8(_FLOOR)
+    # The cone shrinks with the height, and the drone's shadow does not: its rim is off by that much.
+    rim = 1 + int(_DRONE_M * abs(scale - 1.0) / _CELL_M)
     for off in (
-        *(cv2.multiply(_off(now.share, was), level, scale=1.0 / _ONE) for was in (before.share, own[0])),
-        _off(now.light, own[1]), cv2.absdiff(now.light, mean),
+        *(cv2.multiply(_off(now.share, of, far), level, scale=1.0 / _ONE) for of, far in ((before.share, 1), (own[0], rim))),
+        _off(now.light, own[1], rim), cv2.absdiff(now.light, mean),
     ):  # fmt: skip
         change = cv2.min(change, _most(np.asarray(off, np.uint8)))
     values = np.asarray(change, np.float32)
@@ -139,9 +144,14 @@ def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8,
     return (values > least).astype(np.uint8), noise + np.float32(0.1) * (values - noise)
 
 
-def _off(now: U8, before: U8) -> U8:
-    """Return how far values are off those that the cell and its neighbours had, (N, N, 3)."""
-    more, less = cv2.subtract(now, cv2.dilate(before, _BOX)), cv2.subtract(cv2.erode(before, _BOX), now)
+def _off(now: U8, before: U8, far: int) -> U8:
+    """Return how far values are off those that the cell and its neighbours had, (N, N, 3).
+
+    Args:
+        far: distance of the neighbours, in cells, whose shade may have come here.
+    """
+    box = np.ones((2 * far + 1, 2 * far + 1), np.uint8)
+    more, less = cv2.subtract(now, cv2.dilate(before, _BOX)), cv2.subtract(cv2.erode(before, box), now)
     return np.asarray(cv2.max(more, less), np.uint8)
 
 

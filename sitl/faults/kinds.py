@@ -234,10 +234,10 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
 
     order: Annotated[
-        Literal["hold", "manual", "abort", "land", "begin"],
+        Literal["hold", "manual", "abort", "land", "begin", "clear"],
         choice(
-            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is; or give it "
-            "back and let guidance begin"
+            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is; give it "
+            "back and let guidance begin; or say that the pad is clear"
         ),
     ] = "hold"
     forward: Annotated[float, number("stick forward, with manual", "1", -1.0, 1.0)] = 0.0
@@ -250,8 +250,8 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
             raise ValueError(f"forward, right, climb and turn are sticks: they go with order manual, not with {self.order}")
         if self.order in ("abort", "land") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, which ends the flight")
-        if self.order == "begin" and self.for_s is not None:
-            raise ValueError("for_s does not go with begin, after which guidance flies on")
+        if self.order in ("begin", "clear") and self.for_s is not None:
+            raise ValueError(f"for_s does not go with {self.order}, after which guidance flies on")
 
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):

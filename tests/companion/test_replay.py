@@ -22,7 +22,7 @@ from companion.recording.reading import open_recording
 from companion.settings.load import camera_model
 from companion.settings.recorder import RecorderOptions
 from companion.tools.replay.engine import Replay, pilot_of
-from companion.tools.replay.recorded_log import BeliefLogObserver, differences, recorded_beliefs
+from companion.tools.replay.recorded_log import BeliefLogObserver, differences, log_of, recorded_beliefs
 from companion.tools.report.flight_log import FlightLog
 from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
@@ -52,6 +52,10 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
     replay = Replay(recording, pilot, sightings=True, observers=[log_observer, reported])
     replay.run()
     assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
+    orders = ["terminal 1: record on: accepted", "terminal 1: clear: accepted"]
+    for log in (log_observer.log, log_of(recording, "as recorded")):
+        assert [str(each) for each in log.orders] == orders
+    assert pilot.landing._overruled, "what the operator ordered about things on the pad counts in the replay too"
     found = {d.path: d for d in differences(log_observer.beliefs, recorded_beliefs(recording))}
     assert {"dead_reckoning", "median_mean"} <= set(found)
     for difference in found.values():

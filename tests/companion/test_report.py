@@ -41,6 +41,7 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Rela
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.detection import Detection, PadCheck, PadThing
 from tests.support.shipped import shipped_pad
 
 CAMERA = Camera(
@@ -98,6 +99,9 @@ def flight(images=True) -> FlightLog:
         LoggedContact(ns(101.5), 0.51, 0.9, 0.3, on_pad=False, surface="deck", p_pad_m=(0.5, 0.1), yaw_rad=0.3, phase="commit"),
         LoggedContact(ns(104), 0.0312, 0.27, 0.05, on_pad=True, surface="pad", p_pad_m=(0.03, -0.01), yaw_rad=-0.2),
     ]
+    for t, x_m in ((101.0, 0.02), (101.5, 0.05)):
+        detection = Detection(None, None, {}, on_pad=PadCheck(ns(t), 1.0, PadThing(0.25, x_m, 0.2)))
+        log.add_detection(detection, ns(t))
     left = StateChange(ns(102), State.INTERCEPT, Event.IN_CONE, State.DESCEND, Reason(ReasonCause.LOW_ENOUGH, 0.38))
     log.transitions = [left]
     log.settings = 'title = "<settings>"'
@@ -214,6 +218,7 @@ def test_the_page_is_one_file_and_says_what_happened(tmp_path):
     for output in ("3.1 cm", "0.27 m/s", "stands on the pad", "80.0 %", "exposure to belief", "corners", "descend"):
         assert output in text
     assert "0.38 m over the deck" in text, "the cause of a transition"
+    assert "something 25 cm wide lies on the pad, 0.21 m from its centre" in text
     assert "contact with the deck" in text
     assert text.count("<canvas") == text.count('role="img"') == len(re.findall(r'<canvas[^>]*aria-label="[^"]{20,}"', text))
 
@@ -228,8 +233,10 @@ def test_the_page_draws_what_was_put_in():
     band = next(layer for layer in forward["layers"] if layer["style"] == "band")
     np.testing.assert_allclose(column(data, band["upper"]) - column(data, band["y"]), 4 * 0.01, atol=1e-6)
     near = data["views"][0]
-    assert [m["label"] for m in near["marks"]] == ["1", "2"]
-    assert (near["marks"][1]["x"], near["marks"][1]["y"]) == (-0.01, 0.03), "to starboard, along the arrow"
+    assert [m["label"] for m in near["marks"]] == ["", "1", "2"]
+    crate = near["marks"][0]
+    assert (crate["x"], crate["y"], crate["size"]) == (0.2, 0.05, 0.25), "to starboard, along the arrow"
+    assert (near["marks"][2]["x"], near["marks"][2]["y"], near["marks"][2]["size"]) == (-0.01, 0.03, None)
     assert len(near["regions"]) == len(PAD.regions)
     assert near["regions"][0]["fill"] == "rgb({},{},{})".format(*PAD.rgb(PAD.regions[0]))
     assert np.abs(near["regions"][0]["points"]).max() == pytest.approx(PAD.disc_radius_m, abs=1e-3)

@@ -104,6 +104,13 @@ def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: Cont
     assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
 
 
+def test_a_person_says_that_the_pad_is_clear_and_guidance_flies_on() -> None:
+    flight = flown(OperatorActs(at_s=0.5, order="clear"), until_s=1.2)
+    assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED
+    assert flight._pilot.landing._overruled
+    assert not flown(OperatorActs(at_s=0.5, order="clear"), until_s=0.45)._pilot.landing._overruled
+
+
 def test_a_person_who_lets_guidance_begin_has_given_the_drone_back() -> None:
     flight = flown(OperatorActs(at_s=0.2, order="manual"), OperatorActs(at_s=0.5, order="begin"), until_s=1.2)
     assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED

@@ -62,7 +62,8 @@ def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None
     for step in range(round(seconds / 0.005)):
         flight.step()
         if step == _ORDER_AT_STEP:
-            pilot.operator.take(OperatorOrder.RECORD, OrderSender(OrderSource.TERMINAL, "1"), flight.world.now, "on")
+            for order, detail in ((OperatorOrder.RECORD, "on"), (OperatorOrder.CLEAR, "")):
+                pilot.operator.take(order, OrderSender(OrderSource.TERMINAL, "1"), flight.world.now, detail)
         if recorder is not None and step % 4 == 0:
             t = flight.world.truth()
             recorder.on_truth(TruthRecord(int(t.at), t.d_body_pad_level.tolist(), t.v_pad_level.tolist(), t.yaw_rad))

@@ -17,11 +17,12 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder, OperatorOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.recording import encode
+from companion.recording import decode, encode
 from companion.recording.reading import CAMERA, PAD, Event, RecordedFrame, Recording, instant
-from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator import pipeline
@@ -126,6 +127,8 @@ class Replay:
             case Decision():
                 self._follow_operator(event.phase)
                 self._decide(MonoNs(event.at + self._shift_ns))
+            case OrderRecord():
+                self._order(decode.order(replace(event, at_ns=int(at))))
             case FusionRecord() | TruthRecord() | LinkRecord() | HealthRecord():
                 pass
             case _:
@@ -197,13 +200,22 @@ class Replay:
             return detection
         selected, elsewhere = self._shifted(detection.selected), self._shifted(detection.elsewhere)
         methods = {name: self._shifted(seen) for name, seen in detection.methods.items()}
-        return replace(detection, selected=selected, methods=methods, elsewhere=elsewhere)
+        check = detection.on_pad
+        on_pad = None if check is None else replace(check, at=MonoNs(check.at + self._shift_ns))
+        return replace(detection, selected=selected, methods=methods, elsewhere=elsewhere, on_pad=on_pad)
 
     def _shifted(self, seen: Sighting | None) -> Sighting | None:
         return None if seen is None else replace(seen, stamp=self._moved(seen.stamp))
 
+    def _order(self, handled: HandledOrder) -> None:
+        """Hand an order on; carry out the one that shows in no phase."""
+        if handled.accepted and handled.order is OperatorOrder.CLEAR:
+            self._pilot.overrule()
+        for observer in self._observers:
+            observer.on_order(handled)
+
     def _follow_operator(self, phase: str) -> None:
-        """Follow the operator's commands, which are not recorded as such but show in the phases."""
+        """Follow the operator's commands as they show in the phases: old recordings hold no orders."""
         if phase == "paused":
             self._pilot.pause()
         elif phase == FlightOutcome.ABORTED.value:

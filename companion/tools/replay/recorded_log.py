@@ -13,7 +13,7 @@ from companion.base.orders import HandledOrder
 from companion.recording import decode
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.recording.records import ContactRecord, FusionRecord, HealthRecord, TruthRecord
+from companion.recording.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.tools.report.expected_place import expected_in_body, held_rotation, less_innovation
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (
@@ -88,6 +88,8 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
                 _decided(log, event)
             case TruthRecord():
                 add_truth(log, event)
+            case OrderRecord():
+                log.orders.append(decode.order(event))
             case VehicleStatus():
                 flying = flying if event.flying is None else event.flying
             case HealthRecord():
@@ -139,7 +141,7 @@ def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, Mono
     log.frames.append(FrameRecord(at, frame.record.seq, verdict, level, place, frame.R_body_cam, frame.image))
     log.verdicts[verdict] += 1
     if detection is not None:
-        log.add_detection(detection)
+        log.add_detection(detection, at)
     stages = [("camera and link", frame.stamp.delay_s)]
     if frame.times is not None:
         stages += frame.times.by_stage()
@@ -174,7 +176,7 @@ class BeliefLogObserver:
         log.frames.append(FrameRecord(exposed_at, processed.frame.seq, verdict, R_level_body, place, held))
         log.verdicts[processed.verdict] += 1
         if processed.detection is not None:
-            log.add_detection(processed.detection)
+            log.add_detection(processed.detection, exposed_at)
         log.add_times(processed)
 
     def on_decision(self, decision: Decision) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from companion.base.mission import StateChange
 from companion.base.observer import DeckOutlook, ProcessedFrame
 from companion.base.orders import HandledOrder
+from companion.base.things import ThingReport, things_of
 from companion.recording.frame_video import VideoImage
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
@@ -21,6 +22,8 @@ from estimator.vision.pad import Pad
 
 HORIZONS_KEPT_S = (0.0, 1.0, 2.0)
 """Horizons at which the deck's forecast is kept, s; 0 is the deck as the filter has it."""
+_SAME_S, _SAME_M = 2.0, 0.35
+"""Time for which a thing may be out of sight, and distance by which its place may change, and still be the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +130,24 @@ class StageTime:
     seconds: float
 
 
+@dataclass(slots=True)
+class LoggedThing:
+    """Something on the pad or about it, from the first frame that it was known in to the last one."""
+
+    first: MonoNs
+    last: MonoNs
+    seen: ThingReport
+
+    def is_same(self, at: MonoNs, seen: ThingReport) -> bool:
+        """Return whether a report of this instant may be of the same thing."""
+        same = self.seen.width_m is None, (self.seen.height_m or 0.0) > 0.0
+        return (
+            seconds_between(self.last, at) < _SAME_S
+            and same == (seen.width_m is None, (seen.height_m or 0.0) > 0.0)
+            and math.hypot(self.seen.x_m - seen.x_m, self.seen.y_m - seen.y_m) < _SAME_M
+        )
+
+
 @dataclass(slots=True, eq=False)
 class FlightLog:
     """The log of one flight. Lists are in order of time; each may be empty, and the page then reports that."""
@@ -166,6 +187,8 @@ class FlightLog:
     """The deck as the steering path forecast it, `at` 0 and more after `made_at`."""
     orders: list[HandledOrder] = field(default_factory=list)
     """The orders of people, with their answers."""
+    things: list[LoggedThing] = field(default_factory=list)
+    """Known things on the pad and about it."""
     settings: str = ""
     """The settings of the flight, as TOML."""
 
@@ -186,8 +209,8 @@ class FlightLog:
             self.stages.setdefault(name, []).append(StageTime(stamp.measured_at, seconds))
         self.delays.append(StageTime(stamp.measured_at, seconds_between(stamp.measured_at, processed.done)))
 
-    def add_detection(self, detection: Detection) -> None:
-        """Keep the sighting of every method, the selected one where it is not one of them, and what was surer elsewhere."""
+    def add_detection(self, detection: Detection, at: MonoNs) -> None:
+        """Keep things, the sighting of every method, the selected one where it is another, and what was surer elsewhere."""
         seen = [sighting for sighting in detection.methods.values() if sighting is not None]
         self.sightings += seen
         selected = detection.selected
@@ -195,6 +218,12 @@ class FlightLog:
             self.sightings.append(selected)
         if detection.elsewhere is not None:
             self.sightings.append(detection.elsewhere)
+        for thing in things_of(detection):
+            known = next((each for each in reversed(self.things) if each.is_same(at, thing)), None)
+            if known is None:
+                self.things.append(LoggedThing(at, at, thing))
+            else:
+                known.last, known.seen = at, thing
 
     def add_forecast(self, ahead: DeckOutlook) -> None:
         """Keep the deck at the horizons of `HORIZONS_KEPT_S`."""

@@ -39,7 +39,7 @@ class LogObserver(NullObserver):
         held, verdict = held_rotation(processed), processed.verdict
         log.frames.append(FrameRecord(exposed_at, processed.frame.seq, verdict, R_level_body, place, held, image))
         if processed.detection is not None:
-            log.add_detection(processed.detection)
+            log.add_detection(processed.detection, processed.frame.stamp.measured_at)
         log.add_times(processed)
 
     def on_order(self, handled: HandledOrder) -> None:

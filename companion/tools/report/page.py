@@ -82,8 +82,8 @@ def render(log: FlightLog, film: FilmFile | None) -> str:
         page_parts.transport(),
         page_parts.help_line(),
         f"<section><h2>Touchdown and trajectory</h2>{page_parts.contacts(log)}{ways}"
-        '<p class="note">The pad with its own paints, to scale. A cross is a contact, its line points where the nose did. The '
-        "dot is the drone at the cursor, seen from the pad, levelled.</p></section>",
+        '<p class="note">The pad with its own paints, to scale. A cross is a contact, its line points where the nose did; a '
+        "square is a thing that was seen. The dot is the drone at the cursor, seen from the pad, levelled.</p></section>",
     ]
     if series:
         body += [drawn(place, numbers), drawn(velocity, numbers), drawn(errors, numbers, page_parts.errors(log, series))]

@@ -20,6 +20,8 @@ from estimator.vision.regions import outlines_of
 
 _NEAR = 1.35
 """The half width of the view of the pad, in radii of its disc."""
+_NEAR_DRAWN_M = 0.3
+"""Width at which a thing about the pad is drawn, whose own is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,14 @@ class PadTrack:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A contact to draw on the pad."""
+    """A contact to draw on the pad, or a thing."""
 
     label: str
     p_pad_m: tuple[float, float]
     yaw_rad: float
     colour: str = "ink"
+    size_m: float | None = None
+    """Width of a thing; None for a contact."""
 
 
 @dataclass(slots=True)
@@ -70,7 +74,7 @@ class PageFlight:
 
 
 def events(log: FlightLog) -> list[FlightEvent]:
-    """Return the changes of the mission's state, people's orders and the contacts, in order of time."""
+    """Return the changes of the mission's state, people's orders, things about the pad and contacts, in order of time."""
     out = []
     for change in log.transitions:
         text = f"{change.source.value} → {change.target.value}"
@@ -80,6 +84,11 @@ def events(log: FlightLog) -> list[FlightEvent]:
     for order in log.orders:
         level = "info" if order.accepted else "warning"
         out.append(FlightEvent(seconds_between(log.started, order.at), str(order), "", level))
+    for thing in log.things:
+        lasted_s = seconds_between(thing.first, thing.last)
+        out.append(
+            FlightEvent(seconds_between(log.started, thing.first), thing.seen.words, f"known for {lasted_s:.1f} s", "warning")
+        )
     for contact in log.contacts:
         where = f"contact with the {contact.surface or ('pad' if contact.on_pad else 'surface')}"
         how = f"{contact.vertical_speed_m_s:.2f} m/s down" if math.isfinite(contact.vertical_speed_m_s) else ""
@@ -125,8 +134,11 @@ def tracks(log: FlightLog, series: Sequence[Series]) -> list[PadTrack]:
 
 
 def marks(log: FlightLog, ink: str = "ink", label: str = "") -> list[Mark]:
-    """Return the contacts whose place is known, numbered as in their table."""
-    return [
+    """Return the things, and the contacts whose place is known, numbered as in their table."""
+    things = [
+        Mark("", (seen.x_m, seen.y_m), math.nan, "bad", seen.width_m or _NEAR_DRAWN_M) for seen in (of.seen for of in log.things)
+    ]
+    return things + [
         Mark(f"{label}{k}", contact.p_pad_m, contact.yaw_rad, ink)
         for k, contact in enumerate(log.contacts, 1)
         if math.isfinite(contact.p_pad_m[0])
@@ -167,7 +179,14 @@ def _views(pad: Pad, ways: Sequence[PadTrack], marked: Sequence[Mark], columns: 
 def _mark(mark: Mark) -> dict[str, Any]:
     along, starboard = mark.p_pad_m
     yaw = None if not math.isfinite(mark.yaw_rad) else round(mark.yaw_rad, 4)
-    return {"label": mark.label, "x": round(starboard, 4), "y": round(along, 4), "yaw": yaw, "colour": mark.colour}
+    return {
+        "label": mark.label,
+        "x": round(starboard, 4),
+        "y": round(along, 4),
+        "yaw": yaw,
+        "colour": mark.colour,
+        "size": mark.size_m,
+    }
 
 
 def page_data(

@@ -175,7 +175,7 @@ class RosMessages:
                 yield "/truth/odometry", "nav_msgs/msg/Odometry", self._time(MonoNs(event.at_ns)), odometry
             case rec.HealthRecord():
                 yield self._diagnostics(event)
-            case rec.FusionRecord() | rec.LinkRecord():
+            case rec.FusionRecord() | rec.LinkRecord() | rec.OrderRecord():
                 return
             case _:
                 at = self._time(instant(event))

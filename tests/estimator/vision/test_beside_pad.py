@@ -74,6 +74,22 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
     assert memory.near(memory.at) is None
 
 
+def test_a_deck_without_corners_is_read_again_until_it_has_some() -> None:
+    shot = Exposure(0.0, Rotation.identity(), np.array([0.0, 0.0, -3.6]), Rotation.identity(), np.array([0.0, 0.0, -0.6]))
+    plain, deck = (
+        np.full((360, 640, 3), 90, np.uint8),
+        Renderer(CAMERA, PAD, Surroundings(WIDE)).render(shot, np.random.default_rng(1)),
+    )
+    memory, counts = None, []
+    for k, px in enumerate((plain, plain, deck, plain, plain)):
+        memory = around(memory, FrameView(Pyramid(px), CAMERA, PAD), truth_of(shot, CAMERA), MonoNs(10**9 + 250_000_000 * k))
+        counts.append(len(memory.uv))
+    assert counts[:2] == counts[3:] == [0, 0]
+    assert counts[2] > 5
+    assert memory is not None
+    assert memory.near(memory.at) is None
+
+
 @pytest.mark.parametrize(
     ("body", "lasts_s"),
     [

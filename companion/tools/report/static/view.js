@@ -133,9 +133,15 @@ class PadView {
     pen.globalAlpha = 1;
   }
 
-  // A contact: a cross, its number, and a line towards where the nose pointed.
+  // A contact: a cross, its number, and a line towards where the nose pointed. A thing: a square of its width.
   mark(pen, mark) {
     const [x, y] = [this.x(mark.x), this.y(mark.y)];
+    if (mark.size !== null) {
+      const half = Math.abs(this.x(mark.size) - this.x(0)) / 2;
+      [pen.lineWidth, pen.strokeStyle] = [2, style("--bad")];
+      pen.strokeRect(x - half, y - half, 2 * half, 2 * half);
+      return;
+    }
     const ink = mark.colour === "ink" ? style("--mark") : mark.colour;
     for (const [wide, colour] of [[5, style("--card")], [2.4, ink]]) {
       [pen.lineWidth, pen.strokeStyle] = [wide, colour];
