@@ -307,7 +307,8 @@ def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane
     return guesses_of(out[: checked(n)])
 
 
-U8, F32 = NDArray[np.uint8], NDArray[np.float32]
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
