@@ -144,6 +144,19 @@ class _Seen:
             return self if _stays(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
         return self if _stays(self.tracked, of) else dataclasses.replace(self, tracked=of)
 
+    def spread(self, a: _Registered | None, b: _Registered | None) -> _Seen:
+        """Return the best with the difference of two registrations in its covariance, where neither is better than the other.
+
+        An edge of a shade across the pad holds a part of the drawing's edges off, another part from each start.
+        """
+        if self.tracked is None or a is None or b is None or min(a.sighting.confidence, b.sighting.confidence) < SURE:
+            return self
+        if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
+            return self
+        apart = np.append(a.sighting.d_body_pad_level - b.sighting.d_body_pad_level, _turned_by(a.sighting, b.sighting))
+        sighting = replace(self.tracked.sighting, cov=self.tracked.sighting.cov + np.outer(apart, apart))
+        return dataclasses.replace(self, tracked=dataclasses.replace(self.tracked, sighting=sighting))
+
     @property
     def is_sure(self) -> bool:
         return self.tracked is not None and self.tracked.sighting.confidence >= SURE
@@ -306,7 +319,8 @@ def _registered(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -
                 # The whole drawing, blurred, draws from farther away than edges do.
                 aligned = align_at(start, now.orientation.measured, now.view)
                 if aligned is not None and aligned.score >= WORTH_A_TRY:
-                    best = best.having(_register_from(now, aligned.pose, CLOSE, tracked, searched=False), place)
+                    again = _register_from(now, aligned.pose, CLOSE, tracked, searched=False)
+                    best = best.having(again, place).spread(best.tracked, again)
             if not best.is_sure and _is_small(start, camera, pad):
                 plane = Plane.of(camera, attitude.R_ned_body.without_heading())
                 about = pose_about(*now.view.as_seen(), plane, start)
@@ -364,6 +378,12 @@ def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCa
             return None
         flat = flat.turned(found.turn_rad)
     return align_at(flat, orientation.measured, view)
+
+
+def _turned_by(a: Sighting, b: Sighting) -> float:
+    """Return the angle between the headings of two sightings; 0 where one has none, or where they are opposite."""
+    turn = 0.0 if a.yaw_rad is None or b.yaw_rad is None else math.remainder(a.yaw_rad - b.yaw_rad, math.tau)
+    return turn if abs(turn) < 0.5 * math.pi else 0.0
 
 
 def _stays(a: _Registered | None, b: _Registered) -> bool:
