@@ -142,20 +142,8 @@ class _Seen:
             return self
         if belief.excludes(of.sighting):
             return self if _stays(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
-        return self if _stays(self.tracked, of) else dataclasses.replace(self, tracked=of)
-
-    def spread(self, a: _Registered | None, b: _Registered | None) -> _Seen:
-        """Return the best with the difference of two registrations in its covariance, where neither is better than the other.
-
-        An edge of a shade across the pad holds a part of the drawing's edges off, another part from each start.
-        """
-        if self.tracked is None or a is None or b is None or min(a.sighting.confidence, b.sighting.confidence) < SURE:
-            return self
-        if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
-            return self
-        apart = np.append(a.sighting.d_body_pad_level - b.sighting.d_body_pad_level, _turned_by(a.sighting, b.sighting))
-        sighting = replace(self.tracked.sighting, cov=self.tracked.sighting.cov + np.outer(apart, apart))
-        return dataclasses.replace(self, tracked=dataclasses.replace(self.tracked, sighting=sighting))
+        best = self.tracked if self.tracked is not None and _stays(self.tracked, of) else of
+        return dataclasses.replace(self, tracked=_spread(best, self.tracked, of))
 
     @property
     def is_sure(self) -> bool:
@@ -319,8 +307,7 @@ def _registered(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -
                 # The whole drawing, blurred, draws from farther away than edges do.
                 aligned = align_at(start, now.orientation.measured, now.view)
                 if aligned is not None and aligned.score >= WORTH_A_TRY:
-                    again = _register_from(now, aligned.pose, CLOSE, tracked, searched=False)
-                    best = best.having(again, place).spread(best.tracked, again)
+                    best = best.having(_register_from(now, aligned.pose, CLOSE, tracked, searched=False), place)
             if not best.is_sure and _is_small(start, camera, pad):
                 plane = Plane.of(camera, attitude.R_ned_body.without_heading())
                 about = pose_about(*now.view.as_seen(), plane, start)
@@ -378,6 +365,19 @@ def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCa
             return None
         flat = flat.turned(found.turn_rad)
     return align_at(flat, orientation.measured, view)
+
+
+def _spread(best: _Registered, a: _Registered | None, b: _Registered) -> _Registered:
+    """Return the better of two registrations with their difference in its covariance, where neither is better than the other.
+
+    The edge of a shade across the pad holds a part of the drawing's edges off, and another part from each start.
+    """
+    if a is None or min(a.sighting.confidence, b.sighting.confidence) < SURE:
+        return best
+    if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
+        return best
+    apart = np.append(a.sighting.d_body_pad_level - b.sighting.d_body_pad_level, _turned_by(a.sighting, b.sighting))
+    return dataclasses.replace(best, sighting=replace(best.sighting, cov=best.sighting.cov + np.outer(apart, apart)))
 
 
 def _turned_by(a: Sighting, b: Sighting) -> float:
