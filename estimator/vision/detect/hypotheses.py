@@ -61,6 +61,9 @@ the largest outline, as a share of it.
 
 A pad that is cut by the frame's edge has no whole outline there, but often a whole thing in it.
 """
+_SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
+"""Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
+as the dot in a triangle."""
 _AS_WIDE, _LEAST_SHORT, _LEAST_TILT = 0.85, 0.3, 0.2
 """Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and least sine of a tilt that is
 tried beside none, where the tilt is not known."""
@@ -82,6 +85,8 @@ class _Silhouette(NamedTuple):
     """The root of the determinant of its moments over its area: the same however it is seen from afar."""
     bright: bool
     """True if it is brighter than what is about it, on the deck that the file says."""
+    part: float
+    """Its area over that of the largest outline."""
 
     @property
     def beside(self) -> float:
@@ -234,8 +239,10 @@ def _guess(
     pose = _beside(flat, of.centroid_m, turn) if turn is not None and aside else flat
     level = max(0, math.floor(math.log2(max(pose.disc_px(camera, pad), 1.0) / _HEADING_PX)))
     fits = heading(pyramid[level], 1 << level, camera, pad, pose)
-    if fits is None or (
-        turn is not None and abs(math.remainder(fits.turn_rad - turn, math.tau if aside else math.pi)) > math.tau / _HEADINGS
+    if (
+        fits is None
+        or (of.part < _SMALL_PART and fits.in_view < _LEAST_IN_VIEW)
+        or (turn is not None and abs(math.remainder(fits.turn_rad - turn, math.tau if aside else math.pi)) > math.tau / _HEADINGS)
     ):
         return None
     R, t = pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()
@@ -252,13 +259,14 @@ def _beside(flat: PadPose, centroid_m: tuple[float, float], turn: float) -> PadP
 def _silhouettes(pad: Pad) -> tuple[_Silhouette, ...]:
     """Return the outlines of what hangs together in the drawing, the largest first, and of the largest thing within that."""
     marks, whole = pad.markings, _outlines(pad.regions, pad)
-    out = [_silhouette(*outline, marks.is_bright) for outline, is_hole in whole if not is_hole][:_SILHOUETTES]
+    largest = cv2.contourArea(whole[0][0][0])
+    out = [_silhouette(*outline, marks.is_bright, largest) for outline, is_hole in whole if not is_hole][:_SILHOUETTES]
     inner, bright = [outline for outline, is_hole in whole if is_hole], not marks.is_bright
     if marks.upper_on_letters and marks.colours.upper is not None:
         inner = [outline for outline, is_hole in _outlines(marks.upper, pad) if not is_hole]
         bright = sum(marks.colours.upper) > sum(marks.colours.h)
-    least = _LEAST_WITHIN * cv2.contourArea(whole[0][0][0])
-    return (*out, *(_silhouette(*outline, bright) for outline in inner[:1] if cv2.contourArea(outline[0]) > least))
+    within = [_silhouette(*outline, bright, largest) for outline in inner[:1]]
+    return (*out, *(one for one in within if one.part > _LEAST_WITHIN))
 
 
 def _outlines(regions: Sequence[Region], pad: Pad) -> list[tuple[tuple[Contour, float], bool]]:
@@ -278,12 +286,13 @@ def _outlines(regions: Sequence[Region], pad: Pad) -> list[tuple[tuple[Contour, 
     return sorted(out, key=lambda one: -cv2.contourArea(one[0][0]))
 
 
-def _silhouette(contour: Contour, per_m: float, bright: bool) -> _Silhouette:
+def _silhouette(contour: Contour, per_m: float, bright: bool, largest: float) -> _Silhouette:
     (column, row), second, spread = _moments(contour)
     # Columns of the raster run along y, rows along x.
     centroid = (row - 0.5 * (_RASTER - 1)) / per_m, (column - 0.5 * (_RASTER - 1)) / per_m
-    share = cv2.contourArea(contour) / cv2.contourArea(cv2.convexHull(contour))
-    return _Silhouette(centroid, second[::-1, ::-1] / per_m**2, share, spread, bright)
+    area = cv2.contourArea(contour)
+    share = area / cv2.contourArea(cv2.convexHull(contour))
+    return _Silhouette(centroid, second[::-1, ::-1] / per_m**2, share, spread, bright, area / largest)
 
 
 MOST_LETTERS = 8
