@@ -64,7 +64,7 @@ A pad that is cut by the frame's edge has no whole outline there, but often a wh
 _SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
 """Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
 as the dot in a triangle."""
-_AS_WIDE, _LEAST_SHORT, _LEAST_TILT = 0.85, 0.3, 0.2
+_AS_WIDE, _LEAST_SHORT, _LEAST_TILT = 0.85, 0.55, 0.2
 """Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and least sine of a tilt that is
 tried beside none, where the tilt is not known."""
 Contour = NDArray[np.int32]
