@@ -142,7 +142,8 @@ class _Seen:
             return self
         if belief.excludes(of.sighting):
             return self if _stays(self.elsewhere, of) else dataclasses.replace(self, elsewhere=of)
-        return self if _stays(self.tracked, of) else dataclasses.replace(self, tracked=of)
+        best = self.tracked if self.tracked is not None and _stays(self.tracked, of) else of
+        return dataclasses.replace(self, tracked=_spread(best, self.tracked, of))
 
     @property
     def is_sure(self) -> bool:
@@ -372,6 +373,25 @@ def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCa
             return None
         flat = flat.turned(found.turn_rad)
     return align_at(flat, orientation.measured, view)
+
+
+def _spread(best: _Registered, a: _Registered | None, b: _Registered) -> _Registered:
+    """Return the better of two registrations with their difference in its covariance, where neither is better than the other.
+
+    The edge of a shade across the pad holds a part of the drawing's edges off, and another part from each start.
+    """
+    if a is None or min(a.sighting.confidence, b.sighting.confidence) < SURE:
+        return best
+    if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
+        return best
+    apart = np.append(a.sighting.d_body_pad_level - b.sighting.d_body_pad_level, _turned_by(a.sighting, b.sighting))
+    return dataclasses.replace(best, sighting=replace(best.sighting, cov=best.sighting.cov + np.outer(apart, apart)))
+
+
+def _turned_by(a: Sighting, b: Sighting) -> float:
+    """Return the angle between the headings of two sightings; 0 where one has none, or where they are opposite."""
+    turn = 0.0 if a.yaw_rad is None or b.yaw_rad is None else math.remainder(a.yaw_rad - b.yaw_rad, math.tau)
+    return turn if abs(turn) < 0.5 * math.pi else 0.0
 
 
 def _stays(a: _Registered | None, b: _Registered) -> bool:

@@ -69,7 +69,7 @@ def learnt(
     if at < memory.next_at or record["dense"] or record["edge_rms_px"] < _UNEXPLAINED_PX or record["inliers"] < _AGREES:
         return memory
     if _is_clipped(view.pyramid[0], found):
-        return memory
+        return replace(memory, next_at=MonoNs(at + _EVERY_NS))
     steps = memory.steps + memory.way * (_STRIDE if record["edge_rms_px"] > _FAR_OFF_PX else 1)
     if not _LOWEST <= steps <= _HIGHEST:
         return replace(memory, way=-memory.way)

@@ -117,6 +117,30 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("rpy_rad", "radius_px", "beyond"), [((0.6, 0.3, 0.3), 60.0, -1.6), ((0.1, 0.0, 0.3), 80.0, 0.2)], ids=["aslant", "cut"]
+)
+def test_an_octagon_aslant_or_cut_by_the_frame_is_found_without_an_attitude(
+    rpy_rad: tuple[float, float, float], radius_px: float, beyond: float
+) -> None:
+    pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "octagon")))
+    depth_m = CAMERA.fx * pad.disc_radius_m / radius_px
+    at = np.array([0.5 * CAMERA.width / radius_px - (1.0 - beyond), 0.0, CAMERA.fx / radius_px])
+    pose = PadPose(Rotation.from_rpy(*rpy_rad), at * depth_m / at[2])
+    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
+    found = track(TrackerConfig(CAMERA, pad), TrackerMemory(), Frame(STAMP, 0, px), None)[0].selected
+    assert found is not None
+    assert found.confidence >= 0.5
+    assert math.dist(found.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
+
+
+def test_the_dot_of_a_drawing_whose_rest_would_be_out_of_view_is_not_the_drawing() -> None:
+    pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "triangle_and_dot")))
+    px = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+    cv2.circle(px, (CAMERA.width // 2, CAMERA.height // 2), CAMERA.height // 3, (0, 120, 255), -1, cv2.LINE_AA)
+    assert seen(pad, px) < 0.5
+
+
 def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
     at, pages = [[10.0, 5.0], [90.5, 6.0], [95.0, 70.0], [8.0, 72.5]], Queue[str]()
     with ThreadPoolExecutor(1) as pool:
@@ -125,6 +149,7 @@ def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
         for address, body in (
             (page + "corners", b"[[1, 2]]"),
             (page + "corners", b"[[1, 1], [1, 2], [1, 3], [1, 4]]"),
+            (page + "corners", json.dumps(at[::-1]).encode()),
             (page[:-3], None),
         ):
             with pytest.raises(HTTPError):

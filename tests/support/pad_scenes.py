@@ -15,6 +15,7 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings
@@ -199,7 +200,8 @@ def _shaded(rng: np.random.Generator, px: NDArray[np.uint8], covered: NDArray[np
     """Return the frame with a tenth to a third of the light where the mask is, and a border of one to four pixels."""
     share = cv2.GaussianBlur(covered.astype(np.float32) / 255.0, (0, 0), float(rng.uniform(0.5, 2.0)))[:, :, None]
     light = 1.0 - share * (1.0 - rng.uniform(0.1, 0.35))
-    return np.asarray(np.rint(px * light ** (1.0 / 2.2) + rng.normal(0.0, 1.0, px.shape)).clip(0, 255), np.uint8)
+    values = np.interp(LINEAR_LIGHT[px] * light, LINEAR_LIGHT, np.arange(256.0))
+    return np.asarray(np.rint(values + rng.normal(0.0, 1.0, px.shape)).clip(0, 255), np.uint8)
 
 
 def pad_scene(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
@@ -11,6 +10,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 
+from companion.tools.pads.trace import fault_of
 from estimator.contracts.geometry import F64
 
 _MOST_BYTES = 4096
@@ -45,7 +45,7 @@ photo.onclick = e => {
 document.getElementById("undo").onclick = () => { at.pop(); show(); };
 use.onclick = async () => {
   const answer = await fetch("corners", { method: "POST", body: JSON.stringify(at) });
-  told.textContent = answer.ok ? "Taken. Go on in the terminal." : "Refused: " + await answer.text();
+  told.textContent = answer.ok ? "Taken. Go on in the terminal." : "Refused: " + await answer.text() + ". Take some back.";
   use.disabled = true;
 };
 photo.onload = show; if (photo.complete) show();
@@ -56,7 +56,7 @@ def corners_of(body: bytes) -> F64:
     """Return the places, (4, 2) px, that a browser sent.
 
     Raises:
-        ValueError: they are not four pairs of finite numbers.
+        ValueError: they are not four pairs of finite numbers, or no rectangle's.
     """
     try:
         at = np.array(json.loads(body), float)
@@ -64,8 +64,9 @@ def corners_of(body: bytes) -> F64:
         raise ValueError("four pairs of numbers are wanted") from why
     if at.shape != (4, 2) or not np.isfinite(at).all():
         raise ValueError("four pairs of numbers are wanted")
-    if math.isclose(float(np.ptp(at, axis=0).min()), 0.0):
-        raise ValueError("the corners lie on a line")
+    fault = fault_of(at)
+    if fault is not None:
+        raise ValueError(f"the corners {fault}")
     return at
 
 

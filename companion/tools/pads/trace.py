@@ -107,6 +107,16 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
     return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
 
 
+def fault_of(corners_px: F64) -> str | None:
+    """Return what is wrong with four corners, (4, 2) px, that shall be a rectangle's; None if nothing is."""
+    line, order = corners_px.astype(np.float32), "fore left, fore right, aft right, aft left"
+    if not cv2.isContourConvex(line) or cv2.contourArea(line) < 400.0:
+        return f"are not those of a rectangle: give {order}"
+    if cv2.contourArea(line, oriented=True) < 0.0:
+        return f"run against the clock, which would mirror the pad: give {order}"
+    return None
+
+
 def photographed(
     px: U8, corners_px: F64 | None, size_m: tuple[float, float], paints: int, where: str, *, sheet: bool = False
 ) -> Picture:
@@ -124,8 +134,9 @@ def photographed(
         BadInput: the corners are no rectangle that a camera sees.
     """
     if corners_px is not None:
-        if not cv2.isContourConvex(corners_px.astype(np.float32)) or cv2.contourArea(corners_px.astype(np.float32)) < 400.0:
-            raise BadInput(f"{where}: --corners are not those of a rectangle: give fore left, fore right, aft right, aft left")
+        fault = fault_of(corners_px)
+        if fault is not None:
+            raise BadInput(f"{where}: --corners {fault}")
         scale = _PHOTO_PX / max(size_m)
         w, h = scale * size_m[0], scale * size_m[1]
         aside = (_SHEET_MARGIN if sheet else _MARGIN) * max(w, h)

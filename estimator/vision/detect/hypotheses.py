@@ -12,8 +12,9 @@ heading, size and tilt, and sorts components out; area and centroid give the pla
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -35,7 +36,7 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import checked, image_of, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.regions import covers
+from estimator.vision.regions import Region, covers
 
 _LEVELS = (0, 2)
 """Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide."""
@@ -54,48 +55,77 @@ _HEADINGS, _ASIDE = 16, 0.05
 """Headings that are tried for a component beside the pad's centre, and how far beside it is, in radii of the pad."""
 _RASTER, _SILHOUETTES = 401, 3
 """Points along a side by which a drawing's outlines are found, and the most outlines that are looked for."""
+_SPREAD, _LEAST_WITHIN = 0.35, 0.02
+"""Largest difference of the logarithm of a component's spread from the drawing's; least area of what lies within
+the largest outline, as a share of it.
+
+A pad that is cut by the frame's edge has no whole outline there, but often a whole thing in it.
+"""
+_SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
+"""Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
+as the dot in a triangle."""
+_AS_WIDE, _LEAST_SHORT, _LEAST_TILT = 0.85, 0.55, 0.2
+"""Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and least sine of a tilt that is
+tried beside none, where the tilt is not known."""
 Contour = NDArray[np.int32]
 
 
 class _Silhouette(NamedTuple):
-    """The outline of what hangs together in a drawing that has neither disc nor ring."""
+    """The outline of what hangs together in a drawing that has neither disc nor ring, or of the largest thing in that.
+
+    The latter is a hole or lettering of a second paint.
+    """
 
     centroid_m: tuple[float, float]
-    area_m2: float
+    moments_m2: F64
+    """Second moments about the centroid over the area, (2, 2)."""
     share: float
     """Its share of its convex hull."""
+    spread: float
+    """The root of the determinant of its moments over its area: the same however it is seen from afar."""
+    bright: bool
+    """True if it is brighter than what is about it, on the deck that the file says."""
+    part: float
+    """Its area over that of the largest outline."""
+
+    @property
+    def beside(self) -> float:
+        return math.hypot(*self.centroid_m)
 
 
 class _Component(NamedTuple):
     contour_px: F64
     """Its outline in the whole frame, (N, 2)."""
     off: float
-    """Difference of its share of its hull from the drawing's, by the logarithm."""
+    """Differences of its share of its hull and of its spread from the drawing's, by the logarithm."""
     of: _Silhouette
 
 
 def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[Guess]:
     """Return guesses from components of a frame that resemble those of a pad that has neither disc nor ring."""
     found = [c for level in _LEVELS for c in _components(pyramid[level], 1 << level, pad)]
-    guesses = []
-    for component in sorted(found, key=lambda c: c.off)[: _TRIED if pad.markings.is_letter_alone else 2 * _TRIED]:
-        guess = _guess(component, pyramid, camera, pad, plane)
-        if guess is not None:
-            guesses.append(guess)
-    return guesses
+    tried = _TRIED if pad.markings.is_letter_alone else 2 * _TRIED
+    return [
+        guess
+        for component in sorted(found, key=lambda c: c.off)[:tried]
+        for guess in _guesses(component, pyramid, camera, pad, plane)
+    ]
 
 
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
-    """Yield the components that fill as much of their hull as those of the drawing do and lie within the frame."""
+    """Yield the components that resemble those of the drawing and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
-    bright = 1 if pad.markings.is_bright else -1
-    for sign in (bright,) if pad.ground or pad.markings.is_letter_alone else (bright, -bright):
-        mask = np.asarray(sign * (grey.astype(np.int16) - mean) > _STANDS_OUT, np.uint8)
+    off, either = grey.astype(np.int16) - mean, not (pad.ground or pad.markings.is_letter_alone)
+    for sign in (1, -1):
+        of = tuple(each for each in _silhouettes(pad) if either or each.bright == (sign > 0))
+        if not of:
+            continue
+        mask = np.asarray(sign * off > _STANDS_OUT, np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
             if len(contour) >= 30:
-                yield from _alike(np.asarray(contour, np.int32), step, grey.shape, _silhouettes(pad))
+                yield from _alike(np.asarray(contour, np.int32), step, grey.shape, of)
 
 
 def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...]) -> Iterator[_Component]:
@@ -110,36 +140,113 @@ def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Sil
     at = contour.reshape(-1, 2).astype(float)
     centre = at.mean(axis=0)
     outward = (at - centre) * math.sqrt(area / max(cv2.contourArea(contour), 1.0)) + centre
+    spread = _moments(contour)[2]
     for silhouette in drawn:
-        off = abs(math.log(share / silhouette.share))
-        if off < _FILLED:
-            yield _Component((outward + 0.5) * step - 0.5, off, silhouette)
+        filled, spreads = abs(math.log(share / silhouette.share)), abs(math.log(spread / silhouette.spread))
+        if filled < _FILLED and spreads < _SPREAD:
+            yield _Component((outward + 0.5) * step - 0.5, filled + spreads, silhouette)
 
 
-def _guess(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> Guess | None:
-    at = plane.places(camera, component.contour_px).astype(np.float32)
+def _moments(contour: Contour | F32) -> tuple[F64, F64, float]:
+    """Return a contour's centroid, (2,), its second moments over its area, (2, 2), and its spread."""
+    of = cv2.moments(contour)
+    area, centre = of["m00"], np.array([of["m10"], of["m01"]])
+    second = np.array([[of["mu20"], of["mu11"]], [of["mu11"], of["mu02"]]])
+    if abs(area) < 1e-9:
+        return centre, second, 1.0
+    second = second / area
+    return centre / area, second, math.sqrt(max(float(np.linalg.det(second)), 1e-18)) / abs(area)
+
+
+def _guesses(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> Iterator[Guess]:
+    """Yield the poses at which a component is that of the drawing: the best on a plane, and on each that its tilt may be of."""
+    rays = camera.rays(component.contour_px)
+    if not np.isfinite(rays).all():
+        return
+    planes = [[(plane, turn) for turn in _turns(component.of, pad)]]
+    if not plane.known:
+        facing = dataclasses.replace(Plane.facing(_unit(rays.mean(axis=0))), known=False)
+        seen = _moments(_contour(facing.met_by(rays)))[1]
+        turns = _turns(component.of, pad, any_shape=True)
+        planes = [[(facing, turn) for turn in _turns(component.of, pad)]]
+        planes += [[(p, turn) for turn in turns if (p := _tilted(facing, seen, component.of, turn, way))] for way in (1.0, -1.0)]
+    for of in planes:
+        found = [_guess(rays, component.of, pyramid, camera, pad, *each) for each in of]
+        best = max((guess for guess in found if guess is not None), key=lambda guess: guess.score, default=None)
+        if best is not None:
+            yield best
+
+
+def _turns(of: _Silhouette, pad: Pad, *, any_shape: bool = False) -> list[float | None]:
+    """Return the headings that a component is looked at in; None where its place, and its shape if that counts, has none."""
+    if of.beside > _ASIDE * pad.disc_radius_m:
+        return [*np.linspace(0.0, math.tau, _HEADINGS, endpoint=False).tolist()]
+    least, most = np.linalg.eigvalsh(of.moments_m2)
+    if not any_shape or least >= _AS_WIDE * most:
+        return [None]
+    # Half a turn leaves second moments as they are.
+    return [*np.linspace(0.0, math.pi, _HEADINGS // 2, endpoint=False).tolist()]
+
+
+def _tilted(facing: Plane, seen: F64, of: _Silhouette, turn: float | None, way: float) -> Plane | None:
+    """Return the plane, of the two that a component's second moments allow, in which it is that of the drawing at a heading.
+
+    Seen from afar a plane is foreshortened along one direction alone. Of the matrices that bring the drawing's moments to those
+    that are seen one is symmetric and positive, and its axes are that direction and the other.
+    """
+    c, s = (math.cos(turn), math.sin(turn)) if turn is not None else (1.0, 0.0)
+    R = np.array([[c, -s], [s, c]])
+    root = _root(R @ of.moments_m2 @ R.T)
+    inverse = np.linalg.inv(root)
+    (short, long), axes = np.linalg.eigh(inverse @ _root(root @ seen @ root) @ inverse)
+    if short < _LEAST_SHORT * long:
+        return None
+    sine = math.sqrt(max(0.0, 1.0 - (short / long) ** 2))
+    if sine < _LEAST_TILT:
+        return None
+    normal = np.append(way * sine * axes[:, 0], short / long)
+    return dataclasses.replace(Plane.facing(facing.R_cam_plane @ normal), known=False)
+
+
+def _contour(at: F64) -> F32:
+    return np.asarray(at, np.float32).reshape(-1, 1, 2)
+
+
+def _unit(ray: F64) -> F64:
+    return np.asarray(np.append(ray, 1.0) / math.hypot(*ray, 1.0))
+
+
+def _root(of: F64) -> F64:
+    """Return the symmetric root of a symmetric positive matrix."""
+    values, axes = np.linalg.eigh(of)
+    return np.asarray(axes * np.sqrt(np.maximum(values, 0.0)) @ axes.T)
+
+
+def _guess(
+    rays: F64, of: _Silhouette, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, turn: float | None
+) -> Guess | None:
+    """Return the pose on a plane at which a contour of rays is that of the drawing; None if other headings fit better."""
+    at = plane.met_by(rays)
     if not np.isfinite(at).all():
         return None
-    of = cv2.moments(at.reshape(-1, 1, 2))
-    if abs(of["m00"]) < 1e-9:
+    centre, moments, _ = _moments(_contour(at))
+    seen, drawn = float(np.linalg.det(moments)), float(np.linalg.det(of.moments_m2))
+    if not seen > 0.0:
         return None
-    centre, drawn = np.array([of["m10"], of["m01"]]) / of["m00"], component.of
-    flat = plane.pose(centre, math.sqrt(abs(of["m00"])), math.sqrt(drawn.area_m2))
-    radius_px = flat.disc_px(camera, pad)
-    level = max(0, math.floor(math.log2(max(radius_px, 1.0) / _HEADING_PX)))
-    aside = math.hypot(*drawn.centroid_m)
-    best: Guess | None = None
-    turns = np.linspace(0.0, math.tau, _HEADINGS, endpoint=False).tolist() if aside > _ASIDE * pad.disc_radius_m else [None]
-    for turn in turns:
-        # A component beside the centre says where that is at each heading; the drawing decides which heading is right.
-        pose = flat if turn is None else _beside(flat, drawn.centroid_m, turn)
-        seen = heading(pyramid[level], 1 << level, camera, pad, pose)
-        if seen is None or (turn is not None and abs(math.remainder(seen.turn_rad - turn, math.tau)) > math.tau / _HEADINGS):
-            continue
-        if best is None or seen.score > best.score:
-            R, t = pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()
-            best = Guess(R, t, seen.turn_rad, seen.score, seen.score, plane.known)
-    return best
+    flat = plane.pose(centre, seen**0.25, drawn**0.25)
+    # A component beside the centre says where that is at each heading; the drawing decides which heading is right.
+    aside = of.beside > _ASIDE * pad.disc_radius_m
+    pose = _beside(flat, of.centroid_m, turn) if turn is not None and aside else flat
+    level = max(0, math.floor(math.log2(max(pose.disc_px(camera, pad), 1.0) / _HEADING_PX)))
+    fits = heading(pyramid[level], 1 << level, camera, pad, pose)
+    if (
+        fits is None
+        or (of.part < _SMALL_PART and fits.in_view < _LEAST_IN_VIEW)
+        or (turn is not None and abs(math.remainder(fits.turn_rad - turn, math.tau if aside else math.pi)) > math.tau / _HEADINGS)
+    ):
+        return None
+    R, t = pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()
+    return Guess(R, t, fits.turn_rad, fits.score, fits.score, plane.known)
 
 
 def _beside(flat: PadPose, centroid_m: tuple[float, float], turn: float) -> PadPose:
@@ -150,21 +257,42 @@ def _beside(flat: PadPose, centroid_m: tuple[float, float], turn: float) -> PadP
 
 @lru_cache(maxsize=8)
 def _silhouettes(pad: Pad) -> tuple[_Silhouette, ...]:
-    """Return the outlines of what hangs together in the drawing, the largest first."""
+    """Return the outlines of what hangs together in the drawing, the largest first, and of the largest thing within that."""
+    marks, whole = pad.markings, _outlines(pad.regions, pad)
+    largest = cv2.contourArea(whole[0][0][0])
+    out = [_silhouette(*outline, marks.is_bright, largest) for outline, is_hole in whole if not is_hole][:_SILHOUETTES]
+    inner, bright = [outline for outline, is_hole in whole if is_hole], not marks.is_bright
+    if marks.upper_on_letters and marks.colours.upper is not None:
+        inner = [outline for outline, is_hole in _outlines(marks.upper, pad) if not is_hole]
+        bright = sum(marks.colours.upper) > sum(marks.colours.h)
+    within = [_silhouette(*outline, bright, largest) for outline in inner[:1]]
+    return (*out, *(one for one in within if one.part > _LEAST_WITHIN))
+
+
+def _outlines(regions: Sequence[Region], pad: Pad) -> list[tuple[tuple[Contour, float], bool]]:
+    """Return outlines of regions in a raster, with its points per m, and whether they are holes; the largest first."""
     n = _RASTER
     per_m = (n - 4) / (2.0 * pad.disc_radius_m)
     gx, gy = np.meshgrid(*2 * [(np.arange(n) - 0.5 * (n - 1)) / per_m], indexing="ij")
     at = np.stack([gx.ravel(), gy.ravel()], axis=1)
-    painted = np.any([covers(region, at) for region in pad.regions], axis=0).reshape(n, n)
-    contours, _ = cv2.findContours(painted.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    out = []
-    for contour in contours:
-        area, hull, of = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour)), cv2.moments(contour)
-        if area > 0.0 and hull > 0.0:
-            # Columns of the raster run along y, rows along x.
-            y, x = ((of[m] / of["m00"] - 0.5 * (n - 1)) / per_m for m in ("m10", "m01"))
-            out.append(_Silhouette((x, y), area / per_m**2, area / hull))
-    return tuple(sorted(out, key=lambda one: -one.area_m2)[:_SILHOUETTES])
+    painted = np.any([covers(region, at) for region in regions], axis=0).reshape(n, n)
+    contours, tree = cv2.findContours(painted.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    parents = np.reshape(tree, (-1, 4))[:, 3].tolist()
+    out = [
+        ((np.asarray(contour, np.int32), per_m), parent >= 0)
+        for contour, parent in zip(contours, parents, strict=True)
+        if cv2.contourArea(contour) > 0.0
+    ]
+    return sorted(out, key=lambda one: -cv2.contourArea(one[0][0]))
+
+
+def _silhouette(contour: Contour, per_m: float, bright: bool, largest: float) -> _Silhouette:
+    (column, row), second, spread = _moments(contour)
+    # Columns of the raster run along y, rows along x.
+    centroid = (row - 0.5 * (_RASTER - 1)) / per_m, (column - 0.5 * (_RASTER - 1)) / per_m
+    area = cv2.contourArea(contour)
+    share = area / cv2.contourArea(cv2.convexHull(contour))
+    return _Silhouette(centroid, second[::-1, ::-1] / per_m**2, share, spread, bright, area / largest)
 
 
 MOST_LETTERS = 8
@@ -189,6 +317,7 @@ def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane
 
 
 U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
@@ -288,7 +417,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     any_strokes = Kind(_WORK_STROKES, frame.strokes, usual=0, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
     if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
-        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane))]
+        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane), exact=True)]
         return [*alone, strokes] if pad.markings.is_h else alone
     coarse = Kind(WORK_COARSE * size, lambda: frame.plain(luminance))
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))

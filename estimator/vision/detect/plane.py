@@ -38,7 +38,10 @@ class Plane:
 
     def places(self, camera: Camera, uv_px: F64) -> F64:
         """Map (N, 2) px to (N, 2) positions on the plane; nan where the ray misses it."""
-        xy = camera.rays(uv_px)
+        return self.met_by(camera.rays(uv_px))
+
+    def met_by(self, xy: F64) -> F64:
+        """Map (N, 2) rays to (N, 2) positions on the plane; nan where the ray misses it."""
         p = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ self.R_cam_plane
         return np.asarray(p[:, :2] / np.where(p[:, 2] > 0.15, p[:, 2], np.nan)[:, None])
 
