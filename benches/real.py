@@ -476,6 +476,7 @@ def main() -> None:
             "What was not available, so nothing here speaks of it:", "", *(f"- {what}" for what in NOT_AVAILABLE), "",
             "The same on rendered frames, by height: [benchmarks.md](benchmarks.md); limits: [limits.md](limits.md).", "",
         ]  # fmt: skip
+        args.write.mkdir(parents=True, exist_ok=True)
         (args.write / "evidence.md").write_text("\n".join(lines), encoding="utf-8")
 
 
