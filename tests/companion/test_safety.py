@@ -317,7 +317,7 @@ def test_what_stands_or_moves_about_the_pad_ends_the_descent(height_m: float, wo
     loop.until(lambda decision: words in decision.reason)
     loop.until(lambda decision: loop.pilot.phase not in ("descend", "gate"), seconds=2.0)
     loop.near = None
-    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
+    loop.until(lambda decision: loop.pilot.phase == "commit", seconds=90.0)
 
 
 def test_what_passed_delays_the_landing_and_the_operator_may_overrule_what_stays() -> None:
