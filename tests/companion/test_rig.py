@@ -69,6 +69,8 @@ def other(field: inspect.Field, path: str, present: object) -> object:
         return 1e-3
     if path == "estimator.ekf.velocity_is_over":
         return "pad"
+    if path == "guidance.refused":
+        return "hold" if present == "return" else "return"
     if path == "camera.file":
         return "photos"
     if path == "pad.file":

@@ -146,9 +146,9 @@ PICTURES = [
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_shipped_fault_of_the_picture_changes_it(name: str) -> None:
     beginnings = dict.fromkeys(("below_height_m", "above_height_m", "in_phase", "per_minute"))
-    for fault in load(name).faults:
+    for fault in (f for f in load(name).faults if isinstance(f, PictureFault)):
         soon = msgspec.structs.replace(fault, **beginnings, at_s=0.1)
-        part, _, _ = changed(soon, least=6)  # type: ignore[arg-type]
+        part, _, _ = changed(soon, least=6)
         assert part > 0.001
 
 
