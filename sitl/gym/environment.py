@@ -1,6 +1,6 @@
 """The training worlds as Gymnasium environments; this module registers `Decklander/Land-v0` when it is imported.
 
-`gymnasium.make("sitl.gym.environment:Decklander/Land-v0")` imports it first.
+`sitl.gym.register()` imports it, and `gymnasium.make("sitl.gym.environment:Decklander/Land-v0")` does.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from companion.guidance.policy import STEP_S
 from estimator.contracts.errors import BadInput
+from sitl.gym import register
 from sitl.gym.environment import LandEnv, LandVectorEnv, weighted
 from sitl.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import load
@@ -100,8 +101,9 @@ def test_every_action_is_flown_and_every_episode_ends() -> None:
     ],
 )
 def test_gymnasium_s_checker_finds_nothing(options: dict[str, str], recwarn: pytest.WarningsRecorder) -> None:
+    register()
     check_env(
-        gymnasium.make("sitl.gym.environment:Decklander/Land-v0", **options).unwrapped,
+        gymnasium.make("Decklander/Land-v0", **options).unwrapped,
         skip_render_check="render_mode" not in options,
     )
     assert not [str(w.message) for w in recwarn if "infinity" not in str(w.message)]
