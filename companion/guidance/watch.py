@@ -350,12 +350,12 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
-                if lost_s > o.tries.climb_after_s or lies or _sinks_on(estimate, o):
+                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, o):
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
 
-def _sinks_on(estimate: RelativeState | None, o: GuidanceOptions) -> bool:
+def _reaches_deck(estimate: RelativeState | None, o: GuidanceOptions) -> bool:
     """Return whether a drone without sight is at the deck before a climb would begin. Whose deck it is does not matter then."""
     if estimate is None:
         return False

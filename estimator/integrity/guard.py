@@ -35,9 +35,9 @@ _UNSEEN = sensors.SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
+"""Samples with a stamp of their own each, many a second."""
 _SWUNG_SIGMAS = 4.0
 """Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
-"""Samples with a stamp of their own each, many a second."""
 
 
 class IntegrityGuard(Struct, frozen=True):
