@@ -1,7 +1,9 @@
 """The vehicle's response as it is known in flight."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 
 class ResponseState(Enum):
@@ -15,6 +17,36 @@ class ResponseState(Enum):
     """The flight contradicts the delay of its file and takes its place."""
 
 
+class TiltShape(NamedTuple):
+    """Difference of a vehicle's tilt from its file, beside the delay: factors, and how much less the place weighs for it."""
+
+    frequency: float = 1.0
+    damping: float = 1.0
+    softer: float = 1.0
+    """Factor by which the place weighs less, so that the margins are kept for all that this may be."""
+    sigma: float = 0.0
+    """Standard deviation of the frequency's logarithm."""
+
+    @property
+    def slow(self) -> float:
+        """The factor on the frequency that gains are made for: one standard deviation slower, and never faster than the file.
+
+        The slow side takes phase. Gains for a faster vehicle than there is have no margin; those of the file stand it.
+        """
+        return min(1.0, self.frequency * math.exp(-self.sigma))
+
+    @property
+    def text(self) -> str:
+        """The difference for the operator."""
+        by, damped = 100.0 * abs(1.0 - self.frequency), 100.0 * abs(1.0 - self.damping)
+        how = "as fast as" if self.frequency == 1.0 else f"{by:.0f} % {'slower' if self.frequency < 1.0 else 'faster'} than"
+        less = f", damped {damped:.0f} % {'less' if self.damping < 1.0 else 'more'}" if self.damping != 1.0 else ""
+        return f"this vehicle answers {how} its file (sigma {100.0 * self.sigma:.0f} %){less}"
+
+
+AS_FILED = TiltShape()
+
+
 @dataclass(frozen=True, slots=True)
 class ResponseInUse:
     """The response that the control law flies by."""
@@ -26,35 +58,17 @@ class ResponseInUse:
     """Standard deviation of the delay; None if nothing states it."""
     longer_s: float = 0.0
     """Excess of the delay over its file, s."""
-    frequency: float = 1.0
-    """Frequency of the tilt over that of its file."""
-    frequency_sigma: float = 0.0
-    damping: float = 1.0
-    """Damping of the tilt over that of its file."""
-    softer: float = 1.0
-    """Factor by which the place weighs less, so that the margins are kept for all that this may be."""
-
-    @property
-    def other_shape(self) -> bool:
-        """True if the tilt answers faster, slower, or damped otherwise than its file says."""
-        return self.frequency != 1.0 or self.damping != 1.0
+    shape: TiltShape = AS_FILED
 
     @property
     def contradicts(self) -> bool:
         """True if the flight contradicts its file."""
-        return self.state is ResponseState.IDENTIFIED or self.other_shape
+        return self.state is ResponseState.IDENTIFIED or self.shape != AS_FILED
 
     @property
     def text(self) -> str:
         """The state for the operator."""
-        return f"{self._shape}; {self._delay}" if self.other_shape else self._delay
-
-    @property
-    def _shape(self) -> str:
-        by, damped = 100.0 * abs(1.0 - self.frequency), 100.0 * abs(1.0 - self.damping)
-        said = "as fast as" if self.frequency == 1.0 else f"{by:.0f} % {'slower' if self.frequency < 1.0 else 'faster'} than"
-        less = f", damped {damped:.0f} % {'less' if self.damping < 1.0 else 'more'}" if self.damping != 1.0 else ""
-        return f"this vehicle answers {said} its file (sigma {100.0 * self.frequency_sigma:.0f} %){less}"
+        return self._delay if self.shape == AS_FILED else f"{self.shape.text}; {self._delay}"
 
     @property
     def _delay(self) -> str:

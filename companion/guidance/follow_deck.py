@@ -22,7 +22,7 @@ from companion.guidance.law_records import law_course, law_cycle, law_gains, law
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
 from companion.guidance.response_watch import DELAY_MAX_S
-from companion.guidance.retuning import shaped, slow_side
+from companion.guidance.retuning import shaped
 from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
 from companion.guidance.tilt_model import tilt_model
 from companion.guidance.view import FieldOfView
@@ -76,8 +76,7 @@ def chosen_tuning(in_use: ResponseInUse | None) -> TuningChoice:
     if in_use is None:
         return AS_GIVEN
     longer_s, soft = _STEP_S * round(in_use.longer_s / _STEP_S), in_use.state is ResponseState.ASSUMED
-    slow = slow_side(in_use.frequency, in_use.frequency_sigma)
-    return TuningChoice(longer_s, soft, slow, in_use.damping, in_use.softer)
+    return TuningChoice(longer_s, soft, in_use.shape.slow, in_use.shape.damping, in_use.shape.softer)
 
 
 def tuned(given: TiltResponse, weights: TiltWeights, choice: TuningChoice) -> tuple[TiltResponse, TiltWeights]:

@@ -33,7 +33,7 @@ _LATE_M_S2 = 0.6
 The median error of 20 flights of sea_state_4 with video 0.26 s late was 3.2 cm, of 20 with 0.09 s 2.2 cm.
 """
 _SIGMA_P_M = 0.01
-PHASE_LEAST_DEG, PEAK_MOST = 30.0, 2.0
+_PHASE_LEAST_DEG, _PEAK_MOST = 30.0, 2.0
 """Margins that gains for an identified response keep."""
 _FEW = 120
 """Number of frequencies that tell them within half a degree and 0.02."""
@@ -124,7 +124,7 @@ def keeps_margins(assumed: TiltResponse, believed: Sequence[TiltResponse], softe
         own = vehicle.A + np.outer(vehicle.B, law.D @ vehicle.measured)
         M = np.block([[own, np.outer(vehicle.B, law.C)], [law.B @ vehicle.measured, law.A]])
         _, phase_deg, _, peak = by_frequency(*_open_loop(vehicle, law, _FEW))
-        if phase_deg < PHASE_LEAST_DEG or peak > PEAK_MOST or float(np.abs(np.linalg.eigvals(M)).max()) >= 1.0:
+        if phase_deg < _PHASE_LEAST_DEG or peak > _PEAK_MOST or float(np.abs(np.linalg.eigvals(M)).max()) >= 1.0:
             return False
     return True
 

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.settings.response import ClimbResponse, Response, TiltResponse
+from companion.settings.response import ClimbResponse, Response, TiltResponse, within
 from estimator.contracts.geometry import F64
 
 STEP_S = 0.02
@@ -157,10 +157,11 @@ def fit_tilt(course: FlightCourse, start: TiltResponse, begin: TiltFit | None = 
         return None
     delay, (w, z, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
     sigma = np.sqrt(np.diag(found.cov))
+    frequency, damping = within(w, z)
     response = TiltResponse(
         delay_s=delay,
-        frequency_rad_s=min(60.0, max(1.0, w)),
-        damping=min(3.0, max(0.2, z)),
+        frequency_rad_s=frequency,
+        damping=damping,
         lag_s=start.lag_s,
         max_deg=start.max_deg,
         delay_sigma_s=float(sigma[0]),

@@ -22,11 +22,11 @@ import numpy as np
 from msgspec import Struct, structs
 
 from companion.base.mission import GROUND, State
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState, TiltShape
 from companion.guidance import response_watch
 from companion.guidance.response_course import Track, asked_lean, course_of
 from companion.guidance.response_fit import FlightCourse, TiltFit, fit_tilt
-from companion.guidance.retuning import AS_FILED, TiltShape, shape_of, shaped
+from companion.guidance.retuning import shape_of, shaped
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Command
@@ -272,9 +272,7 @@ class ResponseIdentifier:
         if not self._on:
             return None
         shape, of = self._watch.shape, self._watch.in_use
-        if shape is AS_FILED:
-            return of
-        return replace(of, frequency=shape.frequency, frequency_sigma=shape.sigma, damping=shape.damping, softer=shape.softer)
+        return of if shape is AS_FILED else replace(of, shape=shape)
 
     @property
     def late_s(self) -> float | None:

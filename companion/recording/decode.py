@@ -10,7 +10,7 @@ from companion.base.mission import Event, State, StateChange
 from companion.base.observer import DeckOutlook, FrameTimes
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.reason import Reason, ReasonCause
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
 from companion.recording import records as rec
 from companion.recording.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
@@ -217,8 +217,8 @@ def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
     """Return a recorded response of the vehicle. Raises ValueError if there is no such state."""
     if of is None:
         return None
-    shape = of.frequency, of.frequency_sigma, of.damping, of.softer
-    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s, *shape)
+    shape = TiltShape(of.frequency, of.damping, of.softer, of.sigma)
+    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s, shape)
 
 
 def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:

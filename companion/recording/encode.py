@@ -205,8 +205,7 @@ def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
     """Return the record of a vehicle's response."""
     if of is None:
         return None
-    shape = of.frequency, of.frequency_sigma, of.damping, of.softer
-    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s, *shape)
+    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s, **of.shape._asdict())
 
 
 def transition(of: StateChange) -> rec.TransitionRecord:

@@ -265,11 +265,12 @@ class ResponseRecord(Struct, frozen=True, omit_defaults=True):
     longer_s: float = 0.0
     """Excess of the delay over the response file, s."""
     frequency: float = 1.0
-    frequency_sigma: float = 0.0
     damping: float = 1.0
-    """Factors on frequency and damping of the response file, and the standard deviation of the first."""
+    """Factors on frequency and damping of the response file."""
     softer: float = 1.0
     """Factor by which the place weighs less for it."""
+    sigma: float = 0.0
+    """Standard deviation of the frequency's logarithm."""
 
 
 class DeckRecord(Struct, frozen=True):

@@ -28,6 +28,15 @@ Row2 = tuple[float, float]
 Row3 = tuple[float, float, float]
 
 
+_FREQUENCY_RAD_S, _DAMPING = (1.0, 60.0), (0.2, 3.0)
+
+
+def within(frequency_rad_s: float, damping: float) -> Row2:
+    """Return frequency and damping of a tilt, moved into the limits of a response."""
+    (slowest, fastest), (least, most) = _FREQUENCY_RAD_S, _DAMPING
+    return min(fastest, max(slowest, frequency_rad_s)), min(most, max(least, damping))
+
+
 class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Response of roll and pitch to their commands.
 
@@ -36,8 +45,8 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     delay_s: Annotated[float, number("delay from guidance's command to its first effect", "s", 0.0, 0.6)]
-    frequency_rad_s: Annotated[float, number("natural frequency of the attitude loop", "rad/s", 1.0, 60.0)]
-    damping: Annotated[float, number("its damping ratio", "1", 0.2, 3.0)]
+    frequency_rad_s: Annotated[float, number("natural frequency of the attitude loop", "rad/s", *_FREQUENCY_RAD_S)]
+    damping: Annotated[float, number("its damping ratio", "1", *_DAMPING)]
     lag_s: Annotated[float, number("first-order lag before it: rotors", "s", 0.0, 0.5)] = 0.0
     max_deg: Annotated[float, number("largest tilt that a controller may ask for", "deg", 2.0, 45.0)] = 20.0
     drag_1_s: Annotated[

@@ -7,7 +7,7 @@ import pytest
 
 from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.outputs import MavSeverity
 from companion.parts.metrics.endpoint import text
@@ -19,7 +19,7 @@ from tests.companion.metrics.test_metrics import Clock, value
 ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
 KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
 LATER = ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1)
-SLOWER = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, frequency=0.75, frequency_sigma=0.05, damping=0.9, softer=2.0)
+SLOWER = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=TiltShape(0.75, 0.9, 2.0, 0.05))
 ALL = (ASSUMED, KNOWN, LATER, SLOWER)
 
 

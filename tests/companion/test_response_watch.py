@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.mission import State
-from companion.base.response_in_use import ResponseInUse, ResponseState  # fmt: skip
+from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.margins import margins
@@ -29,7 +29,7 @@ from companion.guidance.response_watch import (
     landed,
     reported,
 )
-from companion.guidance.retuning import AS_FILED, shaped
+from companion.guidance.retuning import shaped
 from companion.guidance.tilt_law import TiltWeights
 from companion.guidance.tilt_model import tilt_model
 from companion.settings.follow_deck import FollowDeckOptions

@@ -72,8 +72,8 @@ def _response(at: MonoNs, of: ResponseInUse) -> PendingEvent:
         "delay_s": of.delay_s,
         "sigma_s": of.sigma_s,
         "longer_s": of.longer_s,
-        "frequency": of.frequency,
-        "damping": of.damping,
+        "frequency": of.shape.frequency,
+        "damping": of.shape.damping,
     }
     return PendingEvent(at, "vehicle", of.text, data)
 
