@@ -28,6 +28,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
+from tests.sitl.near import NEAR
 from tests.support.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
 
 
@@ -243,8 +244,9 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
 def test_a_flight_steered_by_constant_velocity_is_recorded_and_replayed_to_the_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = tmp_path / "flight.mcap"
-    words = ["simulate", "calm", "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
+    recording, near = tmp_path / "flight.mcap", tmp_path / "near.toml"
+    near.write_text(NEAR)
+    words = ["simulate", str(near), "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
     assert cli.main([*words, "--record", str(recording)]) == 0
     assert json.loads(capsys.readouterr().out)["landed_on_pad"] is True
     assert cli.main(["replay", str(recording), "--sightings", "--json"]) == 0
