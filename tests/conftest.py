@@ -168,7 +168,7 @@ SLOW = (
 Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
 TOGETHER = ("tests/v4l2_vm/",)
 """Folders whose files share what is dear to make: one virtual machine is started for all of them."""
-APART = ("tests/packaging/test_installation.py",)
+APART = ("tests/packaging/test_installation.py", "tests/sitl/autopilots/test_stand_in_landings.py")
 """Files of long tests that share nothing, so that one worker need not run them all."""
 
 

@@ -29,9 +29,7 @@ def commands() -> list[str]:
 
 
 @pytest.mark.timeout(420)
-def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
     block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
     (tmp_path / "sea.toml").write_text('title = "guide"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n')

@@ -209,9 +209,7 @@ def test_a_repeated_emergency_toggles_once_and_leaves_only_on_request(cockpit: C
 
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(
-    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
-) -> None:
+def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(Land(persistent=True), ms(1))
     landing_at(cockpit, 50, altitude_m)
@@ -229,9 +227,7 @@ def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(
         (nd.ControlState.LANDED, TakeOff(), [GROUND, HOVER]),
     ],
 )
-def test_the_last_word_is_hover_or_the_landing_commanded(
-    cockpit: Cockpit, control: nd.ControlState, command: Velocity | Land | TakeOff, last: list[at.AtCommand]
-) -> None:
+def test_the_last_word_is_hover_or_the_landing_commanded(cockpit, control, command, last):
     cockpit.hears(0, control)
     cockpit.streamer.take(command, ms(1))
     assert cockpit.streamer.leave(ms(2)).commands() == last
@@ -243,9 +239,7 @@ def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> N
 
 
 @pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
-def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(
-    cockpit: Cockpit, altitude_m: float, ref: at.Ref
-) -> None:
+def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(cockpit, altitude_m, ref):
     cockpit.hears(0, nd.ControlState.FLYING)
     for t in range(0, 400, 20):
         cockpit.streamer.take(Land(), ms(t))
@@ -256,9 +250,7 @@ def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_ab
 
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_guidance_takes_its_landing_back_by_any_other_command(
-    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
-) -> None:
+def test_guidance_takes_its_landing_back_by_any_other_command(cockpit, altitude_m, sent):
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(Land(), ms(1))
     landing_at(cockpit, 50, altitude_m)

@@ -29,13 +29,9 @@ ARM_M = (3.0, 0.5, -1.0)
 _STEP_S = 0.02
 _MARGIN_S = 5.0
 _LEGS = (
-    (-9.0, 2.5, 1.5, -5.0),
-    (3.0, 2.5, 1.5, -5.0),
-    (8.0, 0.3, -0.2, -2.0),
-    (24.0, 0.2, 0.2, -2.0),
-    (29.0, -0.6, 0.5, -4.0),
+    (-9.0, 2.5, 1.5, -5.0), (3.0, 2.5, 1.5, -5.0), (8.0, 0.3, -0.2, -2.0), (24.0, 0.2, 0.2, -2.0), (29.0, -0.6, 0.5, -4.0),
     (34.0, 0.1, 0.0, -2.0),
-)
+)  # fmt: skip
 """(s, forward, starboard, down) of the body from the pad's mean place, m."""
 
 
@@ -95,14 +91,9 @@ class VoyageScene:
 
 
 IDEAL: dict[str, Any] = {
-    "hidden_delay_s": 0.0,
-    "mount_deg": 0.0,
-    "attitude_bias_deg": 0.0,
-    "heading_bias_deg": 0.0,
-    "vibration_m_s2": 0.0,
-    "outliers": 0.0,
-    "gaps": 0,
-}
+    "hidden_delay_s": 0.0, "mount_deg": 0.0, "attitude_bias_deg": 0.0, "heading_bias_deg": 0.0, "vibration_m_s2": 0.0,
+    "outliers": 0.0, "gaps": 0,
+}  # fmt: skip
 """The fields of a scene without sensor errors but white noise."""
 
 OPTIONS = EkfOptions(

@@ -157,9 +157,7 @@ def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again
 @pytest.mark.parametrize(("stack", "ours", "back", "number"), [
     (Stack.ARDUPILOT, "guided", "rtl", (6, 0)), (Stack.PX4, "offboard", "auto.rtl", (4, 5)),
 ])  # fmt: skip
-def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
-    stack: Stack, ours: str, back: str, number: tuple[float, float]
-) -> None:
+def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(stack, ours, back, number):
     flight = Flight(stack, ours)
     assert flight.periods(1.0, Hover(returns=True)) == [], "not ours yet"
     flight.periods(3.0, GO)
@@ -173,9 +171,7 @@ def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
 @pytest.mark.parametrize(("stack", "ours", "way", "land"), [
     (Stack.ARDUPILOT, "guided", "guided", (9, 0)), (Stack.PX4, "offboard", "auto.loiter", (4, 6)),
 ])  # fmt: skip
-def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(
-    stack: Stack, ours: str, way: str, land: tuple[float, float]
-) -> None:
+def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(stack, ours, way, land):
     there = GeoPoint.of_degrees(63.44, 10.4, 30.0)
     leaves = Hover(elsewhere=LandingPlace(there, 1000.0))
 

@@ -29,9 +29,7 @@ TRACK = RegistrationOptions(coarse=False)
     ("height_m", "lateral_mm", "range_mm", "bias_mm", "heading_deg"),
     [(0.3, 0.03, 0.05, 0.05, 0.01), (1.0, 0.05, 0.1, 0.2, 0.02), (5.0, 0.15, 2.0, 2.0, 0.1), (10.0, 0.5, 10.0, 8.0, 0.4)],
 )
-def test_accuracy_and_covariance(
-    camera: Camera, pad: Pad, height_m: float, lateral_mm: float, range_mm: float, bias_mm: float, heading_deg: float
-) -> None:
+def test_accuracy_and_covariance(camera, pad, height_m, lateral_mm, range_mm, bias_mm, heading_deg):
     stage = Stage(camera, pad)
     off, turn, nees = [], [], []
     for _ in range(24):
@@ -212,9 +210,7 @@ def test_a_reflection_on_the_distant_pad_moves_it_less_than_half_a_pixel(camera:
 
 @pytest.mark.parametrize("height_m", [9.0, 10.0])
 @pytest.mark.parametrize("radius_m", [0.19, 0.25, 0.32])
-def test_a_reflection_on_the_distant_pad_is_explained_up_to_the_noise(
-    camera: Camera, pad: Pad, height_m: float, radius_m: float
-) -> None:
+def test_a_reflection_on_the_distant_pad_is_explained_up_to_the_noise(camera, pad, height_m, radius_m):
     # Its place and width start from one of a few candidates and follow their derivatives.
     light = replace(FLAT, glare=0.4, glare_centre_m=(0.05, 0.03), glare_radius_m=radius_m)
     for seed in range(3):

@@ -48,9 +48,7 @@ def test_place_and_heading_in_level(camera: Camera, pad: Pad) -> None:
 
 
 @pytest.mark.parametrize(("height_m", "sigma_deg", "deck_deg"), [(1.0, 0.5, 0.0), (3.0, 0.3, 2.0), (10.0, 0.5, 1.0)])
-def test_errors_of_attitude_and_deck_are_in_the_covariance(
-    camera: Camera, pad: Pad, height_m: float, sigma_deg: float, deck_deg: float
-) -> None:
+def test_errors_of_attitude_and_deck_are_in_the_covariance(camera, pad, height_m, sigma_deg, deck_deg):
     stage = Stage(camera, pad)
     sigma, deck = math.radians(sigma_deg), math.radians(deck_deg)
     four, six = [], []

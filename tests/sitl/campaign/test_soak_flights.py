@@ -58,9 +58,7 @@ def test_a_flight_in_real_time_is_on_the_pad_refused_or_failed() -> None:
         (Counter({Verdict.NO_ATTITUDE: 600, Verdict.FUSED: 280}), {}, "68% of the frames had no attitude"),
     ],
 )
-def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(
-    frames: Counter[Verdict], said: dict[str, Any], reason: str
-) -> None:
+def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(frames, said, reason):
     failed = judged(FlightOutcome.EMERGENCY, frames, ended="emergency", on_pad=False, **said)
     assert failed.worth is Class.STARVED
     assert reason in failed.because
@@ -124,9 +122,7 @@ def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytes
         assert why in capsys.readouterr().err
 
 
-def test_a_virtual_soak_names_the_flight_that_failed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypatch):
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
     from companion.guidance.pilot import Pilot
 
