@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -195,9 +196,14 @@ def share(nodeid: str) -> str:
     return next((folder for folder in TOGETHER if file.startswith(folder)), file)
 
 
-def place(nodeid: str) -> int:
-    """Return the place among `SLOW`; their number for what is not slow."""
-    return next((n for n, start in enumerate(SLOW) if nodeid.startswith(start)), len(SLOW))
+@cache
+def place(file: str) -> int:
+    """Return the place of a file among `SLOW`; their number for what is not slow."""
+    return next((n for n, start in enumerate(SLOW) if file.startswith(start)), len(SLOW))
+
+
+def place_of(item: pytest.Item) -> int:
+    return place(item.nodeid.partition("::")[0])
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -210,9 +216,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is slow and put it first: workers end at about the same time only if short files come last."""
     for item in items:
-        if place(item.nodeid) < len(SLOW):
+        if place_of(item) < len(SLOW):
             item.add_marker("slow")
-    items.sort(key=lambda item: place(item.nodeid))
+    items.sort(key=place_of)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -79,6 +79,17 @@ class Seen(NullObserver):
             self.delay_s = dict(decision.belief.details).get("camera_delay_s", math.nan)
 
 
+@pytest.mark.hazard("H3", "H4")
+@pytest.mark.timeout(400)
+async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_for_a_slow_camera(tmp_path: Path) -> None:
+    seen = Seen()
+    flight = flight_of("arducopter", tmp_path, seed=24, level="model", observers=[seen])
+    end = await flight.fly()
+    assert_landed_and_stopped_at_once(flight, end)
+    assert end.failsafes == ()
+    assert abs(seen.delay_s) < 0.012, "as stamped they are 18 ms apart"
+
+
 @pytest.mark.timeout(400)
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(tmp_path, monkeypatch):
     """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
@@ -95,20 +106,15 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("stack", "modes"), [("px4", ["offboard", "auto.loiter"]), ("arducopter", ["guided"])])
 async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack, modes, tmp_path):
-    """PX4 finds a ship under way by her reports and its own GLOBAL_POSITION_INT, ArduCopter lands by sight."""
+    """PX4 finds a ship under way by her reports, its own place by its GLOBAL_POSITION_INT."""
     seen, killed = Seen(), (ServiceKilled(below_height_m=2.5, for_s=4.0),)
-    if stack == "px4":
-        start = {"height_m": 4.0, "pad_forward_m": 14.0, "pad_right_m": -6.0, "heading_deg": -20.0}
-        flight = flight_of(stack, tmp_path, "rendezvous", start=start, observers=[seen], faults=killed)
-    else:
-        flight = flight_of(stack, tmp_path, level="model", observers=[seen], faults=killed)
+    start = {"height_m": 4.0, "pad_forward_m": 14.0, "pad_right_m": -6.0, "heading_deg": -20.0}
+    by_reports: dict[str, Any] = {"name": "rendezvous", "start": start} if stack == "px4" else {}
+    flight = flight_of(stack, tmp_path, observers=[seen], faults=killed, **by_reports)
     end = await flight.fly()
-    if stack == "px4":
+    if by_reports:
         assert seen.phases.index("rendezvous") < seen.phases.index("descend")
         assert end.failsafes == ("Failsafe activated: Offboard signal lost, entering Hold",)
-    else:
-        assert end.failsafes == ()
-        assert abs(seen.delay_s) < 0.012, "as stamped, an autopilot's filtered gyro and the camera are 18 ms apart"
     (silence,) = end.silences
     assert silence.modes == modes, "nothing of the dying service came through"
     assert silence.phase == "descend"

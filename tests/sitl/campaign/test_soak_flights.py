@@ -11,7 +11,6 @@ from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.campaign import plots
 from sitl.campaign.growth import Reading
 from sitl.campaign.soak_flights import Class, Flown, Outcomes, by_fault, real
 from sitl.flight.ending import Load
@@ -89,6 +88,8 @@ def test_failed_flights_and_a_starved_soak_are_faults() -> None:
 
 
 def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path) -> None:
+    from sitl.campaign import plots  # matplotlib takes half a second
+
     readings = [Reading(30.0 * n, n, 100.0 + n, 10, 3, None, 1.0 * n) for n in range(12)]
     flights = [flown(worth, n + 1, f"a; faults/{n}") for n, worth in enumerate(Class)]
     plots.soak(tmp_path / "soak.png", readings, flights)
