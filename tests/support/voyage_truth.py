@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation as Spin
 from scipy.spatial.transform import RotationSpline
 
@@ -117,6 +116,8 @@ def stamp(measured_at_s: float, received_at_s: float | None = None, sigma_s: flo
 
 def coloured(rng: np.random.Generator, n: int, step_s: float, sigma: float, memory_s: float, width: int) -> F64:
     """(n, width) ARMA(1, 1) noise of standard deviation `sigma`, already settled."""
+    from scipy.signal import lfilter  # loads scipy.stats: not where tests are only collected
+
     a, b = math.exp(-step_s / memory_s), 0.3
     spare = round(8 * memory_s / step_s)
     raw = lfilter([1.0, b], [1.0, -a], rng.standard_normal((n + spare, width)), axis=0)[spare:]
