@@ -81,9 +81,9 @@ def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_p
     for range_m, agrees in ((along_m + 0.23, True), (along_m + 0.25, False), (2.0, True), (1.77, True), (1.75, False)):
         assert speaks(leaning(*lean), range_m) is agrees
     for foot in ((0.49, 0.0), (0.0, -0.49), (0.3, 0.3)):
-        assert speaks(leaning(*lean, foot), 2.1) is True
+        assert speaks(leaning(lean[0], lean[1], foot), 2.1) is True
     for foot in ((0.51, 0.0), (0.0, -0.51), (0.4, 0.4)):
-        assert speaks(leaning(*lean, foot), 2.1) is None
+        assert speaks(leaning(lean[0], lean[1], foot), 2.1) is None
 
 
 @pytest.mark.parametrize(
