@@ -114,12 +114,6 @@ def test_a_drone_that_lands_by_itself_is_not_called_up_again(cockpit: Cockpit) -
     assert cockpit.sends(1) == [HOVER]
 
 
-def test_no_ref_once_the_drone_is_silent(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.HOVERING)
-    assert cockpit.sends(900) == [FLY, HOVER]
-    assert cockpit.sends(1100) == [HOVER]
-
-
 def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.HOVERING)
     cockpit.measures(0)
@@ -133,15 +127,6 @@ def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> 
     assert sticks.yaw == pytest.approx(0.5 / cockpit.options.yaw_rate_max_rad_s)
     cockpit.streamer.take(Hover(), ms(2))
     assert cockpit.sends(3) == [FLY, HOVER]
-
-
-def test_an_old_velocity_command_is_flown_as_hover(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.take(FORWARD, ms(0))
-    cockpit.measures(240)
-    assert cockpit.sends(249)[1] != HOVER
-    assert cockpit.sends(251)[1] == HOVER
-    assert cockpit.counters.hover_for_age == 1
 
 
 def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpit: Cockpit) -> None:
@@ -236,17 +221,6 @@ def test_the_last_word_is_hover_or_the_landing_commanded(cockpit, control, comma
 def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> None:
     demo = nd.Demo(nd.ControlState.LANDING.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0)
     cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.NavdataState.FLYING, 1, (demo,)), ms(t))
-
-
-@pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
-def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(cockpit, altitude_m, ref):
-    cockpit.hears(0, nd.ControlState.FLYING)
-    for t in range(0, 400, 20):
-        cockpit.streamer.take(Land(), ms(t))
-    landing_at(cockpit, 500, altitude_m)
-    assert cockpit.sends(501) == [GROUND, HOVER], "a late guidance cycle is no reason"
-    landing_at(cockpit, 900, altitude_m)
-    assert cockpit.sends(901) == [ref, HOVER]
 
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
