@@ -21,27 +21,16 @@ PACKAGES = ("companion", "drivers", "estimator", "sitl")
 NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "types"}
 
 DISTRIBUTION_NAMES = {
-    "opencv-python-headless": "cv2",
-    "pytest-asyncio": "pytest_asyncio",
-    "pytest-xdist": "xdist",
-    "pupil-apriltags": "pupil_apriltags",
-    "pyserial": "serial",
-    "paho-mqtt": "paho",
-    "prometheus-client": "prometheus_client",
-}
+    "opencv-python-headless": "cv2", "pytest-asyncio": "pytest_asyncio", "pytest-xdist": "xdist",
+    "pupil-apriltags": "pupil_apriltags", "pyserial": "serial", "paho-mqtt": "paho", "prometheus-client": "prometheus_client",
+}  # fmt: skip
 
 DRAWINGS = {
-    "sitl/experiments/page.py",
-    "sitl/campaign/plots.py",
-    "companion/tools/calibrate/figures.py",
-    "sitl/gym/environment.py",
-}
+    "sitl/experiments/page.py", "sitl/campaign/plots.py", "companion/tools/calibrate/figures.py", "sitl/gym/environment.py",
+}  # fmt: skip
 """Modules that need the extra `report`. The commands that draw call `require_drawing` first and import these late."""
 
-LAB = {
-    "companion/cli/progress.py",
-    *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables")),
-}
+LAB = {"companion/cli/progress.py", *(f"sitl/campaign/{name}.py" for name in ("design", "store", "tables"))}
 """Modules that need the extra `lab`. They call `require_lab` first, or do without."""
 
 ROS2 = {f"companion/tools/ros2/{name}.py" for name in ("bag", "bag_import", "typestore")}

@@ -3,7 +3,6 @@
 import json
 import signal
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -64,9 +63,7 @@ def test_the_table_has_a_row_for_each_fault_with_what_was_unsafe() -> None:
     assert b == "| b | 2 | pad | 2 on pad (landed) | no | pad, 10 cm off (seed 1); hardest 0.40 m/s |  |"
 
 
-def test_it_flies_the_requested_seeds_of_the_requested_faults(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_flies_the_requested_seeds_of_the_requested_faults(monkeypatch, capsys):
     flights = Flights()
     words = ("--first", "211", "--seeds", "2", "--only", "imu_spike", "battery_low")
     assert run(monkeypatch, flights, *words) == 0
@@ -74,9 +71,7 @@ def test_it_flies_the_requested_seeds_of_the_requested_faults(
     assert "vision: registration; settings: sim; seeds: 211 to 212\n" in capsys.readouterr().out
 
 
-def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_it(monkeypatch, capsys, tmp_path):
     words = ("--only", "imu_spike", "battery_low", "--out", str(tmp_path / "flights.jsonl"))
     assert run(monkeypatch, Flights(ended_after=1), *words) == 128 + signal.SIGTERM
     output = capsys.readouterr().out
@@ -88,9 +83,7 @@ def test_a_run_that_is_ordered_to_end_reports_it_and_the_next_one_goes_on_with_i
     assert "INTERRUPTED" not in capsys.readouterr().out
 
 
-def test_a_flight_kept_from_other_methods_of_vision_is_not_taken_for_one_of_these(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_flight_kept_from_other_methods_of_vision_is_not_taken_for_one_of_these(monkeypatch, tmp_path):
     kept = tmp_path / "flights.jsonl"
     words = ("--only", "imu_spike", "--out", str(kept))
     assert run(monkeypatch, Flights(), *words) == 0

@@ -36,9 +36,7 @@ def falling(down_m_s: float | None, sigma_m_s: float = 0.0) -> Knowledge:
         (None, True, False, 0.0, 0.0),
     ],
 )
-def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(
-    deck_m_s: float | None, fit: bool, over_ground: bool, velocity_m_s: float, lean_m_s: float
-) -> None:
+def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(deck_m_s, fit, over_ground, velocity_m_s, lean_m_s):
     knowledge = falling(deck_m_s)
     for command, rate in (
         (Velocity(np.array([0.4, -0.3, 0.5]), 0.1), velocity_m_s),

@@ -60,9 +60,7 @@ def worst_px(found: Camera, true: Camera) -> float:
         ("aprilgrid", BENT, ["--board", "aprilgrid", "--squares", "4x3", "--square-mm", "52", "--marker-mm", "40"]),
     ],
 )
-def test_a_known_camera_is_recovered(
-    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, true: Camera, more: list[str]
-) -> None:
+def test_a_known_camera_is_recovered(folders, tmp_path, capsys, kind, true, more):
     out = tmp_path / "camera.toml"
     figures = tmp_path / "figures"
     code = main(
@@ -87,9 +85,7 @@ def test_a_known_camera_is_recovered(
         assert cv2.imread(str(figures / name)) is not None
 
 
-def test_a_poor_set_is_refused_and_its_lacks_are_reported(
-    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_poor_set_is_refused_and_its_lacks_are_reported(folders, tmp_path, capsys):
     out = tmp_path / "camera.toml"
     few = [str(folders["charuco"] / f"{i:02d}.png") for i in (0, 1, 2, 3, 4, 5)]
     assert main(["calibrate", "camera", *few, "--out", str(out)]) == 1
@@ -162,9 +158,7 @@ def test_a_fisheye_is_recognized_and_recovered() -> None:
     assert np.abs(distance_errors(found.camera, true)).max() < 1.5 * found.distances_right_to < 0.02
 
 
-def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepted(
-    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepted(folders, tmp_path, capsys):
     out = tmp_path / "camera.toml"
     size = (480, 320)
     kept = []
@@ -299,9 +293,7 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
         (["--device", "cam"], "either images and videos, or --device"),
     ],
 )
-def test_wrong_use_is_one_line(
-    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
+def test_wrong_use_is_one_line(folders, tmp_path, capsys, arguments, words):
     assert main(["calibrate", "camera", str(folders["charuco"]), "--out", str(tmp_path / "c.toml"), *arguments]) == 2
     output = capsys.readouterr().err
     assert words in output

@@ -66,9 +66,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Setting
     return folder, rig, settings
 
 
-def test_the_mount_is_written_into_a_copy_of_the_camera_file(
-    flown: tuple[Path, Path, Settings], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_mount_is_written_into_a_copy_of_the_camera_file(flown, tmp_path, capsys):
     folder, _, settings = flown
     out = tmp_path / "new.toml"
     assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 0
@@ -89,9 +87,7 @@ def test_the_mount_is_written_into_a_copy_of_the_camera_file(
     assert "name a new one" in capsys.readouterr().err
 
 
-def test_the_delay_is_written_into_a_copy_of_the_settings(
-    flown: tuple[Path, Path, Settings], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_delay_is_written_into_a_copy_of_the_settings(flown, tmp_path, capsys):
     folder, rig, settings = flown
     out = tmp_path / "rig.toml"
     words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]

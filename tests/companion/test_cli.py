@@ -103,9 +103,7 @@ def test_the_code_a_command_returns_is_the_exit_code(command: SimpleNamespace) -
         (BaseExceptionGroup("parts", [KeyboardInterrupt(), ValueError("on the way out")]), 130, ""),
     ],
 )
-def test_what_went_wrong_is_one_line_and_a_code(
-    command: SimpleNamespace, capsys: pytest.CaptureFixture[str], error: BaseException, code: int, said: str
-) -> None:
+def test_what_went_wrong_is_one_line_and_a_code(command, capsys, error, code, said):
     command.run = raising(error)
     assert cli.main(["probe"]) == code
     assert capsys.readouterr().err == said
@@ -206,9 +204,7 @@ def test_secret_files_of_links_that_are_off_are_not_missed(tmp_path: Path, capsy
     assert capsys.readouterr().out.startswith(f"{rig}: good\n")
 
 
-def test_credentials_are_checked_inside_the_systemd_unit_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_credentials_are_checked_inside_the_systemd_unit_alone(tmp_path, capsys, monkeypatch):
     rig = tmp_path / "rig.toml"
     head = (ROOT / "configs/sim.toml").read_text().partition("\n[guidance]")[0]
     rig.write_text(head + '\n[mqtt]\ntransport = "tls"\nuser = "deck"\npassword_file = "credential:password"\n')
@@ -229,9 +225,7 @@ def test_a_32_bit_python_is_refused_with_a_word(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize("command", ["demo", "simulate", "replay"])
-def test_a_report_that_cannot_be_written_is_refused_before_the_flight(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_that_cannot_be_written_is_refused_before_the_flight(command, tmp_path, capsys):
     """A folder below a file cannot be made, not even by root."""
     (tmp_path / "file").write_text("")
     what = {"demo": [], "simulate": ["calm"], "replay": [str(ROOT / "tests/golden/approach.mcap")]}[command]
@@ -283,9 +277,7 @@ def test_a_closed_standard_stream_is_no_traceback(closed: str) -> None:
         (["doctor", "--snapshot", "README.md"], "README.md: no snapshot of a set-up: "),
     ],
 )
-def test_a_name_that_cannot_be_meant_is_one_clear_line(
-    words: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_that_cannot_be_meant_is_one_clear_line(words, said, monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     assert cli.main(words) == 2
     err = capsys.readouterr().err

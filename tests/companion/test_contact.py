@@ -184,9 +184,7 @@ FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerome
         (0.2, 0.4, Impact(ns(9.9), "velocity", held_m_s=0.5), {"range_m": 0.1}, True),
     ],
 )  # fmt: skip
-def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(
-    feet_m: float, down_m_s: float, felt_by: Impact | None, more: dict[str, object], contact: bool
-) -> None:
+def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(feet_m, down_m_s, felt_by, more, contact):
     cone = ConeOptions()
     seen = estimate(10.0, (0.0, 0.0, feet_m + cone.feet_below_m), (0.0, 0.0, -down_m_s))
     s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen, impact=felt_by), **more)

@@ -45,9 +45,7 @@ def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, c
     assert not any(name.startswith(("camera", "scene", "tf", "pose")) for name in names), "drawings for viewers are left out"
 
 
-def test_what_cannot_be_written_or_is_damaged_is_reported(
-    flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_written_or_is_damaged_is_reported(flown, tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
     assert cli.main(["record", "export", str(flown), "--output", str(tmp_path / "file")]) == 2
     assert "cannot write tables there" in capsys.readouterr().err

@@ -167,9 +167,7 @@ def test_a_mirrored_camera_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert ("mirror" in err) == (name == "mirrored")
 
 
-def test_folders_hold_any_image_and_deep_ones_are_found_alike(
-    album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folders_hold_any_image_and_deep_ones_are_found_alike(album, tmp_path, capsys):
     grey = cv2.cvtColor(cv2.imread(str(album / "a.png")), cv2.COLOR_BGR2GRAY).astype(np.uint16)
     (tmp_path / "deep.pgm").write_bytes(b"P5 640 360 1023\n" + (grey * 4).astype(">u2").tobytes())
     cv2.imwrite(str(tmp_path / "deep.png"), grey * 4)
@@ -213,9 +211,7 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
         (["{album}/a.png", "--camera", "sim", "--attitude", "{twice}"], "line 3"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_two(
-    words: list[str], named: str, album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line_and_exit_code_two(words, named, album, tmp_path, capsys):
     files = {"bad": "width = 640\nheight = 360\n", "small": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n"}
     tables = {"headless": "a.png,1,2\n", "words": "flat", "other": "z.png,1,2\n", "twice": "a.png,1,2\na.png,1,2\n"}
     places = {"album": str(album), "empty": str(tmp_path / "empty")}

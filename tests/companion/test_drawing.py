@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -26,9 +25,7 @@ def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyP
     ],
     ids=lambda words: words[0],
 )
-def test_every_command_that_draws_refuses_at_once(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_that_draws_refuses_at_once(words, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main([word.format(tmp_path) for word in words]) == 2
     assert "matplotlib, which is not installed" in capsys.readouterr().err

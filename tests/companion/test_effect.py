@@ -30,10 +30,7 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
         ),
         (ARDRONE | {"mqtt": {"host": "127.0.0.1"}}, ()),
         (ARDRONE | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
-        (
-            ARDRONE | {"video_stream": {"drawn": False}},
-            ("video_stream.drawn: without effect, as video_stream.to is empty",),
-        ),
+        (ARDRONE | {"video_stream": {"drawn": False}}, ("video_stream.drawn: without effect, as video_stream.to is empty",)),
         (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
         (
             ARDRONE | {"vessel": {"jump_m": 20.0}},
@@ -86,9 +83,7 @@ def test_check_reports_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         ('vessel.nmea = "127.0.0.1:10110"\nguidance.rendezvous.enabled = true', None),
     ],
 )
-def test_what_does_not_go_together_about_the_ship_s_place_is_reported(
-    lines: str, said: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_does_not_go_together_about_the_ship_s_place_is_reported(lines, said, tmp_path, capsys):
     file = tmp_path / "own.toml"
     file.write_text(f'vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\n{lines}\n')
     assert main(["config", "check", str(file)]) == 0
@@ -98,9 +93,7 @@ def test_what_does_not_go_together_about_the_ship_s_place_is_reported(
 
 
 @pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])
-def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(
-    kd: float, told: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(kd, told, caplog):
     data = ARDRONE | {"guidance": {"pid": {"heading": {"kp": 0.5, "kd": kd}}}}
     with caplog.at_level(logging.WARNING):
         settings = from_mapping(data, "old.toml")

@@ -66,9 +66,7 @@ def test_a_wrong_name_is_not(number: int) -> None:
 
 
 @pytest.mark.parametrize(("number", "code"), [*((n, 1) for n in WORLD), *((n, 2) for n in SETTINGS)])
-def test_a_settings_file_that_cannot_be_read(
-    number: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_settings_file_that_cannot_be_read(number, code, tmp_path, monkeypatch, capsys):
     file = tmp_path / "rig.toml"
     file.write_text("")
 
@@ -96,9 +94,7 @@ def test_what_ends_the_service(lives: SimpleNamespace, error: Exception, code: i
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_settings_that_gave_a_frame_are_no_longer_wrong_in_this_life_and_the_next(
-    lives: SimpleNamespace, wrapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_that_gave_a_frame_are_no_longer_wrong_in_this_life_and_the_next(lives, wrapped, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     wrong = BadInput("camera /dev/video0: control 'gain' was set to 3 but holds 1")
     lives.error = ExceptionGroup("parts", [wrong]) if wrapped else wrong
@@ -118,9 +114,7 @@ def test_a_note_that_cannot_be_read_proves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EIO, errno.ENOSPC])
-def test_a_spool_on_a_failed_disk_keeps_events_in_memory(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_spool_on_a_failed_disk_keeps_events_in_memory(number, tmp_path, monkeypatch, caplog):
     def broken(*_: Any, **__: Any) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -133,9 +127,7 @@ def test_a_spool_on_a_failed_disk_keeps_events_in_memory(
 
 
 @pytest.mark.parametrize(("variable", "value"), [("NOTIFY_SOCKET", "nowhere"), ("WATCHDOG_USEC", "soon")])
-def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(
-    variable: str, value: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
-) -> None:
+def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(variable, value, monkeypatch, caplog, tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "manager"))
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "manager"))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from companion.tools.install import versions
 from tests.companion.install.computer import wheel
+from tests.sitl.near import NEAR
 
 ROOT = Path(__file__).parents[2]
 _WITHOUT = """
@@ -40,10 +41,11 @@ def without_pyav(*commands: str, cwd: Path) -> tuple[list[str], str]:
 def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_its_setting(tmp_path: Path) -> None:
     photo, film = ROOT / "configs/examples/pad.jpg", tmp_path / "film.mp4"
     film.write_bytes(b"no image")
+    (tmp_path / "near.toml").write_text(NEAR)
     codes, printed = without_pyav(
         "run --config raspberry_ardupilot --check",
         f"detect {photo} --camera sim --pad thesis",
-        "simulate calm --seed 3 --perception model",
+        "simulate near.toml --seed 3 --perception model",
         "config check ardrone1",
         "run --config ardrone2 --check",
         f"detect {film} --camera sim --pad thesis",

@@ -189,9 +189,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
     at=st.integers(0, 20),
     for_=st.sampled_from((1, 3, 25, 10**9)),
 )
-def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(
-    undisturbed: list[tuple[int, str]], role: str, error: str, at: int, for_: int
-) -> None:
+def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(undisturbed, role, error, at, for_):
     commands, health, raised = event_loop.run(flown(role, error, at, for_, 0.5))
     assert commands == undisturbed[: len(commands)]
     assert health.parts["vehicle"].restarts == health.parts["guidance"].restarts == 0
@@ -280,9 +278,7 @@ PARTS: dict[str, tuple[type, str]] = {
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a part whose body is broken closes nothing
 @pytest.mark.parametrize("part", sorted(PARTS))
-def test_the_services_own_parts_cannot_touch_the_flight(
-    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undisturbed: list[tuple[int, str]]
-) -> None:
+def test_the_services_own_parts_cannot_touch_the_flight(part, tmp_path, monkeypatch, undisturbed):
     of, method = PARTS[part]
 
     def broken(*_: object, **__: object) -> None:

@@ -22,9 +22,7 @@ from tests.support.mqtt_service import decision
 
 @pytest.mark.parametrize("where", sorted(start.PLACES))
 @pytest.mark.parametrize("vehicle", sorted(start.VEHICLES))
-def test_the_file_is_short_commented_good_and_never_overwritten(
-    vehicle: str, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, tmp_path, capsys):
     out = tmp_path / "rig.toml"
     words = ["start", "--yes", "--no-doctor", "--vehicle", vehicle, "--where", where, "--camera", "usb", "--out", str(out)]
     assert main([*words, "--page", "127.0.0.1"]) == 0

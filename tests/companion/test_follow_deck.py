@@ -286,9 +286,7 @@ def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
 
 @pytest.mark.parametrize("climb_delay_s", [0.0, 0.02, 0.1, 0.21])
 @pytest.mark.parametrize("response", [None, IDENTIFIED])
-def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(
-    climb_delay_s: float, response: ResponseInUse | None
-) -> None:
+def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(climb_delay_s, response):
     law = FollowDeck(structs.replace(RESPONSE, climb=structs.replace(RESPONSE.climb, delay_s=climb_delay_s)), T)
     longer = 0.0 if response is None else response.longer_s
     n = max(1, round((climb_delay_s + longer) / T))

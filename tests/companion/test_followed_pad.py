@@ -72,9 +72,7 @@ def jumps(t: float) -> float:
 
 
 @pytest.mark.parametrize(("aside_m", "same"), [(slides, True), (leaves, False), (jumps, False)])
-def test_a_pad_that_never_left_the_picture_is_no_other_one_when_the_samples_come_back(
-    aside_m: Callable[[float], float | None], same: bool
-) -> None:
+def test_a_pad_that_never_left_the_picture_is_no_other_one_when_the_samples_come_back(aside_m, same):
     clock, diary = VirtualClock(), Diary()
     vehicle = Filmed(clock, aside_m)
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())

@@ -30,9 +30,7 @@ def test_an_estimate_without_a_heading_leaves_the_last_one() -> None:
 @pytest.mark.parametrize(
     ("last_deg", "yaw_deg", "turn_deg"), [(0, 91, 91), (0, -91, 91), (135, -120, 105), (-60, 120, 180), (30, 125, 95)]
 )
-def test_more_than_a_quarter_turn_within_a_cycle_is_a_reason_and_reported_in_degrees(
-    last_deg: float, yaw_deg: float, turn_deg: float
-) -> None:
+def test_more_than_a_quarter_turn_within_a_cycle_is_a_reason_and_reported_in_degrees(last_deg, yaw_deg, turn_deg):
     memory, reason = watch(HeadingMemory(math.radians(last_deg)), seen(math.radians(yaw_deg)))
     assert memory.last_rad == math.radians(yaw_deg)
     assert isinstance(reason, Reason)

@@ -149,9 +149,7 @@ def test_commands_are_remembered_for_seven_tenths_of_a_second_and_the_one_that_w
 @pytest.mark.parametrize(
     ("ms", "faster_m_s", "holds"), [(699.9, 0.4, False), (700, 0.4, True), (800, 0.3, True), (800, 0.29, False)]
 )
-def test_a_vehicle_is_held_up_by_three_tenths_against_the_least_of_commands_that_had_their_time(
-    ms: float, faster_m_s: float, holds: bool
-) -> None:
+def test_a_vehicle_is_held_up_by_three_tenths_against_the_least_of_commands_that_had_their_time(ms, faster_m_s, holds):
     held = remembered((0, 0.5), (100, 0.3), (200, 0.7))
     after = measured(held, at_ms(ms), 0.3 - faster_m_s)
     assert after.since == (at_ms(ms) if holds else None)
@@ -179,9 +177,7 @@ def test_it_is_a_contact_after_a_quarter_of_a_second(held_ms: float, found: bool
         (0.28, 0.0, "accelerometer", State.COMMIT),
     ],
 )
-def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(
-    height_m: float, age_s: float, by: str, state: State
-) -> None:
+def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(height_m, age_s, by, state):
     """An updraft holds a vehicle up as well, and the motors stop by force after a contact."""
     o = guided("cone")
     began, t = 1.0, 2.0

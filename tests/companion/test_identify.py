@@ -171,9 +171,7 @@ def truth() -> tuple[float, float, float]:
     return vehicle.command_delay_s + 0.01, float(abs(slow)), float(-slow.real / abs(slow))
 
 
-def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
-    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(recordings, tmp_path, capsys):
     out, plot = tmp_path / "mine.toml", tmp_path / "mine.png"
     assert main(["calibrate", "vehicle", str(recordings["rough"]), "--out", str(out), "--plot", str(plot)]) == 0
     output = capsys.readouterr().out
@@ -233,9 +231,7 @@ def test_the_flight_itself_found_the_longer_delay_and_flew_by_it(recordings: dic
     assert [one.state for one in noted] == [ResponseState.ASSUMED, ResponseState.KNOWN]
 
 
-def test_what_cannot_be_identified_is_reported_in_one_line(
-    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_identified_is_reported_in_one_line(recordings, tmp_path, capsys):
     rough, pid = str(recordings["rough"]), str(recordings["pid"])
     for args, code, output in (
         (
@@ -259,9 +255,7 @@ def test_what_cannot_be_identified_is_reported_in_one_line(
         assert received.out == ""
 
 
-def test_a_recording_that_is_cut_is_identified_from_what_there_is(
-    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_that_is_cut_is_identified_from_what_there_is(recordings, tmp_path, capsys):
     torn, whole = tmp_path / "torn.mcap", recordings["rough"].read_bytes()
     torn.write_bytes(whole[: len(whole) * 8 // 10])
     assert main(["calibrate", "vehicle", str(torn), "--json"]) == 0
@@ -270,9 +264,7 @@ def test_a_recording_that_is_cut_is_identified_from_what_there_is(
     assert json.loads(received.out)["cut"] == {str(torn): "EndOfFile"}
 
 
-def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(tmp_path, capsys):
     stranger = {SETTINGS: b"[guidance.crystal_ball]\nclarity = 1.0\n"}
     for name, kept, why in (
         ("older", stranger, "settings.toml: guidance.crystal_ball is not a known key"),
@@ -341,9 +333,7 @@ def test_the_climb_of_a_landing_is_found_after_a_flight_by_hand(by_hand_s: float
 
 
 @pytest.mark.parametrize(("seconds", "code", "said"), [(20.0, 1, "too little motion"), (4.0, 2, "overlap by less than 4 s")])
-def test_a_flight_without_information_writes_no_file(
-    seconds: float, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_without_information_writes_no_file(seconds, code, said, tmp_path, capsys):
     still, out = tmp_path / "still.mcap", tmp_path / "mine.toml"
     still_flight(still, seconds)
     assert main(["calibrate", "vehicle", str(still), "--out", str(out)]) == code

@@ -93,12 +93,7 @@ def shut(
         ({"contact": AtContact(0.0, 0.0, 0.039)}, {"contact": AtContact(0.0, 0.0, 0.041)}, ReasonCause.ERROR_AHEAD, 0.08),
         ({"contact": AtContact(0.05, 0.0, 0.03)}, {"contact": AtContact(0.056, 0.0, 0.03)}, ReasonCause.ERROR_AHEAD, 0.08),
         ({"contact": AtContact(0.0, 0.199, 0.0)}, {"contact": AtContact(0.0, 0.201, 0.0)}, ReasonCause.SPEED_AHEAD, 0.2),
-        (
-            {"contact": AtContact(0.0, 0.0, 0.0, 1.9, 2.0)},
-            {"contact": AtContact(0.0, 0.0, 0.0, 2.1, 2.0)},
-            ReasonCause.GUST,
-            2.0,
-        ),
+        ({"contact": AtContact(0.0, 0.0, 0.0, 1.9, 2.0)}, {"contact": AtContact(0.0, 0.0, 0.0, 2.1, 2.0)}, ReasonCause.GUST, 2.0),
         ({"deck": tilted(1.7, -1.8)}, {"deck": tilted(1.8, -1.8)}, ReasonCause.DECK_TILT, 2.5),
         ({"deck": tilted(down_m_s=1.19)}, {"deck": tilted(down_m_s=1.21)}, ReasonCause.DECK_RATE, 1.2),
         ({"deck": tilted(down_m_s=-1.19)}, {"deck": tilted(down_m_s=-1.21)}, ReasonCause.DECK_RATE, 1.2),
@@ -109,9 +104,7 @@ def shut(
         ({"seen": {"yaw": 3.0}}, {"seen": {"yaw": None}, "aligned": True}, ReasonCause.HEADING, 12.0),
     ],
 )
-def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(
-    within: dict[str, Any], beyond: dict[str, Any], cause: ReasonCause, limit: float
-) -> None:
+def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(within, beyond, cause, limit):
     assert shut(**within) is None
     found = shut(**beyond)
     assert found is not None
@@ -279,12 +272,9 @@ def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
     Who feels his own acceleration knows it better, and takes the last chance to climb where he suddenly does not.
     """
     cases = (
-        (0.2, 0.15, True, False),
-        (0.2, 0.3, True, True),
-        (0.2, 0.07, False, False),
-        (0.2, 0.1, False, True),
+        (0.2, 0.15, True, False), (0.2, 0.3, True, True), (0.2, 0.07, False, False), (0.2, 0.1, False, True),
         (0.25, 0.1, False, False),
-    )
+    )  # fmt: skip
     for height_m, sigma_m_s, unfelt, ends in cases:
         seen = estimate(NOW, (0.0, 0.0, height_m), (0.2, 0.0, -0.4))
         cov = seen.cov.copy()

@@ -74,9 +74,7 @@ async def test_a_long_hold_is_named_and_counted(caplog: pytest.LogCaptureFixture
         (True, STOOD_S - 0.1, STOOD_S - 0.1, "was held for 1.90 s", 0),
     ],
 )
-def test_a_standstill_holds_what_flies(
-    flying: bool, late_s: float, away_s: float, said: str, holds: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_standstill_holds_what_flies(flying, late_s, away_s, said, holds, caplog):
     watching, _, held = watch(flying)
     watching._worked_s = time.process_time()
     with caplog.at_level(logging.WARNING):
@@ -112,9 +110,7 @@ def test_a_recorded_flight_says_in_its_report_how_late_the_loop_was(tmp_path: Pa
     assert facts["event loop"] == "late by at most 300 ms, 99.9 % within 2.1 ms, held longer than 0.2 s 1 times"
 
 
-async def test_a_wall_clock_that_is_set_is_reported_once(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_wall_clock_that_is_set_is_reported_once(caplog, monkeypatch):
     ahead, real = [0.0], time.time
     monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
     watching, *_ = watch()

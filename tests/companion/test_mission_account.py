@@ -205,9 +205,7 @@ def test_the_operator_sees_one_cause_for_two_seconds(stood_s: float, stands: boo
         ((0.1, 0.0, 0.3), (0.21, 0.0), 0.01, ReasonCause.ERROR_AHEAD, 0.126),
     ],
 )  # fmt: skip
-def test_the_thesis_gate_opens_over_the_last_way_point_now_and_at_the_touchdown(
-    d: tuple[float, float, float], v: tuple[float, float], sigma: float, cause: ReasonCause | None, figure: float
-) -> None:
+def test_the_thesis_gate_opens_over_the_last_way_point_now_and_at_the_touchdown(d, v, sigma, cause, figure):
     """0.12 m about it, and 0.6 s ahead at the present velocity; the pad is kept 0.1 m ahead of the body."""
     o = guided("thesis", thesis={"pad_ahead_m": 0.1})
     found = after(memory(State.GATE), estimate(NOW, d, (*v, 0.0), sigma=sigma), o).blocked

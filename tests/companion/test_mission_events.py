@@ -129,9 +129,7 @@ def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, reason: objec
     ("height_m", "ago_s", "counts"),
     [(0.232, 0.25, True), (0.233, 0.25, False), (0.232, 0.251, False), (None, 0.1, True), (None, 0.3, False)],
 )
-def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(
-    height_m: float | None, ago_s: float, counts: bool
-) -> None:
+def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(height_m, ago_s, counts):
     """The feet within three quarters of the gate's 0.25 m; a step that no flight makes is a contact at any height."""
     relative = None if height_m is None else seen((0.0, 0.0, height_m))
     found = of(Event.CONTACT, memory(State.COMMIT), cycle(relative, impact=struck("velocity", ago_s)))
@@ -173,9 +171,7 @@ def test_wind_goes_up_first_and_refuses_later(windy_s: float, spent: bool, blind
 
 
 @pytest.mark.parametrize(("spent", "height_m", "bars"), [(True, 1.99, True), (True, 2.01, False), (False, 1.0, False)])
-def test_wind_bars_the_way_down_only_near_the_deck_and_where_it_takes_the_whole_tilt(
-    spent: bool, height_m: float, bars: bool
-) -> None:
+def test_wind_bars_the_way_down_only_near_the_deck_and_where_it_takes_the_whole_tilt(spent, height_m, bars):
     """WHY: at 7 m it took 27 degrees of tilt and at the gate 13, and a drone that held over the pad was refused up there."""
     p = memory(State.INTERCEPT, windy_since=ns(NOW - 10.0), seen_height_m=height_m)
     s = cycle(seen((0.0, 0.0, height_m)), wind=STRONG._replace(spent=spent))
@@ -303,9 +299,7 @@ def test_low_and_blind_for_a_while_it_goes_around(ago_s: float | None, height_m:
         ((0.33, 0.24, 0.2), None, None), ((0.36, 0.24, 0.2), ReasonCause.DRIFTED, math.hypot(0.36, 0.24)),
     ],
 )  # fmt: skip
-def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_at_the_pad(
-    d: tuple[float, float, float], cause: ReasonCause | None, figure: float | None
-) -> None:
+def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_at_the_pad(d, cause, figure):
     """0.6 m past the deck, 0.4 m risen, 0.3 m beside the last way point's 0.12 m."""
     p, thesis = memory(State.DOWN, entered_height_m=0.3), guided("thesis")
     found = of(Event.LIMIT, p, cycle(seen(d)), thesis)
@@ -324,9 +318,7 @@ def test_a_landing_that_the_vehicle_makes_is_left_to_it_as_long_as_it_goes_down_
 @pytest.mark.parametrize(
     ("ago_s", "height_m", "lost"), [(0.51, 0.53, True), (0.5, 0.53, False), (0.51, 0.51, False), (None, 0.53, False)]
 )
-def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(
-    ago_s: float | None, height_m: float, lost: bool
-) -> None:
+def test_a_vehicle_that_lands_by_itself_loses_the_pad_where_it_leaves_the_view(ago_s, height_m, lost):
     """The view ends below the last way point's 0.3 m and its margin, where a lost pad is no loss."""
     p = memory(State.DOWN, seen=None if ago_s is None else ns(NOW - ago_s), seen_height_m=height_m)
     assert figures(of(Event.LIMIT, p, cycle(), guided("thesis"))) == ((ReasonCause.LOST_LOW, height_m, None) if lost else None)
@@ -394,9 +386,7 @@ def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(stat
     ("height_m", "age_s", "off_m", "pressed"),
     [(0.14, 1.52, 0.1, True), (0.14, 1.49, 0.1, False), (0.15, 1.52, 0.1, False), (0.14, 1.52, 0.36, False)],
 )
-def test_over_the_deck_with_a_sight_that_is_too_old_it_presses_on(
-    height_m: float, age_s: float, off_m: float, pressed: bool
-) -> None:
+def test_over_the_deck_with_a_sight_that_is_too_old_it_presses_on(height_m, age_s, off_m, pressed):
     """A PX4 stood on the pad at night, felt nothing yet, and took off again: its sight was 1.52 s old."""
     found = happens(memory(State.COMMIT), cycle(seen((off_m, 0.0, height_m), v=(0.0, 0.0, -0.4), age=age_s)))
     assert (bool(found) and found[0][0] is Event.CONTACT) is pressed

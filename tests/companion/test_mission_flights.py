@@ -202,9 +202,7 @@ def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_rea
 @pytest.mark.parametrize(
     ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.1, 0.0, False), (0.19, 0.0, True), (0.19, 0.1, False)]
 )
-def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(
-    below_m: float, longer_s: float, ends: bool
-) -> None:
+def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(below_m, longer_s, ends):
     def rolled(t: float, d: F64) -> float:
         return math.radians(3.4) if d[2] < below_m else 0.0
 
@@ -415,9 +413,7 @@ def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() ->
 
 @pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
 @pytest.mark.parametrize("over_ground", [False, True])
-def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(
-    order: Event | None, over_ground: bool
-) -> None:
+def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(order, over_ground):
     """A velocity would take an autopilot from whoever flies it, even one that holds still."""
     o = GuidanceOptions()
     progress, _ = reported(Progress.start(automatic=False), status(0.0, True), o)

@@ -210,9 +210,7 @@ def test_somebody_has_a_minute_to_decide_about_another_pad(waited_s: float, over
         ({"questions": 2}, 2.0, 5.0, False), ({"entered_height_m": 1.749}, 2.0, 5.0, False), ({}, 2.0, None, False),
     ],
 )  # fmt: skip
-def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_sight(
-    changed: dict[str, Any], height_m: float, held_s: float | None, begins: bool
-) -> None:
+def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_sight(changed, height_m, held_s, begins):
     good = None if held_s is None else ns(NOW - held_s)
     p = memory(State.ANOTHER_PAD, track=None, good_since=good, **{"entered_height_m": 2.0, **changed})
     s, o = cycle(seen((0.0, 0.0, height_m))), guided(tries={"another_pad": "automatic"})
@@ -224,9 +222,7 @@ def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_s
 @pytest.mark.parametrize(
     ("since_s", "unheard_s", "climbs"), [(1.99, 0.0, True), (2.01, 0.0, False), (3.0, 1.01, True), (None, 0.0, True)]
 )
-def test_while_the_operator_decides_it_climbs_to_the_safe_height_first(
-    since_s: float | None, unheard_s: float, climbs: bool
-) -> None:
+def test_while_the_operator_decides_it_climbs_to_the_safe_height_first(since_s, unheard_s, climbs):
     since = None if since_s is None else ns(NOW - since_s)
     p = memory(State.ANOTHER_PAD, since=since, unheard_s=unheard_s)
     assert climbs_from_question(p, ns(NOW), OPTIONS) is climbs

@@ -155,9 +155,7 @@ def test_svg_says_millimetres_and_draws_the_same_circles(tmp_path: Path) -> None
         (["--margin-mm", "90", "--out", "pad.pdf"], "margin"),
     ],
 )
-def test_wrong_use_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
+def test_wrong_use_is_one_line(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     assert main(["pad", "print", *arguments]) == 2
     output = capsys.readouterr().err
@@ -189,9 +187,7 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
         ("faa_triangle", "triangle", 1, "nearly the same after a turn by 120 degrees"),
     ],
 )
-def test_upper_lettering_and_a_triangle_are_checked_and_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, part: str, headings: int, warned: str
-) -> None:
+def test_upper_lettering_and_a_triangle_are_checked_and_printed(tmp_path, capsys, name, part, headings, warned):
     assert main(["pad", "check", name, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (part in found["contrasts"], found["alike_headings"]) == (True, headings)
@@ -208,9 +204,7 @@ def test_upper_lettering_and_a_triangle_are_checked_and_printed(
 
 
 @pytest.mark.parametrize("command", ["simulate calm --pad bar.toml", "detect frame.png --camera sim --pad bar.toml"])
-def test_a_pad_that_clutter_is_taken_for_is_not_detected(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pad_that_clutter_is_taken_for_is_not_detected(command, tmp_path, monkeypatch, capsys):
     """A bar has no distinction: it looks like a plank."""
     monkeypatch.chdir(tmp_path)
     Path("bar.toml").write_text(

@@ -88,9 +88,7 @@ def sinks(command: Command | None) -> bool:
     ),
     path=st.sampled_from(["dead_reckoning", "median_mean"]),
 )
-def test_it_never_sinks_nor_begins_to_land_without_a_fresh_sight_of_the_pad(
-    spells: list[tuple[int, bool, float, float]], path: str
-) -> None:
+def test_it_never_sinks_nor_begins_to_land_without_a_fresh_sight_of_the_pad(spells, path):
     cockpit = Cockpit(path=path)
     told_to_land = False
     for ticks, sighted, height_m, beside_m in spells:

@@ -11,7 +11,6 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
 from companion.guidance.progress import Progress, entered
-from estimator.contracts.time import MonoNs
 from tests.companion.mission_flights import ns
 
 WHY = Reason(ReasonCause.OPERATOR)
@@ -59,9 +58,7 @@ def test_a_take_off_begins_a_flight_in_which_nothing_was_requested_yet() -> None
 
 
 @pytest.mark.parametrize(("cause", "kept"), [(ReasonCause.AUTOMATIC, (2, 1, ns(2))), (ReasonCause.OPERATOR, (0, 0, None))])
-def test_an_order_gives_the_tries_back_and_what_begins_by_itself_does_not(
-    cause: ReasonCause, kept: tuple[int, int, MonoNs | None]
-) -> None:
+def test_an_order_gives_the_tries_back_and_what_begins_by_itself_does_not(cause, kept):
     p = after(well_on(State.ANOTHER_PAD), Event.BEGIN, State.SEARCH, Reason(cause))
     assert (p.go_arounds, p.questions, p.landing_began) == kept
     assert (p.begun, p.attempt, p.track, p.search_leg) == (True, Attempt(), None, 0)

@@ -34,9 +34,7 @@ def test_info_counts_what_there_is(flown: Path, capsys: pytest.CaptureFixture[st
     assert "     240  /sample/imu" in capsys.readouterr().out
 
 
-def test_a_cut_file_is_mended_and_replays_like_its_whole_part(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cut_file_is_mended_and_replays_like_its_whole_part(flown, tmp_path, capsys):
     torn, mended = tmp_path / "torn.mcap", tmp_path / "mended.mcap"
     data = flown.read_bytes()
     torn.write_bytes(data[: len(data) * 19 // 20])
@@ -66,9 +64,7 @@ def test_a_part_can_be_thinned_to_its_inputs(flown: Path, tmp_path: Path) -> Non
     assert part.stat().st_size < flown.stat().st_size / 10
 
 
-def test_a_video_and_an_attitude_table_become_a_recording_that_replays(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_video_and_an_attitude_table_become_a_recording_that_replays(flown, tmp_path, capsys):
     frames = [e for e in open_recording([flown]).events() if isinstance(e, RecordedFrame)]
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 360))
     lines = ["time_s,roll_deg,pitch_deg,yaw_deg"]
@@ -125,9 +121,7 @@ def test_a_capture_and_a_log_go_into_one_recording(tmp_path: Path) -> None:
         (["import", "none.mp4", "--config", "zzz", "--output", "x.mcap"], "there is no file 'zzz'"),
     ],
 )
-def test_wrong_use_is_one_line_and_leaves_nothing(
-    flown: Path, words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_use_is_one_line_and_leaves_nothing(flown, words, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["record", *(str(flown) if w == "FLOWN" else w for w in words)]) == 2
     err = capsys.readouterr().err

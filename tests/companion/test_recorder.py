@@ -124,13 +124,8 @@ def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, ObservedCall
 def conforms(schema: dict[str, object], value: object, where: str) -> None:
     """Return whether data conforms to a schema, for the part of JSON Schema that viewers read."""
     kinds: dict[str, Any] = {
-        "number": (int, float),
-        "integer": int,
-        "string": str,
-        "boolean": bool,
-        "array": list,
-        "object": dict,
-    }
+        "number": (int, float), "integer": int, "string": str, "boolean": bool, "array": list, "object": dict,
+    }  # fmt: skip
     kind = schema["type"]
     assert isinstance(kind, str)
     assert isinstance(value, kinds[kind]), f"{where}: {value!r} is no {kind}"

@@ -6,7 +6,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -47,9 +47,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     disk.moving.set()
 
 
-def test_a_full_disk_is_reported_once_flown_through_and_left_behind(
-    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, disk, caplog):
     path = tmp_path / "a.mcap"
     with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
         for i in range(100):
@@ -78,9 +76,7 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(
 
 
 @pytest.mark.hazard("H11")
-def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(
-    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path, disk, monkeypatch, caplog):
     options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
         recorder.on_sample(imu(0.0))
@@ -139,9 +135,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
     assert len(kept) + recorder.dropped["imu"] == 300
 
 
-def test_a_full_disk_with_a_little_room_is_left_alone(
-    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, monkeypatch):
     monkeypatch.setattr(
         "companion.parts.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000})
     )
@@ -198,9 +192,7 @@ def mend_file(path: Path) -> None:
         (Path.touch, mend_file, "recordings: File exists"),
     ],
 )
-def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None], mend: Callable[[Path], None], why: str
-) -> None:
+def test_a_folder_that_cannot_be_used_is_tried_until_it_can(tmp_path, caplog, spoil, mend, why):
     path = tmp_path / "recordings"
     spoil(path)
     with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:

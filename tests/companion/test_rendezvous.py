@@ -155,9 +155,7 @@ ANY = st.floats(-300, 300)
 
 
 @given(ANY, ANY, ANY, ANY, st.floats(-10, 10), st.one_of(st.none(), st.floats(-50, 300)), st.integers(0, 40), st.booleans())
-def test_no_place_of_the_ship_brings_it_down_or_makes_it_too_fast(
-    x: float, y: float, vx: float, vy: float, axis: float, height: float | None, leg: int, over_ground: bool
-) -> None:
+def test_no_place_of_the_ship_brings_it_down_or_makes_it_too_fast(x, y, vx, vy, axis, height, leg, over_ground):
     at = place([x, y], v=(vx, vy), axis=axis, height=height)
     for command, most in (
         (rendezvous.to_hold_off(at, OPTIONS, 0.5, over_ground=over_ground), OPTIONS.speed_m_s),

@@ -72,9 +72,7 @@ def test_it_is_there_within_the_reach_of_the_point_and_not_below_its_height() ->
         "this side",
     ],
 )
-def test_it_goes_round_the_ship_where_the_straight_way_crosses_her(
-    at_goal_deg: float, at_body_deg: float, goes_round: bool, side: float
-) -> None:
+def test_it_goes_round_the_ship_where_the_straight_way_crosses_her(at_goal_deg, at_body_deg, goes_round, side):
     """The triangle of body, pad and hold-off point is given by its angles."""
     at_goal, at_body = math.radians(at_goal_deg), math.radians(at_body_deg)
     behind = AXIS + math.pi

@@ -28,6 +28,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
+from tests.sitl.near import NEAR
 from tests.support.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
 
 
@@ -68,9 +69,7 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
             assert np.array_equal(ours.command.v_level, theirs.command.v_level)  # type: ignore[union-attr]
 
 
-def test_the_same_replay_has_the_same_hash_and_a_change_another(
-    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_same_replay_has_the_same_hash_and_a_change_another(flown, tmp_path, capsys):
     digests = [replayed(flown[0], capsys=capsys)["passes"][0]["sha256"] for _ in range(2)]
     assert digests[0] == digests[1]
     config = tmp_path / "other.toml"
@@ -88,9 +87,7 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(
     assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
 
 
-def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(
-    flown: tuple[Path, ObservedCalls], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(flown, capsys):
     for text, output in (
         ("guidance.rate=40", "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?"),
         ("guidance.rate_hz=fast", "guidance.rate_hz needs a number, found 'fast'"),
@@ -103,9 +100,7 @@ def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(
         assert "--set" in error
 
 
-def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
-    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(flown, tmp_path, capsys):
     out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
     done = out["passes"][0]
     assert done["counts"]["searched"] > 20
@@ -120,9 +115,7 @@ def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
     assert len(re.findall(r'id="film-0">([^<]*)<', page)[0]) > 10_000
 
 
-def test_a_replay_can_be_recorded_and_compared_with(
-    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_replay_can_be_recorded_and_compared_with(flown, tmp_path, capsys):
     other = tmp_path / "old.mcap"
     replayed(flown[0], "--sightings", "--record", str(other), capsys=capsys)
     out = replayed(flown[0], "--sightings", "--compare", str(other), capsys=capsys)
@@ -169,9 +162,7 @@ def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, Ob
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(
-    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(flown, tmp_path, capsys):
     part = tmp_path / "cut.mcap"
     data = flown[0].read_bytes()
     part.write_bytes(data[: len(data) * 19 // 20])
@@ -191,9 +182,7 @@ def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(
         (["--compare", "none.mcap"], "No such file"),
     ],
 )
-def test_wrong_use_is_one_line(
-    flown: tuple[Path, ObservedCalls], words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_use_is_one_line(flown, words, said, capsys):
     first = [] if words == ["none.mcap"] else [str(flown[0]), "--sightings"]
     assert cli.main(["replay", *first, *words]) == 2
     err = capsys.readouterr().err
@@ -240,11 +229,10 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
     assert math.isfinite(targets[-1].angle_x)
 
 
-def test_a_flight_steered_by_constant_velocity_is_recorded_and_replayed_to_the_bit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = tmp_path / "flight.mcap"
-    words = ["simulate", "calm", "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
+def test_a_flight_steered_by_constant_velocity_is_recorded_and_replayed_to_the_bit(tmp_path, capsys):
+    recording, near = tmp_path / "flight.mcap", tmp_path / "near.toml"
+    near.write_text(NEAR)
+    words = ["simulate", str(near), "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
     assert cli.main([*words, "--record", str(recording)]) == 0
     assert json.loads(capsys.readouterr().out)["landed_on_pad"] is True
     assert cli.main(["replay", str(recording), "--sightings", "--json"]) == 0

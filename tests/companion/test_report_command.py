@@ -47,9 +47,7 @@ def test_the_log_of_a_recording_is_that_of_the_flight(flights: list[Path]) -> No
     assert [change.target.name for change in log.transitions][-1] in ("DOWN", "LANDED")
 
 
-def test_the_command_writes_one_file_and_says_its_size(
-    flights: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_one_file_and_says_its_size(flights, tmp_path, capsys):
     capsys.readouterr()
     page = tmp_path / "one.html"
     assert cli.main(["report", str(flights[0]), "--output", str(page)]) == 0

@@ -170,9 +170,7 @@ def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt:
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(0.75, 1.0), (1.25, 1.0), (1.0, 0.55), (0.5, 1.0), (1.0, 1.0)])
-def test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping(
-    frequency: float, damping: float
-) -> None:
+def test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping(frequency, damping):
     u, watch = leans(5, 16.0, 0.6), begun(SURE, KNOWN_S)
     true = structs.replace(shaped(SURE, frequency, damping), delay_s=0.06)
     for before, after in watched(watch, u, answers(true, u, 5)):
@@ -213,9 +211,7 @@ def fit_of(delay_s: float, sigma_s: float) -> TiltFit:
 
 
 @given(st.floats(0.0, DELAY_MAX_S), st.floats(0.0, 0.2), st.sampled_from([None, 0.02, 0.1]), st.floats(0.0, DELAY_MAX_S))
-def test_a_fit_confirms_contradicts_or_decides_nothing(
-    delay_s: float, sigma_s: float, file_sigma_s: float | None, flown_with_s: float
-) -> None:
+def test_a_fit_confirms_contradicts_or_decides_nothing(delay_s, sigma_s, file_sigma_s, flown_with_s):
     tilt = structs.replace(GIVEN.tilt, delay_sigma_s=file_sigma_s)
     found = ResponseInUse(ResponseState.IDENTIFIED, flown_with_s, 0.01, flown_with_s - tilt.delay_s)
     for in_use in (begun(tilt, KNOWN_S).in_use, found):

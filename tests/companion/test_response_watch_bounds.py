@@ -87,9 +87,7 @@ def test_the_newest_reports_are_kept() -> None:
 @pytest.mark.parametrize(
     ("in_use", "doubt", "each_s"), [(ASSUMED, None, 1.0), (KNOWN, None, 2.0), (IDENTIFIED, None, 2.0), (KNOWN, IDENTIFIED, 1.0)]
 )
-def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_there_is_none(
-    in_use: ResponseInUse, doubt: ResponseInUse | None, each_s: float
-) -> None:
+def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_there_is_none(in_use, doubt, each_s):
     tells = fit(0.05)
     tells = structs.replace(tells, fitted=tells.fitted._replace(cov=np.diag([1e-4, 0.1**2, 0.2**2, 1.0])))
     for unknown in (None, fit(0.05)):
@@ -152,9 +150,7 @@ def fit(
         (IDENTIFIED, 0.0901, 0.01, ResponseInUse(ResponseState.IDENTIFIED, 0.0901, 0.01, 0.0901 - 0.05)),
     ],
 )
-def test_a_fit_decides_by_how_sure_it_is_and_how_far_off(
-    in_use: ResponseInUse, delay_s: float, sigma_s: float, said: ResponseInUse
-) -> None:
+def test_a_fit_decides_by_how_sure_it_is_and_how_far_off(in_use, delay_s, sigma_s, said):
     found = judged(in_use, TILT, fit(delay_s, sigma_s), KNOWN_S)
     assert (found.state, found.delay_s, found.longer_s) == (said.state, said.delay_s, said.longer_s)
     assert found.sigma_s == pytest.approx(said.sigma_s)

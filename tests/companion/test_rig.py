@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -33,10 +32,7 @@ TAKEN_WHOLE = (
 )  # fmt: skip
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
-MINIMALS = {
-    "ardrone": MINIMAL,
-    "mavlink": MINIMAL | {"vehicle": {"kind": "mavlink", "links": "tcp://127.0.0.1:5760"}},
-}
+MINIMALS = {"ardrone": MINIMAL, "mavlink": MINIMAL | {"vehicle": {"kind": "mavlink", "links": "tcp://127.0.0.1:5760"}}}
 
 
 def parts(settings: Settings) -> list[object]:
@@ -135,9 +131,7 @@ def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
 
 @pytest.mark.parametrize("minimal", [MINIMAL, MINIMALS["mavlink"]])
 @pytest.mark.parametrize("sigma_rad", [0.03, EkfOptions().sigma_attitude_bias_rad])
-def test_where_an_autopilot_flies_what_the_file_says_wins_and_silence_is_an_autopilot_s(
-    minimal: dict[str, Any], sigma_rad: float
-) -> None:
+def test_where_an_autopilot_flies_what_the_file_says_wins_and_silence_is_an_autopilot_s(minimal, sigma_rad):
     """WHY: a key that a file set to an AR.Drone's default was taken for silence, and replaced."""
     of_autopilot = from_mapping(MINIMALS["mavlink"], "default")
     output = {"guidance": {"tries": {"heading": "keep"}}, "estimator": {"ekf": {"sigma_attitude_bias_rad": sigma_rad}}}
@@ -149,9 +143,7 @@ def test_where_an_autopilot_flies_what_the_file_says_wins_and_silence_is_an_auto
 
 
 @pytest.mark.parametrize("kind", [AutopilotOptions, BridgeOptions])
-def test_links_are_signed_with_one_key_and_ids_of_their_own(
-    tmp_path: Path, kind: type[AutopilotOptions] | type[BridgeOptions]
-) -> None:
+def test_links_are_signed_with_one_key_and_ids_of_their_own(tmp_path, kind):
     key, time = tmp_path / "link.key", tmp_path / "time"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
@@ -181,12 +173,9 @@ CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/
 
 
 @pytest.mark.parametrize(
-    ("links", "level"),
-    [("udpin://0.0.0.0:14550", "WARNING"), ("serial:///dev/ttyAMA0:57600, tcp://127.0.0.1:5760", "INFO")],
+    ("links", "level"), [("udpin://0.0.0.0:14550", "WARNING"), ("serial:///dev/ttyAMA0:57600, tcp://127.0.0.1:5760", "INFO")]
 )
-def test_links_that_are_not_signed_are_reported_with_the_cure(
-    links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_links_that_are_not_signed_are_reported_with_the_cure(links, level, caplog, capsys, tmp_path):
     caplog.set_level("INFO")
     signed_links(AutopilotOptions(links))
     assert [r.levelname for r in caplog.records if "decklander keys make" in r.getMessage()] == [level]

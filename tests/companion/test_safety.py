@@ -150,9 +150,7 @@ def below(height_m: float, loop: Loop):
     path=st.sampled_from(["dead_reckoning", "median_mean", "ekf"]),
     pause_at=st.integers(0, 400),
 )
-def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estimate_of_its_pad(
-    spells: list[tuple[int, str]], path: PathName, pause_at: int
-) -> None:
+def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estimate_of_its_pad(spells, path, pause_at):
     loop, flown, landing_s, around = Loop(path), None, 0.0, 0
     loop.until(below(2.4, loop))
     before = loop.pilot.phase

@@ -86,10 +86,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
     ("changes", "text"),
     [
         ({"guidance__pid__horizontal__kp": "fast"}, 'guidance.pid.horizontal.kp must be a number from 0 to 20 1/s, found "fast"'),
-        (
-            {"guidance__pid__turn_max_deg_s": 720},
-            "guidance.pid.turn_max_deg_s must be a number from 1 to 360 deg/s, found 720",
-        ),
+        ({"guidance__pid__turn_max_deg_s": 720}, "guidance.pid.turn_max_deg_s must be a number from 1 to 360 deg/s, found 720"),
         ({"guidance__thesis__speed_m_s": True}, "guidance.thesis.speed_m_s must be a number from 0.05 to 5 m/s, found true"),
         ({"guidance__rate_hz": 10**400}, f"guidance.rate_hz must be a number from 5 to 200 Hz, found 1{'0' * 56}..."),
         ({"vision__threads": 2.0}, "vision.threads must be a whole number from 1 to 64 threads, found 2.0"),
@@ -145,43 +142,13 @@ UNITS = {
     "px": "_px", "K": "_k",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
-    "core_fraction",
-    "slope",
-    "gain_ratio",
-    "battery",
-    "mmsi",
-    "return_charge",
-    "take_off_charge_min",
-    "normalized_nis",
-    "kp",
-    "ki",
-    "kd",
-    "velocity_scale",
-    "velocity_lead",
-    "slow_floor",
-    "soft_least",
-    "restart_factor",
-    "restart_give_up_after",
-    "request_tries",
-    "peers_max",
-    "viewers_max",
-    "buffers",
-    "sigma_velocity_scale",
-    "sigma_velocity_fraction",
-    "sigma_range_fraction",
-    "sigma_sway_per_heave",
-    "gate_probability",
-    "view_still_ratio",
-    "place_step_fraction",
-    "reopen_count",
-    "leap_count",
-    "min_confidence",
-    "jpeg_quality",
-    "frames_each",
-    "range_tolerance_fraction",
-    "losses_max",
+    "core_fraction", "slope", "gain_ratio", "battery", "mmsi", "return_charge", "take_off_charge_min", "normalized_nis", "kp",
+    "ki", "kd", "velocity_scale", "velocity_lead", "slow_floor", "soft_least", "restart_factor", "restart_give_up_after",
+    "request_tries", "peers_max", "viewers_max", "buffers", "sigma_velocity_scale", "sigma_velocity_fraction",
+    "sigma_range_fraction", "sigma_sway_per_heave", "gate_probability", "view_still_ratio", "place_step_fraction",
+    "reopen_count", "leap_count", "min_confidence", "jpeg_quality", "frames_each", "range_tolerance_fraction", "losses_max",
     "go_arounds_max",
-}
+}  # fmt: skip
 
 
 def test_every_key_is_explained_and_a_number_carries_its_unit_in_its_name() -> None:
@@ -365,9 +332,7 @@ def test_camera_and_pad_paths_are_relative_to_the_settings_file(tmp_path: Path, 
         ('"' + "a" * 4000 + '"', "camera.file: not a usable file name"),
     ],
 )
-def test_a_camera_file_that_cannot_be_used_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: str, said: str
-) -> None:
+def test_a_camera_file_that_cannot_be_used_is_refused(tmp_path, monkeypatch, camera, said):
     monkeypatch.chdir(tmp_path)
     Path("lens.toml").write_text("width = 640\nheight = 360\nfy = 1.0\ncx = 1.0\ncy = 1.0\n")
     Path("rig.toml").write_text(MINIMAL.replace('"sim"', camera))
@@ -459,9 +424,7 @@ def test_a_pad_is_read_once_and_again_when_its_file_has_changed(tmp_path: Path) 
         ("# " + "x" * 1_000_000, "such a file has at most 1000000"),
     ],
 )
-def test_no_file_that_settings_name_is_endless_large_or_slow(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_file_that_settings_name_is_endless_large_or_slow(text, said, tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     rig.write_text(text)
     began_s = time.process_time()

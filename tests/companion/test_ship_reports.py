@@ -77,9 +77,7 @@ GARBAGE = {
 """Datagrams from the ship that are no place of hers, and what they are counted as."""
 
 
-async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_when_she_falls_silent(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_when_she_falls_silent(caplog):
     """The way of the whole service, from datagrams to a vehicle that moves."""
     port, nmea, speed_m_s = free_port(), free_port(), 2.0
     settings = settings_of(port, nmea=f"{HOST}:{nmea}", age_max_s=2.0)

@@ -95,9 +95,7 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
         ),
     ],
 )
-def test_a_flight_that_is_refused_leaves_no_recording(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, code: int, said: str
-) -> None:
+def test_a_flight_that_is_refused_leaves_no_recording(tmp_path, capsys, key, code, said):
     path, older = tmp_path / "new.mcap", tmp_path / "older.mcap"
     older.write_bytes(b"as it was")
     for out in (path, older):

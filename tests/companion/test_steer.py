@@ -73,9 +73,7 @@ def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight(
     ("age_s", "nis", "follows"),
     [(0.0, None, True), (0.29, 4.0, True), (0.31, None, False), (0.0, 4.1, False), (0.0, math.nan, False)],
 )
-def test_at_the_gate_no_deck_is_followed_down_by_sightings_that_would_keep_the_gate_shut(
-    age_s: float, nis: float | None, follows: bool
-) -> None:
+def test_at_the_gate_no_deck_is_followed_down_by_sightings_that_would_keep_the_gate_shut(age_s, nis, follows):
     falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.4]), np.zeros(3), 1e-6 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
     s = GuidanceCycle(ns(NOW), replace(known(age=age_s), deck=falls), quality=InputQuality(nis))
     down, up = (Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, v]), 0.0) for v in (0.7, -0.7))
@@ -118,9 +116,7 @@ def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
 @pytest.mark.parametrize(
     ("heading", "sigma", "yaw_rad"), [("align", 0.01, 0.0), ("align", 0.5, None), ("keep", 0.01, None), ("across", 0.01, None)]
 )
-def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(
-    heading: str, sigma: float, yaw_rad: float | None
-) -> None:
+def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(heading, sigma, yaw_rad):
     for state in (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT):
         found = asked(state, known(yaw=0.7, sigma=sigma), guided(tries={"heading": heading}))[1]
         assert isinstance(found, Target)
@@ -131,9 +127,7 @@ def test_the_nose_turns_to_the_arrow_where_set_so_and_the_arrow_is_known(
     ("height_m", "entered_m", "error_m", "wanted_m"),
     [(0.5, 0.5, 0.33, 1.5), (0.5, 0.5, 5.0, 2.0), (3.0, 2.5, 0.1, 2.5), (2.5, 3.0, 0.1, 2.5), (0.1, 0.1, 0.0, 0.295)],
 )
-def test_it_comes_over_the_pad_so_high_that_the_cone_is_as_wide_as_the_error(
-    height_m: float, entered_m: float, error_m: float, wanted_m: float
-) -> None:
+def test_it_comes_over_the_pad_so_high_that_the_cone_is_as_wide_as_the_error(height_m, entered_m, error_m, wanted_m):
     found = target(State.INTERCEPT, known((0.0, error_m, height_m)), entered_height_m=entered_m)
     np.testing.assert_allclose(found.d_body_pad_level, [0.0, 0.0, wanted_m])
 
@@ -177,9 +171,7 @@ def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_grou
 @pytest.mark.parametrize("over_ground", [True, False])
 @pytest.mark.parametrize(("state", "flees"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, False)])
 @pytest.mark.parametrize("rises_m_s", [0.4, 0.0, -0.4])
-def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(
-    state: State, flees: bool, over_ground: bool, rises_m_s: float
-) -> None:
+def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(state, flees, over_ground, rises_m_s):
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
     p = Progress(state, automatic=True, begun=True, seen_height_m=1.0, deck_rise_m=0.3, deck_top_m=0.3)
@@ -254,9 +246,7 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
         (State.COMMIT, 5.0, 6.0, 0.9, 1.0),
     ],
 )  # fmt: skip
-def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(
-    state: State, held_m: float | None, height_m: float, age_s: float, share: float
-) -> None:
+def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(state, held_m, height_m, age_s, share):
     """2 m is the safe height, and a height by an old sighting counts less two standard deviations of 0.3 m."""
     s = GuidanceCycle(ns(NOW), known((0.0, 0.0, height_m), age=age_s, sigma=0.3))
     p = Progress(state, automatic=True, begun=True, held=None if held_m is None else np.array([0.0, 0.0, held_m]))

@@ -68,9 +68,7 @@ def test_bytes_of_any_kind(records: list[Any], tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize("value", [10**30, 2**63, -(2**64)])
 @pytest.mark.parametrize("key", ["at_ns", "done_ns", "seq", "width"])
-def test_an_integer_out_of_range_costs_its_message(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, value: int
-) -> None:
+def test_an_integer_out_of_range_costs_its_message(tmp_path, capsys, key, value):
     records = small(GOLDEN / "frames.mcap", 60)
     path = tmp_path / "x.mcap"
     path.write_bytes(written(changed(records, key, value, which=-1)))
@@ -80,9 +78,7 @@ def test_an_integer_out_of_range_costs_its_message(
     assert sum(recording.skipped.values()) == 1
 
 
-def test_an_instant_of_another_day_is_left_out_and_does_not_fly_for_a_year(
-    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_instant_of_another_day_is_left_out_and_does_not_fly_for_a_year(records, tmp_path, capsys):
     """A recording without guidance cycles of its own is flown at 50 Hz, so a jump would take for ever."""
     inputs = [r for r in records if not (isinstance(r, Message) and "phase" in json.loads(r.data))]
     stamp = {"measured_at_ns": 2**61, "received_at_ns": 2**61, "sigma_s": 0.0, "source": "sim"}
@@ -118,9 +114,7 @@ def chunk(data: bytes, announced: int, compression: bytes) -> bytes:
 
 @pytest.mark.parametrize("announced", [1 << 30, 1000, MOST_CHUNK_BYTES, 2**63])
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_a_chunk_that_unpacks_to_a_gigabyte(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], announced: int, compression: str
-) -> None:
+def test_a_chunk_that_unpacks_to_a_gigabyte(tmp_path, capsys, announced, compression):
     zeros = bytes(1 << 28)
     data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
     path = tmp_path / "bomb.mcap"
@@ -143,9 +137,7 @@ def test_lengths_beyond_the_end_of_the_file(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(("topic", "key"), [("/look", b"taken_ns"), ("/detection", b"taken_ns"), ("/detection", b"doubts")])
-def test_a_recording_from_before_the_names_changed_is_refused_in_one_sentence(
-    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, key: bytes
-) -> None:
+def test_a_recording_from_before_the_names_changed_is_refused_in_one_sentence(records, tmp_path, capsys, topic, key):
     old = [
         replace(r, topic=topic) if isinstance(r, Channel) and r.topic == "/detection"
         else replace(r, data=r.data.replace(b"measured_at_ns", key)) if isinstance(r, Schema | Message)
@@ -161,9 +153,7 @@ def test_a_recording_from_before_the_names_changed_is_refused_in_one_sentence(
         assert "replay it with the version that recorded it" in err
 
 
-def test_settings_of_another_version_are_refused_in_one_sentence_and_others_may_be_named(
-    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_of_another_version_are_refused_in_one_sentence_and_others_may_be_named(records, tmp_path, capsys):
     stranger = b"[guidance.crystal_ball]\nclarity = 1.0\n"
     path = tmp_path / "x.mcap"
     path.write_bytes(

@@ -175,14 +175,7 @@ def test_wrapping_at_the_limits():
 
 @pytest.mark.parametrize(
     "matrix",
-    [
-        np.eye(4),
-        np.full((3, 3), np.nan),
-        np.diag([1.0, 1.0, -1.0]),
-        2.0 * np.eye(3),
-        np.eye(3) + 1e-4,
-        np.zeros((3, 3)),
-    ],
+    [np.eye(4), np.full((3, 3), np.nan), np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.eye(3) + 1e-4, np.zeros((3, 3))],
     ids=["shape", "nan", "reflection", "scaled", "sheared", "zero"],
 )
 def test_what_is_no_rotation_is_refused(matrix):

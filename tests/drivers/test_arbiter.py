@@ -73,9 +73,7 @@ def test_it_is_held_for_a_bounded_time() -> None:
 
 
 @pytest.mark.parametrize(("landing", "altitude_m", "called_off"), [(True, 1.0, True), (True, 0.3, False), (False, 1.0, False)])
-def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(
-    landing: bool, altitude_m: float, called_off: bool
-) -> None:
+def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(landing, altitude_m, called_off):
     """The landing of a person, which is not to be renewed, goes on."""
     arbiter = CommandArbiter(60.0)
     arbiter.take(TimedCommand(ms(120), HOVER, GROUND.bits, landing=landing))

@@ -114,12 +114,6 @@ def test_a_drone_that_lands_by_itself_is_not_called_up_again(cockpit: Cockpit) -
     assert cockpit.sends(1) == [HOVER]
 
 
-def test_no_ref_once_the_drone_is_silent(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.HOVERING)
-    assert cockpit.sends(900) == [FLY, HOVER]
-    assert cockpit.sends(1100) == [HOVER]
-
-
 def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.HOVERING)
     cockpit.measures(0)
@@ -133,15 +127,6 @@ def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> 
     assert sticks.yaw == pytest.approx(0.5 / cockpit.options.yaw_rate_max_rad_s)
     cockpit.streamer.take(Hover(), ms(2))
     assert cockpit.sends(3) == [FLY, HOVER]
-
-
-def test_an_old_velocity_command_is_flown_as_hover(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.take(FORWARD, ms(0))
-    cockpit.measures(240)
-    assert cockpit.sends(249)[1] != HOVER
-    assert cockpit.sends(251)[1] == HOVER
-    assert cockpit.counters.hover_for_age == 1
 
 
 def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpit: Cockpit) -> None:
@@ -209,9 +194,7 @@ def test_a_repeated_emergency_toggles_once_and_leaves_only_on_request(cockpit: C
 
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(
-    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
-) -> None:
+def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(Land(persistent=True), ms(1))
     landing_at(cockpit, 50, altitude_m)
@@ -229,9 +212,7 @@ def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(
         (nd.ControlState.LANDED, TakeOff(), [GROUND, HOVER]),
     ],
 )
-def test_the_last_word_is_hover_or_the_landing_commanded(
-    cockpit: Cockpit, control: nd.ControlState, command: Velocity | Land | TakeOff, last: list[at.AtCommand]
-) -> None:
+def test_the_last_word_is_hover_or_the_landing_commanded(cockpit, control, command, last):
     cockpit.hears(0, control)
     cockpit.streamer.take(command, ms(1))
     assert cockpit.streamer.leave(ms(2)).commands() == last
@@ -242,23 +223,8 @@ def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> N
     cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.NavdataState.FLYING, 1, (demo,)), ms(t))
 
 
-@pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
-def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(
-    cockpit: Cockpit, altitude_m: float, ref: at.Ref
-) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    for t in range(0, 400, 20):
-        cockpit.streamer.take(Land(), ms(t))
-    landing_at(cockpit, 500, altitude_m)
-    assert cockpit.sends(501) == [GROUND, HOVER], "a late guidance cycle is no reason"
-    landing_at(cockpit, 900, altitude_m)
-    assert cockpit.sends(901) == [ref, HOVER]
-
-
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_guidance_takes_its_landing_back_by_any_other_command(
-    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
-) -> None:
+def test_guidance_takes_its_landing_back_by_any_other_command(cockpit, altitude_m, sent):
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.streamer.take(Land(), ms(1))
     landing_at(cockpit, 50, altitude_m)

@@ -9,18 +9,15 @@ from drivers.ardrone.arbiter import HOVER, STAY_UP
 from drivers.ardrone.command_streamer import RESET, CommandStreamer, step
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
 FLYING, HOVERING, LANDING, LANDED = (
-    nd.ControlState.FLYING,
-    nd.ControlState.HOVERING,
-    nd.ControlState.LANDING,
-    nd.ControlState.LANDED,
-)
+    nd.ControlState.FLYING, nd.ControlState.HOVERING, nd.ControlState.LANDING, nd.ControlState.LANDED,
+)  # fmt: skip
 GROUND = at.REF_BASE
 
 
@@ -117,9 +114,7 @@ EMERGENCY = at.REF_BASE | at.REF_EMERGENCY
         (LeaveEmergency(), nd.NavdataState.EMERGENCY, True), (LeaveEmergency(), 0, False), (LeaveEmergency(), None, True),
     ],
 )  # fmt: skip
-def test_the_first_toggle_is_sent_unless_the_drone_is_already_where_it_leads(
-    cockpit: Cockpit, command: CutMotors | LeaveEmergency, bit: int | None, toggles: bool
-) -> None:
+def test_the_first_toggle_is_sent_unless_the_drone_is_already_where_it_leads(cockpit, command, bit, toggles):
     """Motors that somebody else has cut would be released by it."""
     if bit is not None:
         cockpit.hears(0, LANDED, bit)
@@ -130,9 +125,7 @@ def test_the_first_toggle_is_sent_unless_the_drone_is_already_where_it_leads(
 @pytest.mark.parametrize(
     ("command", "bit", "again_ms"), [(CutMotors(), 0, 300), (LeaveEmergency(), nd.NavdataState.EMERGENCY, 2000)]
 )
-def test_a_toggle_without_effect_is_sent_again_when_its_time_is_over(
-    cockpit: Cockpit, command: CutMotors | LeaveEmergency, bit: int, again_ms: int
-) -> None:
+def test_a_toggle_without_effect_is_sent_again_when_its_time_is_over(cockpit, command, bit, again_ms):
     cockpit.hears(0, LANDED, bit)
     cockpit.streamer.take(command, ms(0))
     assert [cockpit.ref(t) for t in (1, 2, 3)] == [EMERGENCY] * 3
@@ -143,9 +136,7 @@ def test_a_toggle_without_effect_is_sent_again_when_its_time_is_over(
 
 
 @pytest.mark.parametrize(("age_ms", "ref"), [(250, STAY_UP), (250.001, None)])
-def test_a_low_landing_for_our_silence_is_called_off_while_guidance_flies(
-    cockpit: Cockpit, age_ms: float, ref: int | None
-) -> None:
+def test_a_low_landing_for_our_silence_is_called_off_while_guidance_flies(cockpit, age_ms, ref):
     cockpit.streamer.take(FORWARD, ms(0))
     cockpit.hears(age_ms, LANDING, nd.NavdataState.COM_WATCHDOG, altitude_m=0.3)
     assert cockpit.ref(age_ms) == ref
@@ -181,9 +172,7 @@ def test_a_datagram_without_the_control_state_leaves_the_one_before(cockpit: Coc
 
 
 @pytest.mark.parametrize(("silent_ms", "altitude_m", "ref"), [(500, 1.0, GROUND), (500.001, 1.0, STAY_UP), (900, 0.49, GROUND)])
-def test_a_landing_nobody_renews_is_given_up_after_its_time(
-    cockpit: Cockpit, silent_ms: float, altitude_m: float, ref: int
-) -> None:
+def test_a_landing_nobody_renews_is_given_up_after_its_time(cockpit, silent_ms, altitude_m, ref):
     cockpit.hears(0, FLYING)
     cockpit.streamer.take(Land(), ms(0))
     cockpit.hears(silent_ms, LANDING, altitude_m=altitude_m)
@@ -199,9 +188,7 @@ def test_a_landing_nobody_renews_is_given_up_after_its_time(
 @pytest.mark.parametrize(
     "before", [(), (Land(), FORWARD, None), (Land(), FORWARD, Land(), TakeOff())], ids=["new", "landed", "flown"]
 )
-def test_how_low_a_landing_for_our_silence_is_called_off_owes_nothing_to_one_before(
-    cockpit: Cockpit, before: tuple[Command | None, ...]
-) -> None:
+def test_how_low_a_landing_for_our_silence_is_called_off_owes_nothing_to_one_before(cockpit, before):
     for t, command in enumerate(before):
         cockpit.hears(10 * t, LANDED if command is None else FLYING)
         if command is not None:

@@ -80,9 +80,7 @@ starts = st.builds(ExposureSetting, st.floats(1e-4, 0.02), st.floats(1.0, 16.0))
 
 @settings(deadline=None)
 @given(decades, st.floats(0.0, 3.0), starts, st.integers(1, 4), st.floats(1.6, 2.6), st.floats(0.75, 1.3))
-def test_the_pad_comes_to_its_level_from_any_light_and_stays_there(
-    per_ms: float, sea: float, start: ExposureSetting, lag: int, gamma: float, gain_error: float
-) -> None:
+def test_the_pad_comes_to_its_level_from_any_light_and_stays_there(per_ms, sea, start, lag, gamma, gain_error):
     pad_light = TARGET / per_ms  # 30 us to 0.3 s of exposure without gain
     camera = SimulatedCamera(pad_light, sea * pad_light, lag, gamma, gain_error)
     held = flown(camera, start, [OUTLINE] * WITHIN, [0.0] * WITHIN)
@@ -107,9 +105,7 @@ def test_the_product_never_swings(per_ms: float, start: ExposureSetting, lag: in
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 4000.0), min_size=30, max_size=60), decades, starts, st.floats(0.5, 4.0), st.booleans())
-def test_no_exposure_that_is_requested_smears_more_than_the_limit(
-    speeds: list[float], per_ms: float, start: ExposureSetting, blur_px: float, tracked: bool
-) -> None:
+def test_no_exposure_that_is_requested_smears_more_than_the_limit(speeds, per_ms, start, blur_px, tracked):
     options = ExposureOptions(mode="pad", blur_px=blur_px, longest_s=0.02)
     camera = SimulatedCamera(TARGET / per_ms, 0.1)
     held = flown(camera, start, [OUTLINE if tracked else None] * len(speeds), speeds, options)

@@ -206,9 +206,7 @@ def outcome(decoded: nd.Navdata | Refusal) -> object:
     st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9, 10, 21, 27, 77]), st.binary(max_size=230)), max_size=6),
     st.lists(st.tuples(st.integers(0, 2000), st.integers(1, 255)), max_size=3),
 )
-def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(
-    bodies: list[tuple[int, bytes]], damage: list[tuple[int, int]]
-) -> None:
+def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(bodies, damage):
     """The second of two datagrams of one size may be as the first, be damaged anywhere, or have other headers."""
     raw = b"".join(struct.pack("<HH", tag, len(body) + 4) + body for tag, body in bodies)
     head = struct.pack("<IIII", nd.MAGIC, 5, 7, 1) + raw

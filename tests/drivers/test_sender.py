@@ -321,15 +321,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
 
 def test_the_wall_clock_may_jump() -> None:
     """Deadlines are of the monotonic clock in both processes: no clock that can be set is read."""
-    names = (
-        "sender",
-        "sender_lock",
-        "sender_wire",
-        "arbiter",
-        "landing_watch",
-        "command_streamer",
-        "command_channel",
-    )
+    names = ("sender", "sender_lock", "sender_wire", "arbiter", "landing_watch", "command_streamer", "command_channel")
     sources = [(ROOT / f"drivers/ardrone/{name}.py").read_text() for name in names]
     assert any("time.monotonic_ns()" in source for source in sources)
     assert not any("time.time" in source or "datetime" in source for source in sources)

@@ -420,9 +420,7 @@ def test_the_stamp_is_the_middle_of_the_exposure() -> None:
 
 @given(stamp_ns=st.integers(-(2**63), 2**63), monotonic=st.booleans(), at_start=st.booleans(), latency_s=st.floats(0.0, 0.5))
 @settings(max_examples=200)
-def test_no_kernel_stamp_whatever_makes_an_impossible_one(
-    stamp_ns: int, monotonic: bool, at_start: bool, latency_s: float
-) -> None:
+def test_no_kernel_stamp_whatever_makes_an_impossible_one(stamp_ns, monotonic, at_start, latency_s):
     received_at = MonoNs(5_000_000_000)
     o = options(latency_s=latency_s)
     stamp, refused = kernel_stamp(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), received_at, o, 0.004)
@@ -466,9 +464,7 @@ def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("call", ["listdir", "readlink", "lstat", "stat"])
-def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
+def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(tmp_path, monkeypatch, call):
     by_id, sysfs, body = tmp_path / "by-id", tmp_path / "sys", tmp_path / "usb1"
     for folder in (by_id, body, sysfs / "video0"):
         folder.mkdir(parents=True)

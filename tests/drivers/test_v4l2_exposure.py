@@ -36,9 +36,7 @@ def refuse_times(monkeypatch: pytest.MonkeyPatch, held: dict[int, int], code: in
     monkeypatch.setattr(v4l2_kernel, "set_control", set_control)
 
 
-def test_a_camera_that_refuses_a_time_when_it_is_opened_gives_frames_with_the_one_it_holds(
-    values: dict[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_refuses_a_time_when_it_is_opened_gives_frames_with_the_one_it_holds(values, monkeypatch):
     """A camera that is lost in flight and comes back stubborn must not stay lost."""
     refuse_times(monkeypatch, values, errno.EILSEQ)
     exposure = KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)
@@ -46,9 +44,7 @@ def test_a_camera_that_refuses_a_time_when_it_is_opened_gives_frames_with_the_on
     assert values[_MODE] == 1
 
 
-def test_a_camera_that_is_gone_while_its_exposure_is_taken_over_is_gone(
-    values: dict[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_is_gone_while_its_exposure_is_taken_over_is_gone(values, monkeypatch):
     refuse_times(monkeypatch, values, errno.ENODEV)
     with pytest.raises(OSError, match="refused"):
         KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)

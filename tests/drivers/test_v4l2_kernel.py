@@ -13,18 +13,11 @@ CALLS = (
     "G_CTRL", "S_CTRL", "QUERYMENU", "G_EXT_CTRLS", "S_EXT_CTRLS", "QUERY_EXT_CTRL",
 )  # fmt: skip
 STRUCTS = {
-    "v4l2_capability": kernel.Capability,
-    "v4l2_fmtdesc": kernel.FormatDescription,
-    "v4l2_pix_format": kernel.PixelFormat,
-    "v4l2_format": kernel.Format,
-    "v4l2_requestbuffers": kernel.RequestBuffers,
-    "v4l2_buffer": kernel.KernelBuffer,
-    "v4l2_control": kernel.ControlValue,
-    "v4l2_query_ext_ctrl": kernel.VideoControl,
-    "v4l2_querymenu": kernel.MenuEntry,
-    "v4l2_ext_control": kernel.WideControl,
-    "v4l2_ext_controls": kernel.WideControls,
-}
+    "v4l2_capability": kernel.Capability, "v4l2_fmtdesc": kernel.FormatDescription, "v4l2_pix_format": kernel.PixelFormat,
+    "v4l2_format": kernel.Format, "v4l2_requestbuffers": kernel.RequestBuffers, "v4l2_buffer": kernel.KernelBuffer,
+    "v4l2_control": kernel.ControlValue, "v4l2_query_ext_ctrl": kernel.VideoControl, "v4l2_querymenu": kernel.MenuEntry,
+    "v4l2_ext_control": kernel.WideControl, "v4l2_ext_controls": kernel.WideControls,
+}  # fmt: skip
 
 
 def test_a_call_has_the_number_that_the_documentation_gives() -> None:

@@ -76,9 +76,7 @@ def test_what_reads_low_is_flown_fast() -> None:
 
 @settings(max_examples=200)
 @given(*[st.floats(-20, 20)] * 5, st.floats(0, 1))
-def test_sticks_stay_inside_and_tilt_keeps_its_direction(
-    vx: float, vy: float, vz: float, mx: float, my: float, dt_s: float
-) -> None:
+def test_sticks_stay_inside_and_tilt_keeps_its_direction(vx, vy, vz, mx, my, dt_s):
     state = RESET
     for _ in range(5):
         state, s = step(state, wanted(vx, vy, vz, 50.0), np.array([mx, my, 0.0]), None, dt_s, OPTIONS)
@@ -108,9 +106,7 @@ def test_options_refuse_nonsense() -> None:
 
 
 @given(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
-def test_a_tilt_follows_from_its_acceleration_and_never_exceeds_the_limit(
-    forward: float, right: float, trim_forward: float, trim_right: float
-) -> None:
+def test_a_tilt_follows_from_its_acceleration_and_never_exceeds_the_limit(forward, right, trim_forward, trim_right):
     wanted = Lean(np.array([forward, right]), np.array([trim_forward, trim_right]), np.zeros(3), 0.0)
     _, s = lean(wanted, None, OPTIONS)
     tilt = math.hypot(s.roll, s.pitch) * OPTIONS.euler_angle_max_rad
@@ -121,9 +117,7 @@ def test_a_tilt_follows_from_its_acceleration_and_never_exceeds_the_limit(
 
 
 @pytest.mark.parametrize(("heading", "forward", "right"), [(0.0, 1.2, 0.4), (math.pi / 2, 0.4, -1.2), (math.pi, -1.2, -0.4)])
-def test_a_velocity_after_a_tilt_begins_with_its_trim_wherever_the_nose_has_turned(
-    heading: float, forward: float, right: float
-) -> None:
+def test_a_velocity_after_a_tilt_begins_with_its_trim_wherever_the_nose_has_turned(heading, forward, right):
     """Otherwise the wind carries the drone off for as long as an integral takes to come back."""
     state, _ = lean(Lean(np.zeros(2), np.array([1.2, 0.4]), np.zeros(3), 0.0), 0.0, OPTIONS)
     _, s = step(state.at_heading(heading), wanted(), STILL, None, 0.0, OPTIONS)
@@ -136,9 +130,7 @@ _AXIS = st.floats(-3.5, 3.5)
 
 
 @given(_AXIS, _AXIS, st.floats(-1.5, 1.5), st.floats(2.0, 8.0), st.integers(0, 2**32 - 1))
-def test_a_velocity_after_a_hover_begins_with_the_tilt_that_held_against_the_wind(
-    forward: float, right: float, moves_m_s: float, for_s: float, seed: int
-) -> None:
+def test_a_velocity_after_a_hover_begins_with_the_tilt_that_held_against_the_wind(forward, right, moves_m_s, for_s, seed):
     """An integral that begins with nothing takes seconds, and the drone is metres to lee by then."""
     against, dt, noise = np.array([forward, right]), 0.03, np.random.default_rng(seed)
     state, before = RESET, np.array([moves_m_s, 0.0])

@@ -1,7 +1,10 @@
 """The path of constant velocity: it finds what moves steadily, knows how well, and refuses what its model excludes."""
 
+from __future__ import annotations
+
 import math
 import sys
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -10,7 +13,6 @@ from hypothesis import strategies as st
 
 from companion.cli import main as cli
 from estimator import pipeline
-from estimator.constant_velocity import GATE_NIS, ConstantVelocityPath
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
@@ -18,11 +20,20 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.options import EstimatorOptions
 
+if TYPE_CHECKING:
+    from estimator.constant_velocity import ConstantVelocityPath
+
 COV = np.diag([4e-4, 4e-4, 9e-4, 1e-4])
 
 
 def stamp(t_s: float, delay_s: float = 0.1) -> Stamp:
     return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
+
+
+def new() -> ConstantVelocityPath:
+    from estimator.constant_velocity import ConstantVelocityPath  # with filterpy, which takes a second
+
+    return ConstantVelocityPath()
 
 
 def sighted(path: ConstantVelocityPath, t_s: float, d_ned: F64, heading_rad: float = 0.0) -> tuple[ConstantVelocityPath, Verdict]:
@@ -47,7 +58,7 @@ velocities = st.tuples(*[st.floats(-1.5, 1.5)] * 3).map(np.array)
 @settings(max_examples=20)
 @given(v=velocities, turning_rad_s=st.floats(-0.4, 0.4))
 def test_it_converges_to_a_pad_of_constant_velocity_while_the_body_turns(v: F64, turning_rad_s: float) -> None:
-    path, start = ConstantVelocityPath(), np.array([0.5, -0.3, 4.0])
+    path, start = new(), np.array([0.5, -0.3, 4.0])
     for i in range(90):
         path, verdict = sighted(path, i / 30, start + v * i / 30, turning_rad_s * i / 30)
         assert verdict is Verdict.FUSED
@@ -60,9 +71,9 @@ def test_it_converges_to_a_pad_of_constant_velocity_while_the_body_turns(v: F64,
 
 
 def test_nees_lies_in_its_band_on_the_filters_own_model() -> None:
-    rng, step_s, nees, density = np.random.default_rng(5), 1.0 / 30.0, [], ConstantVelocityPath().acceleration_density_m2_s3
+    rng, step_s, nees, density = np.random.default_rng(5), 1.0 / 30.0, [], new().acceleration_density_m2_s3
     for _ in range(30):
-        path, d, v = ConstantVelocityPath(), np.array([0.3, 0.2, 3.0]), rng.normal(0.0, 0.5, 3)
+        path, d, v = new(), np.array([0.3, 0.2, 3.0]), rng.normal(0.0, 0.5, 3)
         for i in range(60):
             path, _ = sighted(path, i * step_s, d + rng.normal(0.0, np.sqrt(np.diag(COV)[:3])))
             if i >= 20 and i % 10 == 0:
@@ -78,7 +89,7 @@ def test_nees_lies_in_its_band_on_the_filters_own_model() -> None:
 
 
 def test_the_gate_refuses_what_jumps_and_a_second_of_it_begins_again() -> None:
-    path = ConstantVelocityPath()
+    path = new()
     for i in range(30):
         path, _ = sighted(path, i / 30, np.array([0.0, 0.0, 3.0]))
     before = path.belief
@@ -95,7 +106,7 @@ def test_the_gate_refuses_what_jumps_and_a_second_of_it_begins_again() -> None:
 
 
 def test_the_result_of_a_sighting_holds_its_innovation_in_the_bodys_axes() -> None:
-    path, _ = sighted(ConstantVelocityPath(), 0.0, np.array([0.0, 0.0, 3.0]), 1.2)
+    path, _ = sighted(new(), 0.0, np.array([0.0, 0.0, 3.0]), 1.2)
     path, _ = path.step_samples([Attitude(stamp(0.1, 0.0), Rotation.from_rpy(0.0, 0.0, 1.2), 1e-6 * np.eye(3))])
     seen = Rotation.from_rpy(0.0, 0.0, 1.2).inv @ np.array([0.0, 0.0, 3.0]) + np.array([0.02, 0.0, 0.0])
     _, result = path.step(Sighting(stamp(0.1), 3, "selected", seen, None, False, COV, 0.9))
@@ -103,12 +114,14 @@ def test_the_result_of_a_sighting_holds_its_innovation_in_the_bodys_axes() -> No
     assert result.innovation is not None
     assert np.allclose(result.innovation, [0.02, 0.0, 0.0], atol=1e-9)
     assert result.nis == pytest.approx(float(result.innovation @ np.linalg.solve(result.innovation_cov, result.innovation)))
+    from estimator.constant_velocity import GATE_NIS
+
     assert result.test_ratio == result.nis / GATE_NIS
 
 
 @given(age_s=st.floats(0.0, 0.4))
 def test_a_late_frame_is_carried_on_to_the_instant_requested_and_widens_the_covariance(age_s: float) -> None:
-    path, v = ConstantVelocityPath(), np.array([0.6, -0.2, -0.4])
+    path, v = new(), np.array([0.6, -0.2, -0.4])
     for i in range(60):
         path, _ = sighted(path, i / 30, np.array([0.0, 0.0, 4.0]) + v * i / 30)
     last, now = after(path, 59 / 30), after(path, 59 / 30 + age_s)
@@ -118,7 +131,7 @@ def test_a_late_frame_is_carried_on_to_the_instant_requested_and_widens_the_cova
 
 
 def test_a_frame_exposed_before_the_newest_fused_one_is_refused() -> None:
-    path, _ = sighted(ConstantVelocityPath(), 0.0, np.array([0.0, 0.0, 3.0]))
+    path, _ = sighted(new(), 0.0, np.array([0.0, 0.0, 3.0]))
     path, _ = sighted(path, 0.1, np.array([0.0, 0.0, 3.0]))
     after_it, result = path.step(Sighting(stamp(0.05), 9, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9))
     assert result.verdict is Verdict.TOO_OLD
@@ -127,7 +140,7 @@ def test_a_frame_exposed_before_the_newest_fused_one_is_refused() -> None:
 
 def test_without_an_attitude_a_sighting_is_refused_and_without_a_heading_the_yaw_is_unknown() -> None:
     seen = Sighting(stamp(0.0), 0, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9)
-    path, result = ConstantVelocityPath().step(seen)
+    path, result = new().step(seen)
     assert (result.verdict, path.at(MonoNs(0))) == (Verdict.NO_ATTITUDE, None)
     path, _ = path.step_samples([Attitude(stamp(0.0), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-6 * np.eye(3))])
     path, _ = path.step(seen)

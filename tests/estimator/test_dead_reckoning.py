@@ -117,11 +117,7 @@ def test_heading_passes_the_limit_of_its_range():
 
 
 @settings(max_examples=20)
-@given(
-    st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)),
-    st.floats(-1.5, 1.5),
-    st.floats(0.02, 0.9),
-)
+@given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)), st.floats(-1.5, 1.5), st.floats(0.02, 0.9))
 def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):
     seen = sighting(0.5, [0.7, -0.4, 2.2], yaw=0.3, received_at=0.5 + delay)
     events = path(1.5, 50, v, yaw_rate)

@@ -64,9 +64,7 @@ def ekf_result(memory: pipeline.Memory, event: Event) -> FusionResult:
     return next(r for r in results if r.path == "ekf")
 
 
-def test_every_comparison_carries_figures_that_agree_with_one_another(
-    hovering: tuple[pipeline.Memory, list[FusionResult]],
-) -> None:
+def test_every_comparison_carries_figures_that_agree_with_one_another(hovering):
     compared = [r for r in hovering[1] if r.path == "ekf" and r.source in ("sighting", "attitude", "velocity")]
     compared = [r for r in compared if r.innovation is not None]
     assert {r.source for r in compared} == {"sighting", "attitude", "velocity"}
@@ -85,9 +83,7 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(
             r.innovation_cov[0, 0] = 1.0
 
 
-def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(
-    hovering: tuple[pipeline.Memory, list[FusionResult]],
-) -> None:
+def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(hovering):
     good, bad = (ekf_result(hovering[0], sighting(1.0, aside_m=aside)) for aside in (0.01, 0.18))
     assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
     assert good.innovation is not None
@@ -113,9 +109,7 @@ def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_re
         (sighting(1.01, pose6=Pose6(D, Rotation.from_rpy(0.0, 0.0, -0.3), 1e-4 * np.eye(6))), POSE_COMPONENTS),
     ],
 )
-def test_each_source_names_what_it_compared(
-    hovering: tuple[pipeline.Memory, list[FusionResult]], event: Event, components: tuple[str, ...]
-) -> None:
+def test_each_source_names_what_it_compared(hovering, event, components):
     result = ekf_result(hovering[0], event)
     assert (result.source, result.components) == (source_of(event), components)
     assert result.verdict is Verdict.FUSED

@@ -12,7 +12,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu
 from estimator.options import EstimatorOptions
 from tests.support.estimator_truth import EPOCH_NS, Event, TruthFlight, events, ns
-from tests.support.lying_imu import BEGIN_S, Fault, changed, fly, frozen, setting
+from tests.support.lying_imu import BEGIN_S, changed, fly, frozen, setting
 
 
 @pytest.mark.parametrize(("half", "word", "seed"), [("f_body", "accelerometer", 0), ("w_body", "gyro", 1)])
@@ -38,9 +38,7 @@ def test_half_of_an_imu_frozen_for_five_seconds_is_named_at_once_and_costs_centi
         (changed(w_by_deg=(0.0, 0.0, -20.0)), "deg/s too little in yaw", 2.5),
     ],
 )
-def test_a_half_that_moves_and_lies_is_named_with_its_size_and_the_estimate_goes_on(
-    fault: Fault, words: str, within_s: float
-) -> None:
+def test_a_half_that_moves_and_lies_is_named_with_its_size_and_the_estimate_goes_on(fault, words, within_s):
     out = fly(setting(3), fault, 4.0)
     named = out.named_after_s(words)
     assert named < within_s, out.named

@@ -214,9 +214,7 @@ def test_shares_are_those_of_brute_force_also_where_shapes_are_thinner_than_a_pi
     ],
     ids=["flight", "turn", "heaving deck"],
 )
-def test_motion_blur_is_the_mean_of_the_sharp_images_during_the_exposure(
-    v_body_ned: tuple[float, ...], w_body: tuple[float, ...], v_pad_ned: tuple[float, ...], w_pad: tuple[float, ...]
-) -> None:
+def test_motion_blur_is_the_mean_of_the_sharp_images_during_the_exposure(v_body_ned, w_body, v_pad_ned, w_pad):
     exposure_s = 0.02
     still = shot(1.5, (0.1, -0.05), (0.05, 0.02, 0.4))
     v, w, vp, wp = (np.array(x) for x in (v_body_ned, w_body, v_pad_ned, w_pad))

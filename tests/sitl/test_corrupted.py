@@ -50,9 +50,7 @@ def said(**fault: Any) -> list[Values]:
         ({"error": "sign", "axis": "x"}, [(-n, 10 + n, 100 + n) for n in (1.0, 2.0, 3.0)]),
     ],
 )
-def test_each_error_does_what_it_says_while_it_lasts_and_nothing_before_or_after(
-    fault: dict[str, Any], wanted: list[Values]
-) -> None:
+def test_each_error_does_what_it_says_while_it_lasts_and_nothing_before_or_after(fault, wanted):
     samples = said(**fault)
     assert samples[1:4] == [pytest.approx(values) for values in wanted]
     assert samples[0] is TRUE[0]

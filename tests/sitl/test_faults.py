@@ -129,9 +129,7 @@ READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [
 
 
 @pytest.mark.parametrize(("fault", "field", "effect", "expected"), READINGS, ids=lambda v: getattr(v, "kind", None))
-def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other(
-    fault: Fault, field: str, effect: Callable[[Readings, Readings], Any], expected: Any
-) -> None:
+def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other(fault, field, effect, expected):
     faulty, true = both(fault, 0.8)
     assert changed(faulty, true) == {field}
     assert effect(faulty, true) == pytest.approx(expected, abs=1e-9)

@@ -102,10 +102,7 @@ def test_every_action_is_flown_and_every_episode_ends() -> None:
 )
 def test_gymnasium_s_checker_finds_nothing(options: dict[str, str], recwarn: pytest.WarningsRecorder) -> None:
     register()
-    check_env(
-        gymnasium.make("Decklander/Land-v0", **options).unwrapped,
-        skip_render_check="render_mode" not in options,
-    )
+    check_env(gymnasium.make("Decklander/Land-v0", **options).unwrapped, skip_render_check="render_mode" not in options)
     assert not [str(w.message) for w in recwarn if "infinity" not in str(w.message)]
 
 

@@ -74,9 +74,7 @@ VIEWS = [
 
 
 @pytest.mark.parametrize(("camera", "s", "sigma_px", "n"), VIEWS)
-def test_light_is_blurred_before_pixels_sample_it(
-    camera: Camera, s: Exposure, sigma_px: float, n: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_light_is_blurred_before_pixels_sample_it(camera, s, sigma_px, n, monkeypatch):
     sensor, p = replace(IDEAL, psf_sigma_px=sigma_px), pad("thesis")
     part_of_frame, expected = through_the_lens(camera, s, p, sigma_px, n)
     exact = {part: share(camera, s, part, sensor)[part_of_frame] for part in expected}

@@ -1,6 +1,5 @@
 """The renderer's part of the native core: the same bits with and without vector instructions, and arrays that are refused."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -89,9 +88,7 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Door:
 
 
 @pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])
-def test_a_machine_without_vector_instructions_renders_the_same_bits(
-    one_by_one: Door, step: Callable[[Door, np.random.Generator], NDArray[Any]]
-) -> None:
+def test_a_machine_without_vector_instructions_renders_the_same_bits(one_by_one, step):
     here, there = step(SIM, np.random.default_rng(5)), step(one_by_one, np.random.default_rng(5))
     assert np.array_equal(here, there)
     assert np.ptp(here) > 100

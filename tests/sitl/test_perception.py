@@ -44,15 +44,9 @@ LOW = msgspec.structs.replace(
 )
 FUSED = parameters.load("fused")
 EFFECTS = {
-    "signal": "gyro",
-    "error": "sign",
-    "by_s": 1.0,
-    "forward_m": 1.0,
-    "frozen": True,
-    "dropped_fraction": 1.0,
-    "instead": True,
+    "signal": "gyro", "error": "sign", "by_s": 1.0, "forward_m": 1.0, "frozen": True, "dropped_fraction": 1.0, "instead": True,
     "silent": True,
-}
+}  # fmt: skip
 """Keys that give a fault of some kind an effect."""
 
 

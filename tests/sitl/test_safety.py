@@ -208,12 +208,7 @@ def test_contacts_outside_commit_are_those_with_motors_that_neither_guidance_nor
         (None, [], "refuse", Grade.FAILED),
     ],
 )
-def test_a_flight_is_worth_what_its_scenario_expects(
-    outcome: FlightOutcome | None,
-    contacts: list[Literal["pad", "deck", "water"]],
-    expect: Literal["land", "refuse", "either"],
-    worth: Grade,
-) -> None:
+def test_a_flight_is_worth_what_its_scenario_expects(outcome, contacts, expect, worth):
     touched = [contact(surface) for surface in contacts]
     given, because = grade(outcome, on_pad_m(touched), dangers(SAFE, touched, None), expect)
     assert given is worth

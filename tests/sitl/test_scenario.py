@@ -79,10 +79,7 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
         ),
         ({"faults": [{"kind": "gust", "at_s": 1}]}, "faults[0]: for_s must say how long the gust takes to pass"),
         ({"faults": [{"kind": "frames_shifted", "at_s": 1}]}, "faults[0]: forward_m or right_m must say"),
-        (
-            {"faults": [{"kind": "flow_blind"}]},
-            "faults[0]: exactly one of at_s, below_height_m, ",
-        ),
+        ({"faults": [{"kind": "flow_blind"}]}, "faults[0]: exactly one of at_s, below_height_m, "),
         ({"faults": [{"kind": "flow_blind", "at_s": 1, "below_height_m": 1}]}, "found at_s and below_height_m"),
         ({"faults": [{"kind": "flow_blind", "in_phase": "lunch"}]}, "in_phase must be one of waiting for "),
         ({"faults": [{"kind": "flow_blind", "at_s": 120}]}, "faults[0].at_s is 120 s, but the flight ends after 120 s"),

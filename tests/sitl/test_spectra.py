@@ -111,10 +111,7 @@ def test_sea_states_lie_in_the_bands_of_the_wmo() -> None:
 
 def test_a_crossing_swell_is_a_system_of_its_own() -> None:
     sea = Sea(
-        spectrum="ochi_hubble",
-        runs_to_deg=0.0,
-        swell=WaveSystem(1.2, 12.0, runs_to_deg=90.0),
-        wind_sea=WaveSystem(0.5, 4.0, 1.5),
+        spectrum="ochi_hubble", runs_to_deg=0.0, swell=WaveSystem(1.2, 12.0, runs_to_deg=90.0), wind_sea=WaveSystem(0.5, 4.0, 1.5)
     )
     waves = sea.waves([1, 2, 3])
     assert waves.hs_m == pytest.approx([1.3] * 3)

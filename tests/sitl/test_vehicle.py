@@ -99,9 +99,7 @@ def test_keeps_its_angular_momentum_when_tumbling() -> None:
         ((0.0, 0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)),
     ],
 )
-def test_each_stick_moves_its_own_way(
-    yaw_rad: float, stick: tuple[float, float, float, float], expected: tuple[float, float, float, float]
-) -> None:
+def test_each_stick_moves_its_own_way(yaw_rad, stick, expected):
     v = flying(yaw_rad=yaw_rad)
     v.command(*stick, progressive=True)
     run(v, 2.0)

@@ -87,9 +87,7 @@ def test_under_way_it_meets_the_waves_of_the_places_it_passes() -> None:
     pad_yaw_rad=st.floats(-3, 3),
 )
 @settings(max_examples=40)
-def test_velocity_and_acceleration_are_the_derivatives_of_place_and_attitude(
-    which: Hull, seed: int, t: float, heading_rad: float, speed_m_s: float, pad_yaw_rad: float
-) -> None:
+def test_velocity_and_acceleration_are_the_derivatives_of_place_and_attitude(which, seed, t, heading_rad, speed_m_s, pad_yaw_rad):
     course = {"heading_rad": heading_rad, "speed_m_s": speed_m_s, "pad_yaw_rad": pad_yaw_rad}
     vessel = Vessel(which, Waves.draw(SEA_STATES[4], seed), mooring=Mooring(), seeds=seed, **course)
     h = 1e-3

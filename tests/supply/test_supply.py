@@ -91,9 +91,7 @@ FOUND = "Found 1 known vulnerability in 1 package"
         (f"ERROR: {SKIPPED}", 1, ["--strict"], 1, COULD_NOT),
     ],
 )
-def test_an_audit_fails_on_a_weakness_and_reports_it_where_it_could_not_be_made(
-    tmp_path: Path, answer: str, code: int, options: list[str], ends: int, says: str
-) -> None:
+def test_an_audit_fails_on_a_weakness_and_reports_it_where_it_could_not_be_made(tmp_path, answer, code, options, ends, says):
     program = tmp_path / "pip-audit"
     program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/asked\ncat <<END\n{answer}\nEND\nexit {code}\n')
     program.chmod(0o755)

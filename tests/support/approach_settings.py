@@ -8,13 +8,9 @@ from estimator import ekf
 from tests.support.estimator_truth import Setting
 
 LEGS = (
-    (0.0, 2.5, 1.5, 5.0),
-    (3.0, 2.5, 1.5, 5.0),
-    (9.0, 0.3, -0.2, 2.0),
-    (26.0, 0.2, 0.2, 2.0),
-    (31.0, -0.6, 0.6, 4.0),
+    (0.0, 2.5, 1.5, 5.0), (3.0, 2.5, 1.5, 5.0), (9.0, 0.3, -0.2, 2.0), (26.0, 0.2, 0.2, 2.0), (31.0, -0.6, 0.6, 4.0),
     (36.0, 0.1, 0.0, 2.0),
-)
+)  # fmt: skip
 DURATION_S = 40.0
 OPTIONS = ekf.EkfOptions(
     asd_gyro_rad_s=0.0025,

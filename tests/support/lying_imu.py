@@ -15,15 +15,9 @@ from tests.support.estimator_truth import EPOCH_NS, Event, Setting, TruthFlight,
 
 BEGIN_S, BEFORE_S, STEP_S = 8.0, 5.0, 0.05
 STREAMS = {
-    "sea": 4,
-    "duration_s": 16.0,
-    "imu_hz": 100.0,
-    "attitude_hz": 25.0,
-    "velocity_hz": 20.0,
-    "range_hz": 10.0,
-    "baro_hz": 25.0,
+    "sea": 4, "duration_s": 16.0, "imu_hz": 100.0, "attitude_hz": 25.0, "velocity_hz": 20.0, "range_hz": 10.0, "baro_hz": 25.0,
     "sighting_hz": 15.0,
-}
+}  # fmt: skip
 Fault = Callable[[Imu], Imu]
 
 

@@ -152,12 +152,7 @@ def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[floa
     return out
 
 
-OPTIONS = ekf.EkfOptions(
-    velocity_scale=0.9,
-    sigma_velocity_scale=0.15,
-    sigma_mount_rad=math.radians(0.3),
-    deck_radius_m=3.0,
-)
+OPTIONS = ekf.EkfOptions(velocity_scale=0.9, sigma_velocity_scale=0.15, sigma_mount_rad=math.radians(0.3), deck_radius_m=3.0)
 
 
 class FollowingPath(Protocol):

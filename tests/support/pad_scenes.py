@@ -303,14 +303,6 @@ def photo_pose(row: dict[str, str]) -> PadPose:
 
 
 __all__ = [
-    "PadScene",
-    "Transform",
-    "empty_scene",
-    "load_camera",
-    "load_pad",
-    "pad_scene",
-    "photo_pose",
-    "ring_scene",
-    "truth_of",
+    "PadScene", "Transform", "empty_scene", "load_camera", "load_pad", "pad_scene", "photo_pose", "ring_scene", "truth_of",
     "visible_fraction",
-]
+]  # fmt: skip

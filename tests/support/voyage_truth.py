@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation as Spin
 from scipy.spatial.transform import RotationSpline
 
@@ -29,13 +28,9 @@ ARM_M = (3.0, 0.5, -1.0)
 _STEP_S = 0.02
 _MARGIN_S = 5.0
 _LEGS = (
-    (-9.0, 2.5, 1.5, -5.0),
-    (3.0, 2.5, 1.5, -5.0),
-    (8.0, 0.3, -0.2, -2.0),
-    (24.0, 0.2, 0.2, -2.0),
-    (29.0, -0.6, 0.5, -4.0),
+    (-9.0, 2.5, 1.5, -5.0), (3.0, 2.5, 1.5, -5.0), (8.0, 0.3, -0.2, -2.0), (24.0, 0.2, 0.2, -2.0), (29.0, -0.6, 0.5, -4.0),
     (34.0, 0.1, 0.0, -2.0),
-)
+)  # fmt: skip
 """(s, forward, starboard, down) of the body from the pad's mean place, m."""
 
 
@@ -95,14 +90,9 @@ class VoyageScene:
 
 
 IDEAL: dict[str, Any] = {
-    "hidden_delay_s": 0.0,
-    "mount_deg": 0.0,
-    "attitude_bias_deg": 0.0,
-    "heading_bias_deg": 0.0,
-    "vibration_m_s2": 0.0,
-    "outliers": 0.0,
-    "gaps": 0,
-}
+    "hidden_delay_s": 0.0, "mount_deg": 0.0, "attitude_bias_deg": 0.0, "heading_bias_deg": 0.0, "vibration_m_s2": 0.0,
+    "outliers": 0.0, "gaps": 0,
+}  # fmt: skip
 """The fields of a scene without sensor errors but white noise."""
 
 OPTIONS = EkfOptions(
@@ -126,6 +116,8 @@ def stamp(measured_at_s: float, received_at_s: float | None = None, sigma_s: flo
 
 def coloured(rng: np.random.Generator, n: int, step_s: float, sigma: float, memory_s: float, width: int) -> F64:
     """(n, width) ARMA(1, 1) noise of standard deviation `sigma`, already settled."""
+    from scipy.signal import lfilter  # loads scipy.stats: not where tests are only collected
+
     a, b = math.exp(-step_s / memory_s), 0.3
     spare = round(8 * memory_s / step_s)
     raw = lfilter([1.0, b], [1.0, -a], rng.standard_normal((n + spare, width)), axis=0)[spare:]

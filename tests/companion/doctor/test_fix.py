@@ -76,9 +76,7 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
     return code, capsys.readouterr().out
 
 
-def test_what_is_agreed_to_is_written_and_undone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], said: Callable[[str], None]
-) -> None:
+def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, said):
     fake = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2, PLND_STRICT=0.0)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
@@ -129,9 +127,7 @@ def test_a_refused_write_is_reported(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not kept.exists(), "there is nothing to undo"
 
 
-def test_nothing_is_written_while_armed_nor_once_it_arms(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_written_while_armed_nor_once_it_arms(tmp_path, capsys, monkeypatch):
     fake = quiet("ArduPilot", LAND_SPEED=250.0)
     fake.armed = True
     kept = tmp_path / "undo.json"

@@ -256,9 +256,7 @@ def precland_text(at_s: float, text: str) -> Row:
         ([(20.6, "Init Complete"), (25.0, "Target Lost")], ["target-lost"]),
     ],
 )
-def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(
-    said: list[tuple[float, str]], rules: list[str], tmp_path: Path
-) -> None:
+def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(said, rules, tmp_path):
     """ArduCopter begins its estimate on the climb-out, loses the pad on the way, and near the deck again: all of it ends well."""
     assert [f.rule for f in copter(tmp_path, [*FLIGHT, *(precland_text(*one) for one in said)])] == rules
 

@@ -316,9 +316,7 @@ def test_on_a_pad_that_does_not_move_the_ships_traps_are_none() -> None:
 
 
 def test_the_gravest_comes_first() -> None:
-    snapshot = ardupilot(
-        parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYR_CAL": 1.0},
-    )
+    snapshot = ardupilot(parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYR_CAL": 1.0})
     snapshot = replace(snapshot, service=replace(SERVICE, exposure_to_belief_s=0.2))
     found = diagnose(snapshot)
     assert [f.severity for f in found] == sorted(f.severity for f in found)
@@ -356,9 +354,7 @@ def test_another_message_of_the_same_is_as_good() -> None:
         ({}, ("SCR_ENABLE", "DKL_ENABLE"), None),
     ],
 )
-def test_a_copter_that_nobody_disarms_on_deck_is_an_advice_and_no_change_of_its_own(
-    parameters: dict[str, float], absent: tuple[str, ...], says: str | None
-) -> None:
+def test_a_copter_that_nobody_disarms_on_deck_is_an_advice_and_no_change_of_its_own(parameters, absent, says):
     autopilot = replace(ARDUPILOT, parameters=ARDUPILOT.parameters | parameters, absent=absent)
     found = diagnose(replace(GOOD, autopilot=autopilot))
     assert [(f.rule, f.severity, f.changes) for f in found] == ([] if says is None else [("disarm-script", Severity.ADVICE, ())])

@@ -70,9 +70,7 @@ def examined(capsys: pytest.CaptureFixture[str], *words: str) -> set[str]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("stack", "name"), CASES)
-async def test_a_dangerous_set_up_of_a_real_program_is_named(
-    stack: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_dangerous_set_up_of_a_real_program_is_named(stack, name, tmp_path, capsys):
     if not PROGRAMS[stack]:
         pytest.skip(f"no program of {stack} is named")
     one = DATA[stack]["broken"][name]
@@ -83,9 +81,7 @@ async def test_a_dangerous_set_up_of_a_real_program_is_named(
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("stack", PROGRAMS)
-async def test_a_real_program_is_mended_and_the_change_undone(
-    stack: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_real_program_is_mended_and_the_change_undone(stack, tmp_path, capsys):
     if not PROGRAMS[stack]:
         pytest.skip(f"no program of {stack} is named")
     name = "cannot flee a rising deck"

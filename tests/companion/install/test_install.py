@@ -182,9 +182,7 @@ def test_nothing_is_done_while_the_drone_flies_or_may_fly(tmp_path: Path, first:
     assert versions.current(computer) == second.name
 
 
-def test_a_drone_that_took_off_during_the_update_is_seen_before_the_restart(
-    tmp_path: Path, first: Release, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drone_that_took_off_during_the_update_is_seen_before_the_restart(tmp_path, first, monkeypatch):
     computer = installed(tmp_path, first)
     made = versions.make
 
@@ -228,9 +226,7 @@ def test_uninstall_leaves_what_is_the_user_s_unless_it_is_purged(tmp_path: Path,
         ("", "no Python here"),
     ],
 )
-def test_a_computer_that_cannot_run_it_is_refused(
-    tmp_path: Path, first: Release, answer: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_computer_that_cannot_run_it_is_refused(tmp_path, first, answer, told, monkeypatch):
     computer = Computer(tmp_path / "root")
     answered = computer._answer
     monkeypatch.setattr(
@@ -269,9 +265,7 @@ def test_the_commands_refuse_what_they_cannot_do(tmp_path: Path, capsys: pytest.
     assert "no such file or folder, and no version" in capsys.readouterr().err
 
 
-def test_nobody_but_root_changes_the_system(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_but_root_changes_the_system(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     assert main(["service", "uninstall", "--root", str(tmp_path)]) == 1
     assert "needs root: sudo decklander service uninstall" in capsys.readouterr().err

@@ -165,14 +165,8 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
             assert json.loads(client.channels["/decision"]["schema"])["title"] == "decklander.Decision"
             assert "/truth" not in client.channels
             wanted = (
-                "/decision",
-                "/belief/dead_reckoning",
-                "/sample/imu",
-                "/tf",
-                "/tf_static",
-                "/camera/image",
-                "/fusion/sighting",
-            )
+                "/decision", "/belief/dead_reckoning", "/sample/imu", "/tf", "/tf_static", "/camera/image", "/fusion/sighting",
+            )  # fmt: skip
             await client.subscribe(*wanted)
             await until(lambda: service.counted("viewers") == 1 and len(service.endpoint._feed._wanted) == len(wanted))
             flying = asyncio.create_task(service.fly(1.2))

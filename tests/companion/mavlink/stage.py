@@ -61,11 +61,7 @@ class Stage:
 
 @asynccontextmanager
 async def staged(
-    fake: MiniatureAutopilot,
-    *more_links: str,
-    outputs: dict[str, Any] | None = None,
-    operators: str = "",
-    **options: Any,
+    fake: MiniatureAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, operators: str = "", **options: Any
 ) -> AsyncIterator[Stage]:
     """Autopilot found, component speaking, guidance deciding at 50 Hz."""
     clock = SystemClock()

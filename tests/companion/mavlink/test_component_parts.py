@@ -92,9 +92,7 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
     ],
 )
 @pytest.mark.parametrize("kind", ["long", "int"])
-def test_commands_are_done_and_answered_to_who_gave_them(
-    command: int, params: tuple[float, ...], handler: str, kind: str
-) -> None:
+def test_commands_are_done_and_answered_to_who_gave_them(command, params, handler, kind):
     tower = Tower()
     message = long(command, *params)
     if kind == "int":
@@ -252,9 +250,7 @@ def test_every_tunable_is_a_number_of_the_settings_under_a_name_that_fits() -> N
     assert len(set(NAMES.values())) == len(NAMES)
 
 
-def test_a_value_in_range_is_put_into_force_and_one_out_of_range_changes_nothing(
-    tunables: tuple[Tunables, list[Settings]],
-) -> None:
+def test_a_value_in_range_is_put_into_force_and_one_out_of_range_changes_nothing(tunables):
     tuned, applied = tunables
     tuned.set("PID_H_KP", 1.25)
     assert applied[-1].guidance.pid.horizontal.kp == 1.25

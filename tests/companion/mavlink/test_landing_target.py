@@ -104,9 +104,7 @@ coordinate = st.floats(-8.0, 8.0)
 
 @settings(max_examples=80)
 @given(coordinate, coordinate, st.floats(0.3, 20.0), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-3.14, 3.14))
-def test_angles_position_and_distance_agree_wherever_the_pad_is(
-    x: float, y: float, z: float, roll: float, pitch: float, yaw: float
-) -> None:
+def test_angles_position_and_distance_agree_wherever_the_pad_is(x, y, z, roll, pitch, yaw):
     d: Vector = (x, y, z)
     message = ardupilot_landing_target(1, np.array(d), Rotation.from_rpy(roll, pitch, yaw), pad_radius_m=0.39)
     if message is None:

@@ -76,9 +76,7 @@ def old() -> Callable[[], bytes]:
     ],
     ids=["time", "key", "speed", "one way", "MAVLink 1", "silent"],
 )
-async def test_a_fault_is_reported_once(
-    data: Callable[[], bytes], signed: bool, said: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_fault_is_reported_once(data, signed, said, monkeypatch, caplog):
     async with watched(monkeypatch, signed=signed) as (health, address):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
 
@@ -96,9 +94,7 @@ async def test_a_fault_is_reported_once(
     assert health.parts[PART].up
 
 
-async def test_a_good_link_reports_nothing_and_a_fault_that_is_over_no_more(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_good_link_reports_nothing_and_a_fault_that_is_over_no_more(monkeypatch, caplog):
     caplog.set_level(logging.INFO)
     async with watched(monkeypatch) as (health, address):
         await until(lambda: PART in health.parts)

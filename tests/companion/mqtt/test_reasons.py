@@ -84,9 +84,7 @@ async def wordy() -> AsyncIterator[tuple[WordyBroker, MqttSettings]]:
     ("code", "said"),
     [(0x8E, "same client id"), (0x8B, "shuts down"), (0x97, "quota"), (0x98, "administrator"), (0x99, "format invalid")],
 )
-async def test_the_reason_of_the_broker_is_reported(
-    code: int, said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_reason_of_the_broker_is_reported(code, said, tmp_path, caplog):
     async with wordy() as (broker, settings), running(settings, tmp_path / "spool") as rig:
         await until(lambda: len(broker.statuses) == 1)
         broker.clients[0][1].write(bytes([0xE0, 2, code, 0]))

@@ -13,15 +13,12 @@ from companion.parts.mqtt.connection import BrokerEndpoint, connect
 from companion.settings.load import load
 from tests.companion.ship_flights import SHIP_NED, flying, free_port, place_of, settings_of
 from tests.support.fake_ardrone import until
-from tests.support.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]
 KEY = bytes(range(32))
 
 
-async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_without_its_key(
-    broker: Broker, tmp_path: Path
-) -> None:
+async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_without_its_key(broker, tmp_path):
     key_file = tmp_path / "command.key"
     key_file.touch(0o600)
     key_file.write_bytes(KEY)

@@ -135,9 +135,7 @@ def test_the_oldest_go_first_and_are_counted(tmp_path: Path) -> None:
     spool.close()
 
 
-def test_a_disk_that_refuses_is_waited_for_in_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_that_refuses_is_waited_for_in_memory(tmp_path, monkeypatch, caplog):
     spool = Spool(tmp_path, 80_000)
     spool.append([body(0)])
     real = os.pwrite

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import pytest
@@ -242,9 +241,7 @@ async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[
     return time.monotonic() - began
 
 
-async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(tmp_path, monkeypatch):
     hang, asked = threading.Event(), 0
 
     def never(*_: object, **__: object) -> list[object]:
@@ -270,9 +267,7 @@ async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(
 
 
 @pytest.mark.parametrize("transport", ["tcp", "tls"])
-async def test_a_broker_that_never_answers_does_not_hold_up_the_end(
-    certificates: Path, tmp_path: Path, transport: Literal["tcp", "tls"]
-) -> None:
+async def test_a_broker_that_never_answers_does_not_hold_up_the_end(certificates, tmp_path, transport):
     """Connecting happens on a thread; it is ended rather than waited for."""
     ours = []
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -326,9 +321,7 @@ async def test_a_broker_that_sends_megabytes_is_hung_up_on(tmp_path: Path) -> No
     server.close()
 
 
-async def test_a_disk_that_stands_still_does_not_hold_up_the_end(
-    broker: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_disk_that_stands_still_does_not_hold_up_the_end(broker, tmp_path, monkeypatch):
     moving, stuck = threading.Event(), threading.Event()
 
     def hanging(*_: object) -> int:

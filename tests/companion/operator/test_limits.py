@@ -72,9 +72,7 @@ def test_no_velocity_leads_out_of_a_fence(corners: tuple[tuple[float, float], ..
 
 
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-5, 5), st.floats(-5, 5), st.sampled_from([(), L_SHAPE]))
-def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
-    x: float, y: float, vx: float, vy: float, corners: tuple[tuple[float, float], ...]
-) -> None:
+def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(x, y, vx, vy, corners):
     p = np.array([x, y])
     inside_m, n = margin(p, 12.0, corners)
     kept = within(np.array([vx, vy]), p, 12.0, corners, 2.0)
@@ -97,18 +95,7 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
     st.booleans(),
     st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.just(0.0)),
 )
-def test_no_limit_ever_makes_it_descend_or_fly_faster(
-    v: tuple[float, float, float],
-    p: tuple[float, float],
-    yaw_deg: float,
-    baro_m: float,
-    range_m: float | None,
-    charge: float,
-    fence: str,
-    manual: bool,
-    leans: bool,
-    sails: tuple[float, float, float],
-) -> None:
+def test_no_limit_ever_makes_it_descend_or_fly_faster(v, p, yaw_deg, baro_m, range_m, charge, fence, manual, leans, sails):
     options = LimitOptions(fence=fence, fence_radius_m=30.0)  # type: ignore[arg-type]
     belief = pad_at((p[0], p[1], 4.0), sails, yaw_deg)
     asked: Velocity | Lean = flown(v)

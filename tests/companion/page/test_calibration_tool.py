@@ -54,9 +54,7 @@ def test_a_guide_names_what_is_missing_until_nothing_is(images: list[NDArray[np.
     assert abs(guide.solution.camera.fx / TRUE.fx - 1) < 0.004
 
 
-async def test_a_person_is_led_to_a_camera_file(
-    tmp_path: Path, images: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_person_is_led_to_a_camera_file(tmp_path, images, monkeypatch):
     monkeypatch.setattr(make, "_FRAME_S", 0.0)
     path = rig(tmp_path)
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser, browsing(service) as other:

@@ -356,9 +356,7 @@ async def test_a_recording_is_loaded_once_from_an_address_that_only_the_page_get
             assert answer.status == 404
 
 
-def test_a_recording_that_is_removed_while_the_list_is_made_hides_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_that_is_removed_while_the_list_is_made_hides_no_other(tmp_path, monkeypatch):
     for number in (1, 2):
         (tmp_path / f"decklander-{number}.mcap").touch()
     real = Path.lstat

@@ -29,9 +29,7 @@ def believed(d: np.ndarray, yaw_rad: float | None = 0.3) -> RelativeState:
 
 
 @given(st.tuples(small, small, small), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
-def test_the_outline_lies_where_the_filter_expects_the_pad_whatever_the_attitude_s_error(
-    error: tuple[float, float, float], forward_m: float, right_m: float
-) -> None:
+def test_the_outline_lies_where_the_filter_expects_the_pad_whatever_the_attitude_s_error(error, forward_m, right_m):
     """The vehicle reports an attitude that is wrong by `error`; the filter knows that, and its innovation is zero."""
     R_body_level = Rotation.from_rpy(0.05, -0.03, 0.0).inv
     d = np.array([forward_m, right_m, 3.0])

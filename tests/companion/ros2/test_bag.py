@@ -205,9 +205,7 @@ def test_a_torn_recording_is_exported_as_far_as_it_goes(flown: Path, tmp_path: P
     assert {topic: len(found) for topic, found in read(tmp_path / "bag").items()} == counts
 
 
-def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flown, tmp_path, capsys, monkeypatch):
     (tmp_path / "mine").mkdir()
     command = ["record", "export", str(flown), "--format", "ros2", "--output"]
     assert cli.main([*command, str(tmp_path / "mine")]) == 2

@@ -2,17 +2,13 @@
 
 from pathlib import Path
 
-import pytest
-
 from companion.cli import main as cli
 from companion.tools.ros2 import typestore
 
 GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
 
 
-def test_without_the_library_one_line_says_how_to_get_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_library_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(typestore, "find_spec", lambda name: None)
     assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
     printed = capsys.readouterr().err

@@ -140,9 +140,7 @@ def test_copies_are_thrown_away_and_gaps_are_counted() -> None:
 
 @given(st.text(max_size=40), st.binary(max_size=60), st.integers(1, 60), st.integers(1, 200))
 @settings(max_examples=150)
-def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(
-    text: str, payload: bytes, height: int, width: int
-) -> None:
+def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(text, payload, height, width):
     model = full()
     for leaf in (*messages.PUBLISHED, "reply/x", "nonsense"):
         model.on_message(Topics("deck").of(leaf), payload, 0.0)

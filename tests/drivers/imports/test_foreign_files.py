@@ -44,9 +44,7 @@ def heights(samples: Iterable[Sample]) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.parametrize("write", [made.dataflash, made.text_dataflash])
-def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ahead(
-    write: Callable[[list[made.Row]], bytes], tmp_path: Path
-) -> None:
+def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ahead(write, tmp_path):
     samples, reported = heard(dataflash.read, tmp_path / "log", write(made.flight(TIMES, HEIGHTS, forward_m=8.0)))
     at, found = heights(samples)
     assert found == pytest.approx(HEIGHTS, abs=0.011)
@@ -71,9 +69,7 @@ def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
         ("Qfff", "TimeUS,Roll,Pitch,Yaw", (1.0, -1.0, 90.0)),
     ],
 )
-def test_a_message_that_is_described_anew_is_read_by_what_holds_there(
-    form: str, columns: str, values: tuple[float, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_that_is_described_anew_is_read_by_what_holds_there(form, columns, values, tmp_path, capsys):
     data = made.dataflash(made.flight(TIMES, HEIGHTS)) + made.described("ATT", form, columns)
     data += b"".join(made.message("ATT", form, (TIMES[-1] + STEP * n, *values)) for n in range(1, 51))
     samples, reported = heard(dataflash.read, tmp_path / "log", data)
@@ -130,9 +126,7 @@ def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_foreign_bytes_in_a_px4_log_are_left_out_and_reported(
-    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_foreign_bytes_in_a_px4_log_are_left_out_and_reported(seed, tmp_path, capsys):
     foreign = np.random.default_rng(seed).bytes(50 + 90 * seed)
     samples, reported = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
     assert sum(isinstance(s, Attitude) for s in samples) >= 49

@@ -44,8 +44,7 @@ def test_any_bytes_cut_anywhere_never_raise(data: bytes, cuts: list[int], datagr
 
 @settings(max_examples=60)
 @given(
-    rubbish=st.binary(max_size=40).map(lambda b: b.replace(b"\xfd", b"\x00").replace(b"\xfe", b"\x00")),
-    cut=st.integers(1, 60),
+    rubbish=st.binary(max_size=40).map(lambda b: b.replace(b"\xfd", b"\x00").replace(b"\xfe", b"\x00")), cut=st.integers(1, 60)
 )
 def test_messages_come_out_whole_however_the_stream_is_cut(rubbish: bytes, cut: int) -> None:
     data = rubbish.join(stream(4))

@@ -37,13 +37,7 @@ def report(number: int = 0) -> Message:
 
 
 def received(
-    message: Message,
-    component: int,
-    seconds: float,
-    *,
-    system: int = 1,
-    source: Any = HERE,
-    level: int = AccessLevel.OPERATOR,
+    message: Message, component: int, seconds: float, *, system: int = 1, source: Any = HERE, level: int = AccessLevel.OPERATOR
 ) -> ReceivedMessage:
     link, peer = source
     at = MonoNs(100 * NS_PER_S + round(seconds * NS_PER_S))

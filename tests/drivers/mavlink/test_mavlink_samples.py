@@ -53,11 +53,7 @@ def test_velocity_is_turned_into_level_by_the_heading_alone(yaw_deg: int) -> Non
     (sample,) = s.samples(mav.MAVLink_local_position_ned_message(4000, 11.0, 12.0, -13.0, 1.5, -2.5, 0.5), NOW)
     assert isinstance(sample, BodyVelocity)
     yaw = math.radians(yaw_deg)
-    expected = (
-        1.5 * math.cos(yaw) - 2.5 * math.sin(yaw),
-        -1.5 * math.sin(yaw) - 2.5 * math.cos(yaw),
-        0.5,
-    )
+    expected = (1.5 * math.cos(yaw) - 2.5 * math.sin(yaw), -1.5 * math.sin(yaw) - 2.5 * math.cos(yaw), 0.5)
     assert sample.v_level == pytest.approx(expected)
     assert s.positions[-1].p_body_ned == pytest.approx((11.0, 12.0, -13.0))
 

@@ -65,9 +65,7 @@ def kinds(messages: list[tuple[float, Message]]) -> list[str]:
     seed=st.integers(0, 99),
     loss=st.floats(0.0, 0.1),
 )
-def test_of_two_autopilots_with_one_id_only_the_first_is_passed(
-    other_s: float, begins_s: float, sequence: int, seed: int, loss: float
-) -> None:
+def test_of_two_autopilots_with_one_id_only_the_first_is_passed(other_s, begins_s, sequence, seed, loss):
     flying = Craft(100.0)
     standing = Craft(100.0 + other_s, landed=True, begins_s=begins_s, sequence=sequence)
     rng, origins, seconds = np.random.default_rng(seed), Origins(), 6.0

@@ -11,7 +11,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
-from estimator.contracts.commands import CutMotors, Hover, Land, LandingPlace, Lean, TakeOff, Velocity
+from estimator.contracts.commands import Hover, Land, LandingPlace, Lean, TakeOff, Velocity
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
@@ -125,12 +125,6 @@ def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:
     assert flight.streamer.hand is Hand.OURS
 
 
-def test_px4_receives_setpoints_before_the_request_for_offboard() -> None:
-    flight = Flight(Stack.PX4, "auto.loiter")
-    assert modes(flight.periods(1.9, GO)) == []
-    assert modes(flight.periods(0.3, GO)) == [(6, 0)]
-
-
 def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> None:
     flight = Flight(Stack.ARDUPILOT, request_tries=3)
     assert len(modes(flight.periods(8.0, GO))) == 3
@@ -157,9 +151,7 @@ def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again
 @pytest.mark.parametrize(("stack", "ours", "back", "number"), [
     (Stack.ARDUPILOT, "guided", "rtl", (6, 0)), (Stack.PX4, "offboard", "auto.rtl", (4, 5)),
 ])  # fmt: skip
-def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
-    stack: Stack, ours: str, back: str, number: tuple[float, float]
-) -> None:
+def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(stack, ours, back, number):
     flight = Flight(stack, ours)
     assert flight.periods(1.0, Hover(returns=True)) == [], "not ours yet"
     flight.periods(3.0, GO)
@@ -173,9 +165,7 @@ def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(
 @pytest.mark.parametrize(("stack", "ours", "way", "land"), [
     (Stack.ARDUPILOT, "guided", "guided", (9, 0)), (Stack.PX4, "offboard", "auto.loiter", (4, 6)),
 ])  # fmt: skip
-def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(
-    stack: Stack, ours: str, way: str, land: tuple[float, float]
-) -> None:
+def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(stack, ours, way, land):
     there = GeoPoint.of_degrees(63.44, 10.4, 30.0)
     leaves = Hover(elsewhere=LandingPlace(there, 1000.0))
 
@@ -210,17 +200,6 @@ def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(
     flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
     assert asked(2.0, 0.0) == []
     assert modes(flight.periods(2.0, Hover())) != [], "an order to hold takes it back"
-
-
-def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
-    flight = Flight(Stack.ARDUPILOT, "guided")
-    flight.periods(0.2, GO)
-    flight.told("guided")
-    sent = velocities(flight.periods(1.0))
-    assert sent[0][:2] != (0.0, 0.0)
-    assert sent[-1] == (0.0, 0.0, 0.0, 0.0)
-    assert flight.streamer.stale_periods > 10
-    assert flight.streamer.hand is Hand.OURS
 
 
 @pytest.mark.parametrize(("down", "flown"), [(0.125, 0.0), (-0.5, -0.5)])
@@ -273,15 +252,6 @@ def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
     flight.told("posctl")
     assert flight.periods(1.0, Land()) == []
     assert flight.streamer.hand is Hand.RELEASED
-
-
-def test_px4_lands_by_mode_when_it_is_not_ours_or_so_chosen() -> None:
-    flight = Flight(Stack.PX4, "auto.loiter")
-    assert modes(flight.periods(0.2, Land())) == [(4, 6)]
-    flight = Flight(Stack.PX4, "auto.loiter", landing="mode")
-    flight.periods(2.5, GO)
-    flight.told("offboard")
-    assert modes(flight.periods(0.2, Land())) == [(4, 6)]
 
 
 def test_a_person_who_breaks_the_landing_off_keeps_the_vehicle() -> None:
@@ -353,62 +323,6 @@ def test_a_person_who_takes_the_vehicle_while_it_holds_keeps_it() -> None:
     assert flight.streamer.hand is Hand.RELEASED
 
 
-def test_a_hover_over_a_moving_deck_goes_along_for_a_while() -> None:
-    flight = over_a_deck()
-    v = velocities(flight.periods(5.0, Hover()))
-    assert v[0] == pytest.approx((-1.5, 0.0, 0.0, 0.0))
-    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
-
-
-def test_a_landing_by_velocity_stops_descending_when_it_is_not_requested_again() -> None:
-    """It sank for ever: 3,000 setpoints in 120 s."""
-    flight = over_a_deck()
-    sinking = velocities(flight.periods(1.0, Land()))
-    assert sinking[-1] == pytest.approx((-1.5, 0.2, 0.4, 0.0), abs=0.01)
-    sent = flight.periods(120.0)
-    v = velocities(sent)
-    still_sinking = sum(vz > 0.0 for _, _, vz, _ in v)
-    assert still_sinking <= 0.5 * 25 + 1
-    assert v[still_sinking + 5] == pytest.approx((-1.5, 0.2, 0.0, 0.0), abs=0.01), "with the deck at first"
-    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
-    assert set(modes(sent)) == {(4, 3)}
-    assert len(v) < 13 * 25
-    assert flight.streamer.landings_called_off == 1
-
-
-def test_a_landing_goes_on_after_a_late_guidance_cycle() -> None:
-    flight = over_a_deck()
-    flight.periods(1.0, Land())
-    assert velocities(flight.periods(0.8))[-1][2] == 0.0
-    assert velocities(flight.periods(0.2, Land()))[-1][2] == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize(("seconds", "fall_m_s"), [(15.0, 0.0), (3.0 / 0.4, 0.4)])
-def test_a_landing_by_velocity_is_bounded_by_time_and_by_height(seconds: float, fall_m_s: float) -> None:
-    flight = over_a_deck()
-    flight.streamer.on_position(-1.0)
-    down_m, sank_s = -1.0, 0.0
-    for _ in range(round((seconds + 2.0) * 25)):
-        (sent,) = velocities(flight.periods(0.04, Land()))
-        down_m += 0.04 * fall_m_s
-        sank_s += 0.04 * (sent[2] > 0.0)
-        flight.streamer.on_position(down_m)
-    assert sank_s == pytest.approx(seconds, abs=0.1)
-    assert sent[2] == 0.0, "though it is asked for all the time"
-    flight.periods(0.2, GO)
-    assert velocities(flight.periods(0.2, GO))[-1][2] == pytest.approx(0.125), "a go-around is flown"
-
-
-def test_a_landing_by_mode_is_called_off_when_it_is_not_requested_again() -> None:
-    flight = over_a_deck(Stack.ARDUPILOT)
-    assert modes(flight.periods(0.3, Land())) == [(9, 0)]
-    flight.told("land")
-    assert modes(flight.periods(0.4)) == []
-    assert modes(flight.periods(0.3)) == [(4, 0)], "back into GUIDED"
-    flight.told("guided")
-    assert set(modes(flight.periods(12.0))) == {(17, 0)}, "and into BRAKE when the silence lasts"
-
-
 def test_a_persons_landing_needs_no_repeating() -> None:
     flight = over_a_deck(Stack.ARDUPILOT)
     flight.periods(0.04, Land(persistent=True))
@@ -462,18 +376,6 @@ def test_px4_is_taken_off_a_ship_under_way_by_setpoints_that_go_with_her() -> No
     flight.periods(0.04)
     ((north, _, down, _),) = velocities(flight.periods(0.04))
     assert (north, down) == (pytest.approx(1.5, abs=0.01), 0.0), "and it stays over the deck"
-
-
-def test_a_person_who_takes_the_vehicle_ends_its_take_off() -> None:
-    flight = Flight(Stack.PX4, "offboard")
-    flight.streamer.on_condition(Condition("offboard", True, False))
-    flight.streamer.take(TakeOff(), flight.now)
-    flight.periods(0.2)
-    flight.streamer.on_condition(Condition("offboard", True, True))
-    flight.periods(0.2)
-    flight.streamer.on_condition(Condition("posctl", True, True))
-    assert flight.streamer.hand is Hand.RELEASED
-    assert flight.periods(2.0) == []
 
 
 ON_DECK = Land(on_deck=True)
@@ -544,14 +446,3 @@ def test_motors_that_a_person_has_are_not_stopped() -> None:
     flight.told("offboard")
     flight.told("posctl")
     assert flight.periods(1.0, ON_DECK) == []
-
-
-def test_cutting_the_motors_is_a_forced_disarm_until_the_autopilot_is_disarmed() -> None:
-    flight = Flight(Stack.ARDUPILOT, "guided")
-    flight.periods(0.2, GO)
-    flight.streamer.take(CutMotors(), flight.now)
-    sent = flight.periods(0.2, CutMotors())  # type: ignore[arg-type]
-    assert [(m.command, m.param1, m.param2) for m in sent] == [(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)]
-    flight.streamer.on_condition(Condition("guided", False, False))
-    assert flight.periods(1.0) == []
-    assert velocities(flight.periods(0.2)) == [], "nothing flies on after it"

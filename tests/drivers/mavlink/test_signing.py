@@ -133,9 +133,7 @@ def test_it_is_written_rarely_whole_and_never_by_the_flight_itself(tmp_path: Pat
     "content",
     [b"", b"not a number", b"{}", b'{"time": 1, "streams": [[1]]}', b"[" * 100_000, b"1e999", b"null", b"99999999999999999"],
 )
-def test_a_file_that_cannot_be_used_is_reported_once_and_flown_on_without(
-    tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_that_cannot_be_used_is_reported_once_and_flown_on_without(tmp_path, content, caplog):
     path, now_s = tmp_path / "times", EPOCH_S + 5000.0
     path.write_bytes(content)
     times = SigningTimes(path, lambda: now_s)
@@ -154,9 +152,7 @@ def test_the_minute_is_counted_from_now_though_nothing_was_sent_for_long() -> No
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
-def test_a_disk_that_takes_nothing_is_reported_once_and_flown_on_without(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_that_takes_nothing_is_reported_once_and_flown_on_without(number, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(Path, "open", lambda *_: (_ for _ in ()).throw(OSError(number, "broken")))
     elapsed = [0.0]
     times = SigningTimes(tmp_path / "times", lambda: EPOCH_S + 5000.0 + elapsed[0], lambda: elapsed[0])

@@ -172,9 +172,7 @@ async def test_of_two_that_fly_the_chosen_one_is_commanded(monkeypatch: pytest.M
         assert not autopilot.id_conflicts
 
 
-async def test_an_id_that_changed_with_a_reboot_is_taken(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_id_that_changed_with_a_reboot_is_taken(monkeypatch, caplog):
     monkeypatch.setattr(roster, "MOVED_S", 0.3)
     before, after = MiniatureAutopilot(system=7), MiniatureAutopilot(system=1, epoch_ns=2_000_000_000)
     async with routed() as (autopilot, _, url):

@@ -39,9 +39,7 @@ sentences = st.builds(
 
 
 @given(st.lists(st.lists(sentences, min_size=1, max_size=5), min_size=1, max_size=3), st.data())
-def test_sentences_of_several_programs_are_put_together_wherever_they_are_cut(
-    programs: list[list[bytes]], data: st.DataObject
-) -> None:
+def test_sentences_of_several_programs_are_put_together_wherever_they_are_cut(programs, data):
     joiner, now = SentenceJoiner(), 0.0
     found: dict[int, list[bytes]] = {n: [] for n in range(len(programs))}
     streams = [b"".join(one) for one in programs]

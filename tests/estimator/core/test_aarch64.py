@@ -13,14 +13,7 @@ from estimator.core import abi
 from supply import core
 
 CALLS = Path(__file__).parent / "exercise.c"
-FLAGS = [
-    "-std=c99",
-    "-O3",
-    "-ffp-contract=off",
-    *core.all_in_one(),
-    str(CALLS),
-    "-lm",
-]
+FLAGS = ["-std=c99", "-O3", "-ffp-contract=off", *core.all_in_one(), str(CALLS), "-lm"]
 
 pytestmark = pytest.mark.skipif(
     shutil.which("qemu-aarch64") is None or importlib.util.find_spec("ziglang") is None,

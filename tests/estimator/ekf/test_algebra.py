@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from filterpy.kalman import ExtendedKalmanFilter
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import ROWS_MAX
@@ -20,6 +19,8 @@ def covariance(rng: np.random.Generator, n: int, spread: float) -> F64:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_predict(seed: int) -> None:
+    from filterpy.kalman import ExtendedKalmanFilter  # takes a second, as it loads scipy.stats
+
     rng = np.random.default_rng(seed)
     P, Q, F = covariance(rng, N, 1.5), covariance(rng, N, 1.0), rng.normal(size=(N, N))
     oracle = ExtendedKalmanFilter(dim_x=N, dim_z=1)
@@ -31,6 +32,8 @@ def test_predict(seed: int) -> None:
 @pytest.mark.parametrize("m", [1, 2, 3, 4, 6, ROWS_MAX])
 @pytest.mark.parametrize("seed", range(8))
 def test_correct(seed: int, m: int) -> None:
+    from filterpy.kalman import ExtendedKalmanFilter
+
     rng = np.random.default_rng([seed, m])
     P, H, R, innov = covariance(rng, N, 1.0), rng.normal(size=(m, N)), covariance(rng, m, 0.5), rng.normal(size=m)
     before = P.copy()

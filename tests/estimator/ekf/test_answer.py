@@ -102,9 +102,7 @@ def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
 
 @pytest.mark.parametrize("t_imu", [0, 3 * MS])
 @pytest.mark.parametrize(("later_ns", "moves"), [(0, True), (20 * MS, True), (20 * MS + 1, False)])
-def test_the_body_moves_as_its_newest_sample_says_until_it_holds_no_longer_to_the_nanosecond(
-    t_imu: int, later_ns: int, moves: bool
-) -> None:
+def test_the_body_moves_as_its_newest_sample_says_until_it_holds_no_longer_to_the_nanosecond(t_imu, later_ns, moves):
     b = belief(LEVEL, t=t_imu, x=state(), t_imu=t_imu, f=(0.5, 0.1, -9.6))
     assert same_answer(b, t_imu + later_ns, OFTEN)[1] is moves
 

@@ -155,9 +155,7 @@ def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int
         ((0.2, 0.0), (0.8, 0.0), 100, True),  # she lies still, so that nothing is along her way
     ],
 )
-def test_a_pad_that_moves_across_the_ships_way_is_swung(
-    before: tuple[float, float], now: tuple[float, float], shown_ms: int, swings: bool
-) -> None:
+def test_a_pad_that_moves_across_the_ships_way_is_swung(before, now, shown_ms, swings):
     x, P = under(), diagonal(d=1e-4)
     x[VESSEL_VEL] = now
     b = belief(x=x, P=P, steered=T - shown_ms * MS, vessel_before=np.array(before), ins_v=np.zeros(3))

@@ -66,9 +66,7 @@ def same_forecast(b: Belief, now: int, horizons_s: tuple[float, ...], chosen: Fi
     st.sampled_from([HORIZONS_S, (7.3,), (20.0, 1e-3), (3.0, 2.0, 1.0, 0.0)]),
 )  # fmt: skip
 @settings(max_examples=40, deadline=None)
-def test_a_forecast_is_the_oracle_s(
-    seed: int, later_ms: int, chosen: FilterParams, looks: int, size: float, horizons_s: tuple[float, ...]
-) -> None:
+def test_a_forecast_is_the_oracle_s(seed, later_ms, chosen, looks, size, horizons_s):
     """The states and banks are random: one or many horizons; no look, one or many; at rest and moving."""
     sea = learned(seed % 1000, looks, size) if looks else deck_motion_bank.unknown()
     b = beginning(seed)._replace(sighted=T - 20 * MS, sea=sea)

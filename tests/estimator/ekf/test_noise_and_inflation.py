@@ -9,14 +9,7 @@ from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, at, start, step
 from estimator.ekf.so3 import about_down, heading
-from estimator.ekf.state import (
-    ATT_BIAS,
-    CAMERA_DELAY,
-    PAD_YAW,
-    POS_REL,
-    VEL,
-    Belief,
-)
+from estimator.ekf.state import ATT_BIAS, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, Belief
 from tests.estimator.ekf import flown as core
 from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
 

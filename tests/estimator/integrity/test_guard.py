@@ -176,9 +176,7 @@ def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
 
 
 @pytest.mark.parametrize(("adrift", "beside_m", "taken"), [(True, 2.3, True), (True, 2.5, False), (False, 2.3, False)])
-def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_belief_can_have_it(
-    adrift: bool, beside_m: float, taken: bool
-) -> None:
+def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_belief_can_have_it(adrift, beside_m, taken):
     t, swung = T + 500 * MS, replace(belief((1.0, 0.5, 2.0), 0.6), adrift=adrift)
     guard, verdict = admit_sighting(followed(), sighting(t, (1.0 + beside_m, 0.5, 2.0)), attitude(t), swung)
     assert (verdict, guard.tracks.number) == (None if taken else Verdict.ELSEWHERE, 1)
@@ -217,9 +215,7 @@ def test_a_delay_that_has_held_in_flight_is_kept_until_the_vehicle_stands(flying
 
 
 @pytest.mark.parametrize(("flying", "known", "said"), [(True, True, Verdict.FROZEN), (False, True, None), (True, False, None)])
-def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
-    flying: bool, known: bool, said: Verdict | None
-) -> None:
+def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(flying, known, said):
     guard = IntegrityGuard(flying=flying)
     for i in range(12):
         t = T + i * 40 * MS
@@ -263,9 +259,7 @@ def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing(
 @pytest.mark.parametrize(
     ("tilts_to_deg", "aside_m", "verdict"), [(20.0, 0.0, None), (20.0, 0.78, Verdict.ELSEWHERE), (0.0, 0.78, Verdict.ELSEWHERE)]
 )
-def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the_tilt_is_by_then(
-    tilts_to_deg: float, aside_m: float, verdict: Verdict | None
-) -> None:
+def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the_tilt_is_by_then(tilts_to_deg, aside_m, verdict):
     """Own truth: the body tilts while its attitude is not known, which moves the place that is assumed by 1.1 m."""
     p, step = np.array([0.2, 0.1, 3.0]), 33 * MS
     guard = IntegrityGuard(options=IntegrityOptions(view_turned_min_rad=1.0))

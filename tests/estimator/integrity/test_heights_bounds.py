@@ -64,9 +64,7 @@ def test_a_sighting_is_kept_with_the_bodys_down_axis() -> None:
         (4.0, 4.39, 1e-9, True), (4.0, 4.41, 1e-9, False),
     ],
 )  # fmt: skip
-def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(
-    height_m: float, range_m: float, sigma_m: float, agrees: bool
-) -> None:
+def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(height_m, range_m, sigma_m, agrees):
     assert speaks(replace(OVER, d_level=(0.0, 0.0, height_m)), range_m, sigma_m=sigma_m) is agrees
 
 
@@ -78,25 +76,21 @@ def leaning(cx: float, cy: float, foot_m: tuple[float, float] = (0.0, 0.0), heig
 
 
 @pytest.mark.parametrize("lean", [(0.4, 0.0), (0.0, 0.4), (-0.3, 0.3)])
-def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_perpendicular_agrees(
-    lean: tuple[float, float],
-) -> None:
+def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_perpendicular_agrees(lean):
     along_m = 2.0 / math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)
     for range_m, agrees in ((along_m + 0.23, True), (along_m + 0.25, False), (2.0, True), (1.77, True), (1.75, False)):
         assert speaks(leaning(*lean), range_m) is agrees
     for foot in ((0.49, 0.0), (0.0, -0.49), (0.3, 0.3)):
-        assert speaks(leaning(*lean, foot), 2.1) is True
+        assert speaks(leaning(lean[0], lean[1], foot), 2.1) is True
     for foot in ((0.51, 0.0), (0.0, -0.51), (0.4, 0.4)):
-        assert speaks(leaning(*lean, foot), 2.1) is None
+        assert speaks(leaning(lean[0], lean[1], foot), 2.1) is None
 
 
 @pytest.mark.parametrize(
     ("foot_m", "range_m", "says"),
     [(1.39, 3.59, False), (1.39, 3.61, None), (1.39, 6.0, None), (1.41, 2.0, None), (0.49, 3.61, True), (0.49, 6.0, False)],
 )
-def test_beyond_the_deck_only_what_is_nearer_than_the_pad_counts_and_only_close_around_it(
-    foot_m: float, range_m: float, says: bool | None
-) -> None:
+def test_beyond_the_deck_only_what_is_nearer_than_the_pad_counts_and_only_close_around_it(foot_m, range_m, says):
     assert speaks(replace(OVER, d_level=(foot_m, 0.0, 4.0)), range_m) is says
 
 

@@ -44,9 +44,7 @@ def away(at_m: float, by_m: float) -> list[tuple[float, float]]:
         (0, 0.5, 0.0, 0.3),
     ],
 )
-def test_the_sighting_before_explains_its_neighbourhood(
-    after_ms: int, sigma_m: float, moved_m: float, doubt_m: float, by_m: float
-) -> None:
+def test_the_sighting_before_explains_its_neighbourhood(after_ms, sigma_m, moved_m, doubt_m, by_m):
     """Its doubt adds to the attitude's in squares sideways, and as it is in height."""
     tracks = Tracks(3, 20, place(T, sigma_m=sigma_m))
     aside = away(math.hypot(0.16, doubt_m) + moved_m, by_m)[:1]
@@ -69,9 +67,7 @@ def test_for_a_tenth_of_a_second_only() -> None:
         (9.0, 9.0, math.hypot(0.16, 0.4, 0.3), 1.96),
     ],
 )
-def test_the_belief_explains_as_far_as_its_doubt_up_to_a_bound(
-    belief_m: float, seen_m: float, side_m: float, down_m: float, by_m: float
-) -> None:
+def test_the_belief_explains_as_far_as_its_doubt_up_to_a_bound(belief_m, seen_m, side_m, down_m, by_m):
     t = T + S
     expected = place(t, sigma_m=belief_m)
     aside, (_, below), (_, above) = away(side_m, by_m)[0], away(down_m, by_m)[1], away(down_m, by_m)[2]
@@ -134,9 +130,7 @@ def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad(trac
         (80, 9, 3 * S, T - S, True),
     ],
 )
-def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
-    track_n: int, n: int, lasted: int, track_t: int, adopted: bool
-) -> None:
+def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(track_n, n, lasted, track_t, adopted):
     t = T + lasted
     after, explained = associate(followed(track_n, other(n - 1, T, t - S), t=track_t), place(t, 1.0), None, LIMITS)
     assert explained is adopted
@@ -150,9 +144,7 @@ def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
         (16, 17, 2, T - 1, True), (16, 17, 3, T - 1, False), (16, 99, 0, T, False),
     ],
 )  # fmt: skip
-def test_a_track_of_one_second_goes_on_where_a_pad_alone_is_seen_more_often_than_it_was(
-    track_n: int, n: int, rival_n: int, track_t: int, goes_on: bool
-) -> None:
+def test_a_track_of_one_second_goes_on_where_a_pad_alone_is_seen_more_often_than_it_was(track_n, n, rival_n, track_t, goes_on):
     """WHY: a pad that was lost half a second after its first sight came back as another one (weather_4, seed 7603)."""
     t = T + S
     tracks = followed(track_n, other(rival_n, T, t, -9.0), other(n - 1, T, t - 30 * MS), t=track_t)

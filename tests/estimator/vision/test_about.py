@@ -23,9 +23,7 @@ def half_covered(camera: Camera, pad: Pad, k: int) -> tuple[PadScene, PadPose, P
     return scene, PadPose(scene.truth.R_cam_pad, scene.truth.t_cam_pad + off), Plane(scene.truth.R_cam_pad.matrix, True)
 
 
-def test_half_a_pad_is_found_some_pixels_beside_the_expected_place_where_registration_finds_nothing(
-    camera: Camera, pad: Pad
-) -> None:
+def test_half_a_pad_is_found_some_pixels_beside_the_expected_place_where_registration_finds_nothing(camera, pad):
     near = from_there = from_here = 0
     for k in range(12):
         scene, start, plane = half_covered(camera, pad, k)

@@ -58,9 +58,7 @@ def disc_on(shape: tuple[int, int], at: tuple[float, float], radius: float, insi
     seed=st.integers(0, 99),
 )  # fmt: skip
 @settings(max_examples=40)
-def test_a_disc_of_little_contrast_is_the_most_prominent_circle(
-    u: float, v: float, radius: float, shades: tuple[int, int], seed: int
-) -> None:
+def test_a_disc_of_little_contrast_is_the_most_prominent_circle(u, v, radius, shades, seed):
     camera = sim_camera((0.0, 0.0, 0.0))
     grey = disc_on((90, 160), (u, v), radius, *shades) + np.random.default_rng(seed).normal(0.0, 2.0, (90, 160))
     best = edge_circles(np.asarray(np.rint(grey), np.uint8), 4, camera, Plane.of(camera, None), Radii(8.5, 1.2, 7), 3)[0]

@@ -42,9 +42,7 @@ def outline_of(circle: EdgeCircle) -> tuple[F64, F64]:
 
 @pytest.mark.parametrize("ways", [(30, 200), (160, 60), (112, 100)])
 @pytest.mark.parametrize(("axes", "turn"), [((8.0, 5.0), 0.5), ((14.0, 9.0), -0.8), ((10.0, 10.0), 0.0)])
-def test_an_oval_is_the_most_prominent_outline_whatever_is_in_its_middle(
-    ways: tuple[int, int], axes: tuple[float, float], turn: float
-) -> None:
+def test_an_oval_is_the_most_prominent_outline_whatever_is_in_its_middle(ways, axes, turn):
     camera = sim_camera((0.0, 0.0, 0.0))
     px = oval((180, 320), (150.3, 80.7), axes, turn, ways)
     px = np.asarray(px + np.random.default_rng(2).integers(-1, 2, px.shape), np.uint8)
@@ -87,9 +85,7 @@ def nearest_guess(seen: Shown, px: U8, camera: Camera, pad: Pad) -> float:
 
 @pytest.mark.parametrize("condition", ["black on white", "white on black", "dusk noise 20", "haze 15", "grey"])
 @pytest.mark.parametrize("tilt", OBLIQUE)
-def test_an_oblique_pad_without_an_attitude_is_guessed_with_its_tilt(
-    camera: Camera, condition: str, tilt: tuple[float, float]
-) -> None:
+def test_an_oblique_pad_without_an_attitude_is_guessed_with_its_tilt(camera, condition, tilt):
     hard = HARD[condition]
     seen = shown(camera, hard.pad, 10.0, tilt_rad=tilt)
     px = hard.change(seen.px, np.random.default_rng(4))
@@ -100,9 +96,7 @@ def test_an_oblique_pad_without_an_attitude_is_guessed_with_its_tilt(
     ("white on black", 14.0, OBLIQUE[0]), ("white on black", 12.0, OBLIQUE[1]), ("dusk noise 20", 14.0, OBLIQUE[1]),
     ("grey", 12.0, OBLIQUE[2]),
 ])  # fmt: skip
-def test_a_search_finds_an_oblique_pad_from_afar_without_an_attitude(
-    camera: Camera, condition: str, height_m: float, tilt: tuple[float, float]
-) -> None:
+def test_a_search_finds_an_oblique_pad_from_afar_without_an_attitude(camera, condition, height_m, tilt):
     hard = HARD[condition]
     seen = shown(camera, hard.pad, height_m, tilt_rad=tilt)
     px = hard.change(seen.px, np.random.default_rng(6))

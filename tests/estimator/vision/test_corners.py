@@ -82,9 +82,7 @@ def test_pose_of_the_h_up_to_half_a_turn(height_m: float, yaw_deg: float, camera
 @pytest.mark.parametrize(
     ("place", "side"), [((0.05, 0.0), "long"), ((0.25, 0.0), "long"), ((0.15, -0.16), "short"), ((0.15, 0.16), "short")]
 )
-def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(
-    place: tuple[float, float], side: Side, camera: Camera, pad: Pad
-) -> None:
+def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(place, side, camera, pad):
     """The thesis' listing had the two sides exchanged, which makes three times the range, or a third."""
     scene = PadPlacement((*place, 0.22), 0.03)
     frame = image(scene, camera, pad, blur_px=0.6, noise=1.5)

@@ -144,9 +144,7 @@ def seen_from(
     st.floats(-3.1, 3.1),
 )
 @seed(17)
-def test_a_pad_of_fiducials_is_found_from_cold_and_measured(
-    name: str, log_m: float, roll: float, pitch: float, yaw: float
-) -> None:
+def test_a_pad_of_fiducials_is_found_from_cold_and_measured(name, log_m, roll, pitch, yaw):
     height_m = math.exp(log_m)
     seen, true = seen_from(shipped_pad(name), height_m, (roll, pitch, yaw))
     assert seen is not None

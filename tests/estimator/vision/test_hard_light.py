@@ -59,9 +59,7 @@ def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k:
 
 
 @pytest.mark.parametrize(("seed", "k", "height_m"), [(97, 12, 10.0), (97, 22, 15.0), (97, 32, 15.0)])
-def test_a_ring_that_pixels_mix_with_the_h_is_as_bright_as_it_should_be(
-    camera: Camera, seed: int, k: int, height_m: float
-) -> None:
+def test_a_ring_that_pixels_mix_with_the_h_is_as_bright_as_it_should_be(camera, seed, k, height_m):
     # Compared with all of the disc, whose inner part is as bright as the H there, the ring is too dark: the score is 0.1.
     seen = hard_scene(np.random.default_rng([seed, k, round(10 * height_m)]), camera, HARD["grey"], height_m)
     assert seen.truth is not None

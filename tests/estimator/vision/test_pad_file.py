@@ -140,9 +140,7 @@ def test_strokes_that_cross_are_one_shape() -> None:
 
 @settings(max_examples=60)
 @given(st.sampled_from("HILTX"), st.floats(0.1, 0.5), st.floats(0.1, 0.5), st.floats(0.01, 0.04), st.floats(0.01, 0.04))
-def test_the_rectangles_of_a_letter_cover_its_outline(
-    letter: str, length: float, width: float, stroke: float, bar: float
-) -> None:
+def test_the_rectangles_of_a_letter_cover_its_outline(letter, length, width, stroke, bar):
     painted = PaintedLetter("white", letter, length, width, stroke, bar)  # type: ignore[arg-type]
     rng = np.random.default_rng(1)
     at = rng.uniform(-0.3, 0.3, (400, 2))

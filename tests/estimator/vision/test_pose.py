@@ -25,9 +25,7 @@ def marks_of(points: F64, scene: PadPlacement, camera: Camera, sigma_px: float =
 
 @settings(max_examples=60)
 @given(x=side, y=side, z=st.floats(0.3, 20.0), yaw=angle, roll=tilt, pitch=tilt, lens=st.booleans(), ahead=st.floats(-0.2, 0.2))
-def test_exact_marks_give_the_exact_pose(
-    x: float, y: float, z: float, yaw: float, roll: float, pitch: float, lens: bool, ahead: float
-) -> None:
+def test_exact_marks_give_the_exact_pose(x, y, z, yaw, roll, pitch, lens, ahead):
     """Tilt is put in, the camera's place on the body is turned with it, and the lens is undone."""
     distortion = (0.05, -0.02, 0.002, -0.001, 0.0) if lens else (0.0,) * 5
     camera = sim_camera((ahead, 0.03, 0.05), distortion)

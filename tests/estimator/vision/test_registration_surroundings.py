@@ -85,9 +85,7 @@ def test_what_lies_around_a_pad_does_not_have_it_rejected(camera: Camera, pad: P
 
 
 @pytest.mark.parametrize(("height_m", "least"), [(1.0, 0.0015), (12.0, 0.003)])
-def test_a_pad_painted_to_a_tolerance_is_at_a_range_of_that_tolerance(
-    camera: Camera, pad: Pad, height_m: float, least: float
-) -> None:
+def test_a_pad_painted_to_a_tolerance_is_at_a_range_of_that_tolerance(camera, pad, height_m, least):
     """Two millimetres of a disc of 390 are half a percent of the range; its lettering and ring say the range, too."""
     view = surrounded_view(np.random.default_rng([67, round(height_m)]), camera, pad, "even", height_m, 0.0)
     rough = replace(pad, size_sigma_m=0.002)

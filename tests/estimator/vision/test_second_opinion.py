@@ -72,9 +72,7 @@ def said(network: SecondOpinion, name: str, shown: str, turned_rad: float = 0.0)
         ("aruco_board", "x", (0.995, 0.020, 0.005)),
     ],
 )
-def test_the_shipped_network_gives_the_recorded_answers(
-    network: SecondOpinion, name: str, other: str, answers: tuple[float, float, float]
-) -> None:
+def test_the_shipped_network_gives_the_recorded_answers(network, name, other, answers):
     """Each shipped pad where it is, where another one is, and turned by an eighth."""
     given = said(network, name, name), said(network, name, other), said(network, name, name, math.radians(45.0))
     assert given == pytest.approx(answers, abs=0.03)

@@ -95,9 +95,7 @@ def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerM
     ("age_s", "consistent", "alerts", "sigma_m"),
     [(1.1, True, (), 0.02), (0.0, False, (), 0.02), (0.0, False, (IntegrityAlert.RANGE,), 0.02), (0.0, True, (), 0.4)],
 )
-def test_an_estimate_that_is_old_inconsistent_or_inaccurate_excludes_no_place(
-    age_s: float, consistent: bool, alerts: tuple[IntegrityAlert, ...], sigma_m: float
-) -> None:
+def test_an_estimate_that_is_old_inconsistent_or_inaccurate_excludes_no_place(age_s, consistent, alerts, sigma_m):
     view = stage().view(3.0)
     sharp = belief(view, (0.0, -1.1, 0.0), sigma_m)
     of = replace(sharp, sighted=MonoNs(sharp.at - round(age_s * 1e9)), consistent=consistent, alerts=alerts)

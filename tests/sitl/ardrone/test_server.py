@@ -234,9 +234,7 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
     assert (await again.frame()).payload
 
 
-async def test_navdata_clients_are_forgotten_in_the_end(
-    server: ArDroneServer, monkeypatch: pytest.MonkeyPatch, stack: ExitStack
-) -> None:
+async def test_navdata_clients_are_forgotten_in_the_end(server, monkeypatch, stack):
     monkeypatch.setattr("sitl.emulators.ardrone.sockets.NAVDATA_LEASE_S", 0.6)
     peer = Peer(HOST, server.ports)
     stack.callback(peer.close)

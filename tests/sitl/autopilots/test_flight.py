@@ -41,9 +41,7 @@ def simulate(*words: str) -> int:
 
 
 @pytest.mark.timeout(400)
-def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
-    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(tmp_path, near, capsys):
     binary = program(tmp_path, f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"')
     kept = tmp_path / "kept"
     code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept), "--param", "LAND_SPEED=40")
@@ -70,9 +68,7 @@ def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFi
     assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
 
 
-def test_a_program_that_ends_is_reported_with_its_last_words(
-    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_program_that_ends_is_reported_with_its_last_words(tmp_path, near, capsys):
     assert simulate(near, "--binary", program(tmp_path, "echo Vehicle model not found; exit 1")) == 1
     printed = capsys.readouterr().err
     assert "ended with code 1" in printed
@@ -91,9 +87,7 @@ def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: st
 
 
 @pytest.mark.timeout(400)
-def test_a_recorded_flight_holds_the_truth_and_replays_to_the_bit(
-    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recorded_flight_holds_the_truth_and_replays_to_the_bit(tmp_path, near, capsys):
     kept, page = tmp_path / "flight.mcap", tmp_path / "report"
     words = ["--binary", "stand-in", "--perception", "model", "--record", str(kept), "--report", str(page), "--json"]
     assert simulate(near, "--seed", "2", *words) == 0

@@ -33,9 +33,7 @@ def flight(
 
 
 @pytest.mark.timeout(600)
-async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_somebody_pointed_ahead_on_the_way(
-    tmp_path: Path,
-) -> None:
+async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_somebody_pointed_ahead_on_the_way(tmp_path):
     landing = flight(tmp_path, device_id=1, yaw="earth", leaves_at_s=8.0)
     end = await landing.fly()
     assert end.failure == ""

@@ -81,18 +81,6 @@ class Seen(NullObserver):
 
 @pytest.mark.hazard("H3", "H4")
 @pytest.mark.timeout(400)
-async def test_it_finds_the_ship_by_her_reports_lands_on_her_under_way_and_stops_its_motors_at_once(tmp_path: Path) -> None:
-    """The place of the ship comes from her reports, the vehicle's own from its GLOBAL_POSITION_INT."""
-    seen, start = Seen(), {"height_m": 4.0, "pad_forward_m": 14.0, "pad_right_m": -6.0, "heading_deg": -20.0}
-    flight = flight_of("px4", tmp_path, "rendezvous", start=start, observers=[seen])
-    end = await flight.fly()
-    assert seen.phases.index("rendezvous") < seen.phases.index("descend")
-    assert_landed_and_stopped_at_once(flight, end)
-    assert end.failsafes == ()
-
-
-@pytest.mark.hazard("H3", "H4")
-@pytest.mark.timeout(400)
 async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_for_a_slow_camera(tmp_path: Path) -> None:
     seen = Seen()
     flight = flight_of("arducopter", tmp_path, seed=24, level="model", observers=[seen])
@@ -103,13 +91,12 @@ async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_fo
 
 
 @pytest.mark.timeout(400)
-async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(tmp_path, monkeypatch):
     """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
     end = await flight_of("px4", tmp_path, "sea_state_5", 3, "model").fly()
     assert end.outcome is FlightOutcome.LANDED
+    assert end.failsafes == ()
     assert [c.surface for c in end.contacts] == ["pad"]
     assert end.armed_after_contact_s is not None
     assert end.armed_after_contact_s < 1.0
@@ -118,11 +105,16 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
 @pytest.mark.hazard("H3", "H4", "H5")
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("stack", "modes"), [("px4", ["offboard", "auto.loiter"]), ("arducopter", ["guided"])])
-async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(
-    stack: Literal["px4", "arducopter"], modes: list[str], tmp_path: Path
-) -> None:
-    flight = flight_of(stack, tmp_path, faults=(ServiceKilled(below_height_m=2.5, for_s=4.0),))
+async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack, modes, tmp_path):
+    """PX4 finds a ship under way by her reports, its own place by its GLOBAL_POSITION_INT."""
+    seen, killed = Seen(), (ServiceKilled(below_height_m=2.5, for_s=4.0),)
+    start = {"height_m": 4.0, "pad_forward_m": 14.0, "pad_right_m": -6.0, "heading_deg": -20.0}
+    by_reports: dict[str, Any] = {"name": "rendezvous", "start": start} if stack == "px4" else {}
+    flight = flight_of(stack, tmp_path, observers=[seen], faults=killed, **by_reports)
     end = await flight.fly()
+    if by_reports:
+        assert seen.phases.index("rendezvous") < seen.phases.index("descend")
+        assert end.failsafes == ("Failsafe activated: Offboard signal lost, entering Hold",)
     (silence,) = end.silences
     assert silence.modes == modes, "nothing of the dying service came through"
     assert silence.phase == "descend"

@@ -232,9 +232,7 @@ def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpo
 
 
 @pytest.mark.parametrize(("timeout", "least_m", "most_m"), [({}, 0.9, 1.6), ({"GUID_TIMEOUT": 3.0}, 2.5, 3.5)])
-def test_a_service_that_dies_in_a_descent_costs_the_height_of_guid_timeout(
-    timeout: dict[str, float], least_m: float, most_m: float
-) -> None:
+def test_a_service_that_dies_in_a_descent_costs_the_height_of_guid_timeout(timeout, least_m, most_m):
     deck = Deck("calm", Stack.ARDUPILOT, timeout)
     deck.up(6.0)
     deck.fly(1.2, 0.9)
@@ -272,9 +270,7 @@ def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> Non
 
 
 @pytest.mark.parametrize(("down_m_s", "notices"), [(None, False), (0.4, True)])
-def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_leaves_by_a_velocity(
-    down_m_s: float | None, notices: bool
-) -> None:
+def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_leaves_by_a_velocity(down_m_s, notices):
     deck = Deck("calm", Stack.ARDUPILOT)
     deck.up(0.6)
     while deck.height_m > 0.06:

@@ -181,9 +181,7 @@ def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
         ([beat("guided", False), beat("guided", True)], 31.0, "did not take off"),
     ],
 )
-def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(
-    received_at: list[Message], waited_s: float, said: str
-) -> None:
+def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(received_at, waited_s, said):
     command_handler = CommandHandler()
     for message in received_at:
         command_handler.on_message(message)

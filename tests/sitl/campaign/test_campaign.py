@@ -110,9 +110,7 @@ def test_a_write_that_fails_is_taken_back(tmp_path: Path, monkeypatch: pytest.Mo
         assert [f["seed"] for f in kept.flights()] == [0]
 
 
-def test_a_folder_of_another_campaign_or_code_is_refused_by_name_and_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_of_another_campaign_or_code_is_refused_by_name_and_left_alone(tmp_path, monkeypatch):
     keep(tmp_path, range(2))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     with pytest.raises(BadInput, match="another campaign: it was flown with another scenario"):

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,76 +38,54 @@ def program(*args: str, ready: str, **env: str) -> Iterator[tuple[subprocess.Pop
         child.communicate()
 
 
-@contextmanager
-def scheduler() -> Iterator[tuple[subprocess.Popen[str], str]]:
-    command = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-    with program(*command, ready="Scheduler at") as (child, line):
-        yield child, re.search(r"tcp://\S+", line)[0]
-
-
 def worker(address: str, name: str, **env: str):
     command = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--name", name)
     return program(*command, ready="Registered to", **env)
 
 
-def test_a_cluster_gives_the_same_results_although_a_worker_is_killed() -> None:
-    own = plan(start={"height_m": 2.1})
+@pytest.fixture(scope="module")
+def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Yield a scheduler with one worker, and its address. The last test here ends it."""
+    command = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+    with program(*command, ready="Scheduler at") as (head, line):
+        address = re.search(r"tcp://\S+", line)[0]
+        with worker(address, "one"):
+            yield head, address
+
+
+def test_a_cluster_gives_the_same_results_although_a_worker_is_killed(served) -> None:
+    own, (_, address) = plan(start={"height_m": 2.1}), served
     seeds = range(RAISES - 12, RAISES + 13)
     alone = tally(fly_order(Order(Job(seed), own.base(), code_version(), fake_fly)) for seed in seeds)
-    with ExitStack() as stack:
-        _, address = stack.enter_context(scheduler())
-        victim, _ = stack.enter_context(worker(address, "one"))
-        stack.enter_context(worker(address, "two"))
-        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
-            assert cluster.threads == 2
-            flights = []
-            for flight in cluster.results(map(Job, seeds)):
-                flights.append(flight)
-                if len(flights) == 5:
-                    victim.kill()
+    with worker(address, "two") as (victim, _), ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
+        assert cluster.threads == 2
+        flights = []
+        for flight in cluster.results(map(Job, seeds)):
+            flights.append(flight)
+            if len(flights) == 5:
+                victim.kill()
     assert sorted(flight["seed"] for flight in flights) == list(seeds)
     assert tally(flights).hash == alone.hash
     assert tally(flights).errors == 1
 
 
-def test_orders_that_a_broken_connection_cancelled_are_given_again() -> None:
+def test_orders_that_a_broken_connection_cancelled_are_given_again(served) -> None:
     own = plan(start={"height_m": 2.2})
     seeds = range(RAISES + 1, RAISES + 13)
-    with ExitStack() as stack:
-        _, address = stack.enter_context(scheduler())
-        stack.enter_context(worker(address, "one"))
-        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
-            flights = []
-            for flight in cluster.results(map(Job, seeds)):
-                flights.append(flight)
-                if len(flights) == 3:
-                    client = cluster._client
-                    client.loop.add_callback(client.scheduler_comm.comm.abort)
+    with ClusterWorkers(own, code_version(), served[1], fake_fly) as cluster:
+        flights = []
+        for flight in cluster.results(map(Job, seeds)):
+            flights.append(flight)
+            if len(flights) == 3:
+                client = cluster._client
+                client.loop.add_callback(client.scheduler_comm.comm.abort)
     assert sorted(flight["seed"] for flight in flights) == list(seeds)
 
 
-def test_a_scheduler_that_dies_is_one_clear_line() -> None:
-    own = plan(start={"height_m": 2.3})
-    with ExitStack() as stack:
-        head, address = stack.enter_context(scheduler())
-        stack.enter_context(worker(address, "one"))
-        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
-            flights = cluster.results(map(Job, range(40)))
-            next(flights)
-            head.kill()
-            began_s = time.monotonic()
-            with pytest.raises(Recoverable, match=rf"--scheduler {address}: the scheduler is gone; the same command goes on"):
-                list(flights)
-            assert time.monotonic() - began_s < 60.0
-
-
-def test_a_worker_with_other_code_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    with ExitStack() as stack:
-        _, address = stack.enter_context(scheduler())
-        stack.enter_context(worker(address, "one"))
-        other = {**code_version(), "sources": "0" * 32}
-        with pytest.raises(OtherCode, match=r"worker tcp://\S+ has other code: sources \w{12} instead of 000000000000"):
-            ClusterWorkers(plan(), other, address, fake_fly)
+def test_a_worker_with_other_code_is_refused_by_name(served) -> None:
+    other = {**code_version(), "sources": "0" * 32}
+    with pytest.raises(OtherCode, match=r"worker tcp://\S+ has other code: sources \w{12} instead of 000000000000"):
+        ClusterWorkers(plan(), other, served[1], fake_fly)
 
 
 def test_no_scheduler_and_a_wrong_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
@@ -119,3 +97,15 @@ def test_no_scheduler_and_a_wrong_address(tmp_path: Path, monkeypatch: pytest.Mo
     assert output.count("\n") == 1
     with pytest.raises(BadInput, match="write it as tcp://host:8786"):
         ClusterWorkers(plan(), code_version(), "carrier-pigeon://x", fake_fly)
+
+
+def test_a_scheduler_that_dies_is_one_clear_line(served) -> None:
+    own, (head, address) = plan(start={"height_m": 2.3}), served
+    with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
+        flights = cluster.results(map(Job, range(40)))
+        next(flights)
+        head.kill()
+        began_s = time.monotonic()
+        with pytest.raises(Recoverable, match=rf"--scheduler {address}: the scheduler is gone; the same command goes on"):
+            list(flights)
+        assert time.monotonic() - began_s < 60.0

@@ -3,10 +3,7 @@
 import json
 import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from companion.cli import main as cli
 from sitl.campaign import random_faults
@@ -69,9 +66,7 @@ def test_shares_and_worst_flights_are_counted_and_reported() -> None:
     assert [f["seed"] for f in tally.failing] == [20, 22]
 
 
-def test_a_campaign_writes_cases_that_fly_again_and_simulate_draws_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_campaign_writes_cases_that_fly_again_and_simulate_draws_the_same(tmp_path, monkeypatch, capsys):
     scenario = tmp_path / "near.toml"
     scenario.write_text(NEAR)
     monkeypatch.setattr(random_faults, "verdict_of", lambda flight: "unsafe")  # a safe flight stands for an unsafe one

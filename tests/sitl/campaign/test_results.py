@@ -103,9 +103,7 @@ def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "--workers does not go with --scheduler"),
     ],
 )
-def test_wrong_use_of_variation_is_one_clear_line(
-    args: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_use_of_variation_is_one_clear_line(args, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["campaign", "calm", *args]) == 2
     err = capsys.readouterr().err
@@ -113,9 +111,7 @@ def test_wrong_use_of_variation_is_one_clear_line(
     assert err.count("\n") == 1
 
 
-def test_a_scenario_that_an_ardrone_cannot_fly_is_refused_before_the_first_flight(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scenario_that_an_ardrone_cannot_fly_is_refused_before_the_first_flight(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["campaign", "gimbal", "--perception", "model"]) == 2
     assert "gimbal: an AR.Drone has none" in capsys.readouterr().err

@@ -54,9 +54,7 @@ def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, cap
     assert summary["hash"] in output.out
 
 
-def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(tmp_path, capsys):
     chosen, out = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', "")), tmp_path / "out"
     own = ["--set", "wind.speed_m_s=3.5", "--set", "guidance.cone.descent_rate_m_s=0.4"]
     assert cli.main(["campaign", chosen, "--runs", "2", "--workers", "1", "--out", str(out), *own, "--report", "--json"]) == 0

@@ -132,16 +132,7 @@ def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.Capt
 def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = [
-        "--virtual",
-        "--hours",
-        "1",
-        "--no-faults",
-        "--no-cpu",
-        "--json",
-        "--readings",
-        str(readings),
-    ]
+    words = ["--virtual", "--hours", "1", "--no-faults", "--no-cpu", "--json", "--readings", str(readings)]
     command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--soak", *words]
     with started(command) as soak:
         end = time.monotonic() + 60
@@ -165,16 +156,7 @@ def test_a_file_that_cannot_be_written_is_reported_before_the_first_flight(capsy
 def test_a_full_disk_is_reported_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = [
-        "--virtual",
-        "--runs",
-        "2",
-        "--no-faults",
-        "--no-cpu",
-        "--json",
-        "--readings",
-        "/dev/full",
-    ]
+    words = ["--virtual", "--runs", "2", "--no-faults", "--no-cpu", "--json", "--readings", "/dev/full"]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     output = capsys.readouterr()
     assert json.loads(output.out)["flights"] == 2

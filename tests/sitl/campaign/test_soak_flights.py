@@ -11,7 +11,6 @@ from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from sitl.campaign import plots
 from sitl.campaign.growth import Reading
 from sitl.campaign.soak_flights import Class, Flown, Outcomes, by_fault, real
 from sitl.flight.ending import Load
@@ -58,9 +57,7 @@ def test_a_flight_in_real_time_is_on_the_pad_refused_or_failed() -> None:
         (Counter({Verdict.NO_ATTITUDE: 600, Verdict.FUSED: 280}), {}, "68% of the frames had no attitude"),
     ],
 )
-def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(
-    frames: Counter[Verdict], said: dict[str, Any], reason: str
-) -> None:
+def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(frames, said, reason):
     failed = judged(FlightOutcome.EMERGENCY, frames, ended="emergency", on_pad=False, **said)
     assert failed.worth is Class.STARVED
     assert reason in failed.because
@@ -91,6 +88,8 @@ def test_failed_flights_and_a_starved_soak_are_faults() -> None:
 
 
 def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path) -> None:
+    from sitl.campaign import plots  # matplotlib takes half a second
+
     readings = [Reading(30.0 * n, n, 100.0 + n, 10, 3, None, 1.0 * n) for n in range(12)]
     flights = [flown(worth, n + 1, f"a; faults/{n}") for n, worth in enumerate(Class)]
     plots.soak(tmp_path / "soak.png", readings, flights)
@@ -124,9 +123,7 @@ def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytes
         assert why in capsys.readouterr().err
 
 
-def test_a_virtual_soak_names_the_flight_that_failed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypatch):
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
     from companion.guidance.pilot import Pilot
 

@@ -192,13 +192,7 @@ def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Out
 
 
 def gather(
-    b: Belief,
-    kind: int,
-    innov: Innov,
-    R: F64,
-    params: FilterParams,
-    axes: tuple[int, ...] = (),
-    deck_weight: float = 0.0,
+    b: Belief, kind: int, innov: Innov, R: F64, params: FilterParams, axes: tuple[int, ...] = (), deck_weight: float = 0.0
 ) -> tuple[Belief, Outcome]:
     """Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.
 
