@@ -38,7 +38,7 @@ def test_the_tables_say_what_the_set_ups_of_the_programs_have(stack: str) -> Non
     snapshot: Snapshot = set_up(stack, "defaults")
     assert snapshot.autopilot is not None
     asked_for = {
-        "ArduPilot": {"FS_THR_ENABLE"},
+        "ArduPilot": {"FS_THR_ENABLE", "PSC_JERK_XY", "WPNAV_ACCEL"},
         "PX4": {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "EKF2_GPS_CHECK"},
     }
     found = differing(snapshot.autopilot.parameters, defaults_of(stack, (4, 5, 7) if stack == "ArduPilot" else (1, 16, 2)))
