@@ -99,7 +99,7 @@ class MavlinkSampler:
         self.inertial_delay_s = 0.0
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.jerk_max_m_s3: float | None = None
-        """For the vehicle's status."""
+        """Its limit of the jerk, as the status hands it on; None while it is not known."""
         self.condition = Condition()
         self.taken: str | None = None
         """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
