@@ -204,7 +204,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     )
     if end.result is not None:
         ending = graded_ending(args.scenario, args.seed, scenario, end.result, time.process_time())
-    ending = replace(ending, started=flight.graded.started, without_outcome=end.without_outcome)
+    ending = replace(ending, started=flight.graded.started, without_outcome=end.without_outcome, standing=end.standing)
     wall_s = time.monotonic() - began
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     if args.json:

@@ -85,6 +85,8 @@ class Knowledge(Struct, frozen=True):
     """The fastest climb that the controller requests; None if it does not say."""
     climb: ClimbResponse | None = None
     """Response of the vehicle's climb, by its file; None where nobody says."""
+    jerk_max_m_s3: float | None = None
+    """The vehicle's own limit of the jerk; None leaves it at its response file's."""
     unfelt: bool = False
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S

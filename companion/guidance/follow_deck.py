@@ -154,11 +154,6 @@ _GAP_MAX_S = 0.5
 """A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
 _BLEND_S = 1.0
 """Time in which the command goes over from one set of gains to another, s."""
-_SOFT_BEYOND_M, _SOFT_UNTIL_M = 0.1, 0.05
-"""Distance beside the wanted place beyond which a vehicle with a velocity loop of its own is flown by soft gains, and up to which
-again. Such a vehicle limits the jerk of its commands, ArduCopter to 5 m/s^3: from a quarter of a metre the full gains
-requested four times as much, and the loop swung wider and wider.
-"""
 
 
 class FollowDeckMemory(Struct, frozen=True, eq=False):
@@ -223,7 +218,7 @@ class FollowDeck:
         felt = noise or ObserverNoise()
         self._observers = observer_gains(felt, period_s)
         self._observers_unfelt = observer_gains(felt._replace(accelerometer=False), period_s)
-        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, bool], Any] = {}
+        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, float, bool], Any] = {}
 
     @property
     def climb_max_m_s(self) -> float:
@@ -241,19 +236,29 @@ class FollowDeck:
             self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
         return self._tunings[choice]
 
-    def _law(self, memory: FollowDeckMemory, sigma_p_m: float, *, unfelt: bool) -> Any:
-        """Return the law for a standard deviation of the place as the core reads it, kept once it is made.
+    def _law(self, memory: FollowDeckMemory, sigma_p_m: float, soft_m: float, jerk_max_m_s3: float, *, unfelt: bool) -> Any:
+        """Return the law as the core reads it, kept once it is made.
+
+        Args:
+            sigma_p_m: standard deviation of the place, by which it is observed.
+            soft_m: the one for which gains are as soft as they are to be.
+            jerk_max_m_s3: limit of the jerk; 0 without one.
 
         Raises:
             ValueError: as `_gains`.
         """
         before = memory.tuning if memory.share == 1.0 else memory.tuning_before
-        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), unfelt
+        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), jerk_max_m_s3, unfelt
         if key not in self._in_use:
-            gains, earlier = self._gains(memory.tuning, sigma_p_m), self._gains(before, sigma_p_m)
+            gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
             observers = self._observers_unfelt if unfelt else self._observers
             of = self._tuning(memory.tuning).response
-            params = {**self._params, "frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
+            params = {
+                **self._params,
+                "frequency_rad_s": of.frequency_rad_s,
+                "damping": of.damping,
+                "jerk_max_m_s3": jerk_max_m_s3,
+            }
             self._in_use[key] = law_in_use(params, gains, chosen(observers, sigma_p_m), earlier)
         return self._in_use[key]
 
@@ -272,14 +277,32 @@ class FollowDeck:
             tuning.gains(sigma_p_m), tuning.under_way, max(1, min(self._remembered, climb_delay)), tuning.response.slowness_s
         )
 
-    def _wanted(self, memory: FollowDeckMemory, knowledge: Knowledge, target: Target | None) -> TuningChoice:
-        """Return the gains to fly by."""
-        wanted, relative = chosen_tuning(knowledge.response), knowledge.relative
-        if not self._over_ground or target is None or relative is None:
-            return wanted
-        beside_m = math.dist(relative.d_body_pad_level.tolist()[:2], target.d_body_pad_level.tolist()[:2])
-        far = beside_m > (_SOFT_UNTIL_M if memory.tuning.soft else _SOFT_BEYOND_M)
-        return wanted._replace(soft=wanted.soft or far)
+    def _jerk_max_m_s3(self, knowledge: Knowledge) -> float:
+        """Return the limit of the jerk, 0 without one: the vehicle's own word before its file's."""
+        return knowledge.jerk_max_m_s3 or self.response.tilt.jerk_max_m_s3 or 0.0
+
+    def _soft_m(
+        self, memory: FollowDeckMemory, knowledge: Knowledge, relative: RelativeState, over: tuple[float, float]
+    ) -> float:
+        """Return the standard deviation of the place for which gains ask for no more jerk than the vehicle follows.
+
+        A loop with a limited input and two integrators or more swings wider and wider from a large error if it is stiff (Sussmann
+        & Yang, CDC 1991); with gains that fall as the error grows it comes back from any (Megretski, IFAC 1996).
+
+        Args:
+            over: wanted place of the pad, forward and right, m.
+        """
+        sigma, jerk_m_s3 = _sigma_m(relative), self._jerk_max_m_s3(knowledge)
+        if jerk_m_s3 == 0.0:
+            return sigma
+        tuning = self._tuning(memory.tuning)
+        beside_m = math.dist(relative.d_body_pad_level.tolist()[:2], over)
+        fast_m_s = math.hypot(*relative.v_pad_level.tolist()[:2])
+        for soft_m in SIGMAS_P_M:
+            stiff = abs(tuning.gains(soft_m).p)
+            if soft_m >= sigma and stiff * math.hypot(math.sqrt(stiff) * beside_m, fast_m_s) <= jerk_m_s3:
+                return soft_m
+        return max(sigma, SIGMAS_P_M[-1])
 
     def _retuned(self, memory: FollowDeckMemory, now: MonoNs, wanted: TuningChoice) -> FollowDeckMemory:
         """Return the memory with the gains that are wanted: at once before the first cycle, otherwise little by little."""
@@ -302,7 +325,8 @@ class FollowDeck:
         a_deck = (0.0, 0.0) if knowledge.deck is None else tuple(knowledge.deck.a_level.tolist()[:2])
         c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
         a_ned, aim_ned = ((c * x - s * y, s * x + c * y) for x, y in (a_deck, knowledge.aim_level))
-        after = tuning.after(_sigma_m(relative), max(0, round(seconds / self.period_s)))
+        soft_m = self._soft_m(memory, knowledge, relative, knowledge.aim_level)
+        after = tuning.after(soft_m, max(0, round(seconds / self.period_s)))
         (p_n, w_n), (p_e, w_e) = (
             (after @ tuning.state(memory.core.axes[axis], aim_ned[axis], a_ned[axis])).tolist() for axis in range(2)
         )
@@ -319,8 +343,10 @@ class FollowDeck:
             assert self._fallback is not None
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
-        memory = self._retuned(memory, now, self._wanted(memory, knowledge, target))
-        law, share = self._law(memory, _sigma_m(relative), unfelt=knowledge.unfelt), memory.share
+        memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
+        over = (0.0, 0.0) if target is None else (target.d_body_pad_level.item(0), target.d_body_pad_level.item(1))
+        soft_m, jerk_m_s3 = self._soft_m(memory, knowledge, relative, over), self._jerk_max_m_s3(knowledge)
+        law, share = self._law(memory, _sigma_m(relative), soft_m, jerk_m_s3, unfelt=knowledge.unfelt), memory.share
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         cycle = law_cycle(knowledge, body, target, dt, share, goes_on=0.0 < dt <= _GAP_MAX_S)
         core, out = CORE.ffi.new("dl_law_memory *"), CORE.ffi.new("dl_law_command *")

@@ -373,7 +373,10 @@ class LandingGuidance:
         outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
         # In steps, so that a forecast is carried on once and not in each cycle.
         swell_rad_s = round(self._swell.rad_s, 1)
-        seen = Knowledge(now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m)
+        jerk_m_s3 = None if self.vehicle is None else self.vehicle.jerk_max_m_s3
+        seen = Knowledge(
+            now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3
+        )
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)

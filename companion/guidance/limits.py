@@ -182,14 +182,15 @@ def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> 
 
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
-    turns = estimate.height_m > no_return_m(knowledge, cone)
+    lift = lift_m(estimate, knowledge, cone)
+    turns = estimate.height_m > max(no_return_m(knowledge, cone), lift)
     tilt_deg = _tilt_deg(knowledge.deck) if turns and knowledge.deck is not None else None
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
     beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     v = estimate.v_pad_level
     # Speed along the deck ends it for as long as a climb keeps the feet off it: feet that slide catch and tip the vehicle over.
-    over_m = estimate.height_m - lift_m(estimate, knowledge, cone)
+    over_m = estimate.height_m - lift
     lifts = over_m > 0.0
     speed = math.hypot(v[0], v[1]) if lifts else None
     ahead = _at_contact(knowledge, limits, _COMMIT_SPEED)

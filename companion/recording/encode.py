@@ -69,7 +69,9 @@ def sample(of: Sample) -> rec.SampleRecord:
                 None if of.v_ned is None else of.v_ned.tolist(),
             )
         case VehicleStatus():
-            return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken)
+            return rec.StatusRecord(
+                stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3
+            )
 
 
 def stamp(of: Stamp) -> rec.StampRecord:

@@ -109,6 +109,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     battery_fraction: float | None = None
     taken: str | None = None
     """Holder of the vehicle, if it was taken from the service."""
+    jerk_max_m_s3: float | None = None
+    """The vehicle's own limit of the jerk along the ground."""
 
 
 class Pose6Record(Struct, frozen=True):

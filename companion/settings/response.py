@@ -49,6 +49,18 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     damping: Annotated[float, number("its damping ratio", "1", *_DAMPING)]
     lag_s: Annotated[float, number("first-order lag before it: rotors", "s", 0.0, 0.5)] = 0.0
     max_deg: Annotated[float, number("largest tilt that a controller may ask for", "deg", 2.0, 45.0)] = 20.0
+    jerk_max_m_s3: (
+        Annotated[
+            float,
+            number(
+                "largest rate of change of the tilt, as an acceleration, that the vehicle follows; left out if it has no limit",
+                "m/s^3",
+                0.5,
+                1000.0,
+            ),
+        ]
+        | None
+    ) = None
     drag_1_s: Annotated[
         float, number("deceleration by the air for each m/s through it; it turns a lean into a wind speed", "1/s", 0.02, 3.0)
     ] = 0.35

@@ -18,7 +18,7 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_link
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
 from drivers.mavlink.roster import Bound, IdConflict, Origins, Roster
-from drivers.mavlink.samples import DELAY_PARAMETERS, LocalPosition, MavlinkSampler, inertial_delay_s
+from drivers.mavlink.samples import SAMPLE_PARAMETERS, LocalPosition, MavlinkSampler, inertial_delay_s, jerk_max_m_s3
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import (
@@ -194,6 +194,11 @@ class Autopilot:
     def streamer(self) -> SetpointStreamer | None:
         return None if self._known is None else self._known.streamer
 
+    @property
+    def rested(self) -> tuple[MonoNs, F64] | None:
+        """Time when the vehicle last stood, and the mean velocity (3,) of the deck under it, m/s; None if it never did."""
+        return None if self._known is None else self._known.streamer.rested
+
     def command(self, command: Command) -> None:
         """Take the newest command; it is flown as `SetpointStreamer` says.
 
@@ -297,6 +302,7 @@ class Autopilot:
         known.parameters.on_message(message)
         if name == "PARAM_VALUE":
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
+            known.sampler.jerk_max_m_s3 = jerk_max_m_s3(known.parameters.values)
         samples = known.sampler.samples(message, received_at)
         for fix in samples:
             if isinstance(fix, GeoFix):
@@ -433,7 +439,7 @@ class Autopilot:
             )
 
     def _wanted_of(self, stack: Stack) -> tuple[str, ...]:
-        return (*DELAY_PARAMETERS.get(stack, ()), *self._wanted)
+        return (*SAMPLE_PARAMETERS.get(stack, ()), *self._wanted)
 
     def _restart_requests(self, known: _Known, now: MonoNs) -> None:
         self._request_due, self._requested = False, now

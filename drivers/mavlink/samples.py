@@ -48,7 +48,8 @@ _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
 _PRESSURE_HPA = (100.0, 1200.0)
 
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
-DELAY_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ,), Stack.PX4: (_INTERVALS_HZ,)}
+_JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE")
+SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3), Stack.PX4: (_INTERVALS_HZ,)}
 """The parameters that say it, by stack."""
 _MOST_S = 0.05
 """Longest delay that is accepted: a cutoff of 4.5 Hz, with which nothing flies."""
@@ -59,11 +60,17 @@ def inertial_delay_s(stack: Stack, values: Mapping[str, float]) -> float:
 
     A Butterworth filter of the second order has a group delay of sqrt(2) / (2 pi cutoff) far below its cutoff.
     """
-    name = DELAY_PARAMETERS.get(stack, ("",))[0]
+    name = SAMPLE_PARAMETERS.get(stack, ("",))[0]
     rate_hz = values.get(name, 0.0)
     if not rate_hz > 0.0:
         return 0.0
     return min(_MOST_S, (math.sqrt(2.0) / math.tau if name == _CUTOFF_HZ else 0.5) / rate_hz)
+
+
+def jerk_max_m_s3(values: Mapping[str, float]) -> float | None:
+    """Return the largest rate at which the autopilot changes its acceleration along the ground; None while it is not known."""
+    found = [values[name] for name in _JERKS_M_S3 if values.get(name, 0.0) > 0.0]
+    return found[0] if found else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +98,8 @@ class MavlinkSampler:
         self.ranges = ranges
         self.inertial_delay_s = 0.0
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
+        self.jerk_max_m_s3: float | None = None
+        """Its limit of the jerk, as the status hands it on; None while it is not known."""
         self.condition = Condition()
         self.taken: str | None = None
         """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
@@ -189,7 +198,7 @@ class MavlinkSampler:
         c = self.condition
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")
-        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken)
+        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken, self.jerk_max_m_s3)
 
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition

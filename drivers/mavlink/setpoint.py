@@ -68,6 +68,8 @@ class RestVelocity:
         self.v_ned = np.zeros(3)
         """(3,) m/s, level."""
         self._at: MonoNs | None = None
+        self.newest: tuple[MonoNs, F64] | None = None
+        """Time when the vehicle last stood, and the mean then; None if it never did."""
 
     def on_velocity(self, v_ned: F64, now: MonoNs, *, stands: bool) -> None:
         """Take the autopilot's velocity, (3,) m/s."""
@@ -76,6 +78,7 @@ class RestVelocity:
             return
         weight = 1.0 if self._at is None else 1.0 - math.exp(-max(seconds_between(self._at, now), 0.0) / REST_S)
         self.v_ned, self._at = self.v_ned + weight * (v_ned * (1.0, 1.0, 0.0) - self.v_ned), now
+        self.newest = now, self.v_ned
 
 
 class TakingOff:

@@ -304,6 +304,11 @@ class SetpointStreamer:
         """Take the autopilot's place on the Earth."""
         self._place, self._placed_at = place, now
 
+    @property
+    def rested(self) -> tuple[MonoNs, F64] | None:
+        """Time when the vehicle last stood, and the mean velocity (3,) of the deck under it, m/s; None if it never did."""
+        return self._rest.newest
+
     def on_velocity(self, v_ned: F64, now: MonoNs) -> None:
         """Take the autopilot's velocity over the ground, (3,) m/s."""
         self._rest.on_velocity(v_ned, now, stands=self._condition.flying is False)

@@ -276,6 +276,8 @@ class VehicleStatus(Struct, frozen=True):
     link_ok: bool
     taken: str | None = None
     """Holder of the vehicle if it was taken from this service, in the vehicle's own words, for people; None otherwise."""
+    jerk_max_m_s3: float | None = None
+    """Largest rate at which it changes its acceleration along the ground, by its own settings; None if it does not say."""
 
 
 Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus

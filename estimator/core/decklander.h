@@ -279,8 +279,8 @@ enum {
  * first. */
 typedef struct {
     int64_t remembered, over_ground, keeps_in_view, looks_ahead;
-    double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, climb_lag_s, climb_max_m_s, view_forward_m, view_right_m,
-        half_forward_rad, half_right_rad;
+    double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, jerk_max_m_s3, climb_lag_s, climb_max_m_s, view_forward_m,
+        view_right_m, half_forward_rad, half_right_rad;
 } dl_law_params;
 
 typedef struct {

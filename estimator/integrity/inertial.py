@@ -25,6 +25,8 @@ _PERSISTS, _PERSISTS_ALONE = 3, 12
 _WELL = 20
 _AXIS, _ALL_ALIVE = 2.0, 0b111111
 """Factor on the time limit for one axis alone, which repeats itself more often than three."""
+_SHOWN_RAD_S = math.radians(2.0)
+"""Difference up to which the attitude's turn confirms an axis of the gyro: its own noise between two messages."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
@@ -181,7 +183,8 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
     was, now = _six(last), _six(imu)
     # Hundreds of samples a second, and hardly one repeats a value.
     if last is not None and (state.repeating or state.alive != _ALL_ALIVE or any(map(eq, was, now))):
-        state = _repeated(state, [a == b for a, b in zip(was, now, strict=True)], (before, t), o.imu_frozen_s, flying)
+        same = [a == b for a, b in zip(was, now, strict=True)]
+        state = _repeated(state, same, _shown(state, now, t), (before, t), o.imu_frozen_s, flying)
     before_gyro, before_accel = state.gyro, state.accel
     gyro, accel = (_frozen_of(state, half) for half in range(2)) if state.repeating else (state.repeats[0], state.repeats[1])
     lies, bad = state.gyro_fault, state.accel_fault
@@ -199,17 +202,29 @@ def _six(imu: Imu | None) -> list[float]:
     return [math.nan] * 6 if imu is None else imu.w_body.tolist() + imu.f_body.tolist()
 
 
-def _repeated(state: Inertial, same: list[bool], span: tuple[int, int], frozen_s: float, flying: bool) -> Inertial:
+def _shown(state: Inertial, now: list[float], t: int) -> list[bool]:
+    """Return of each axis whether another witness shows what it reads: of a gyro's axis, the turn of the attitude."""
+    turn = state.turn.rate(t)
+    if turn is None:
+        return [False] * 6
+    return [abs(a - b) < _SHOWN_RAD_S for a, b in zip(turn.tolist(), now[:3], strict=True)] + [False] * 3
+
+
+def _repeated(
+    state: Inertial, same: list[bool], shown: list[bool], span: tuple[int, int], frozen_s: float, flying: bool
+) -> Inertial:
     """Return the state with the repetitions after a sample.
 
     Args:
         same: whether each axis is the same as before, to the bit.
+        shown: whether another witness shows the same: an axis of coarse steps repeats itself while nothing turns.
         span: instants of the sample before and of the newest, ns.
     """
     before, t = span
     alive = state.alive | sum(1 << i for i, repeated in enumerate(same) if flying and not repeated)
     whole = ((all(same[:3]), frozen_s), (all(same[3:]), frozen_s))
-    each = (*whole, *((repeated, _AXIS * frozen_s) for repeated in same))
+    alone = [s and (h.frozen or not seen) for s, h, seen in zip(same, state.repeats[2:], shown, strict=True)]
+    each = (*whole, *((repeated, _AXIS * frozen_s) for repeated in alone))
     repeats = tuple(
         [halves.read(h, before if s else None, t, after_s, flying) for h, (s, after_s) in zip(state.repeats, each, strict=True)]
     )

@@ -46,8 +46,9 @@ from estimator.contracts.time import MonoNs, seconds_between
 # behind, and a heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's
 # velocity plus the pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's
 # way and removes the waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity
-# stands for it. Without a report it is kept for some minutes more: a hover over the ground soon loses a ship that keeps her
-# way. The vertical part is the current heave; it is zero while the pad is out of sight.
+# stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the vehicle took off: a
+# hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave; it is zero while the pad is
+# out of sight.
 
 MEAN_S = 2.0
 HEAVE_S = 0.15
@@ -69,6 +70,9 @@ class Moving(Protocol):
     @property
     def positions(self) -> tuple[LocalPosition, ...]: ...
 
+    @property
+    def rested(self) -> tuple[MonoNs, F64] | None: ...
+
 
 class DeckVelocity:
     """Returns the pad's velocity over the ground; call it for each command.
@@ -89,11 +93,13 @@ class DeckVelocity:
         self._known_s = 0.0
         self._at: MonoNs | None = None
         self._kept: tuple[MonoNs, F64] | None = None
-        """Time when the pad was last seen, and its horizontal velocity then."""
+        """Time when the pad was last seen or the vehicle stood on the deck, and its horizontal velocity then."""
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
-        measured = self._measured(now)
+        measured, rested = self._measured(now), self._autopilot.rested
+        if self._kept is None or (rested is not None and rested[0] > self._kept[0]):
+            self._kept = rested
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None

@@ -162,6 +162,16 @@ static void lean_to(const dl_law_in_use *law, const dl_law_cycle *in, nose n, co
     shorten(&law->params, in, trim, lean);
 }
 
+/* Change the tilt no faster than the vehicle's own limit of the jerk allows: what it would not follow is not under way. */
+static void within_jerk(const dl_law_params *o, const dl_law_memory *before, double ned[2])
+{
+    const double was[2] = {before->axes[0].under_way[0], before->axes[1].under_way[0]};
+    const double step = hypot(ned[0] - was[0], ned[1] - was[1]), most = o->jerk_max_m_s3 * o->period_s;
+    for (int i = 0; i < 2 && step > most; i++) {
+        ned[i] = was[i] + most / step * (ned[i] - was[i]);
+    }
+}
+
 /* The vertical speed to command by one set of gains, m/s down. */
 static double climb_by(const dl_law_params *o, const dl_law_gains *gains, const dl_law_cycle *in, const dl_law_course *course,
                        const dl_law_memory *memory, double v_down)
@@ -214,6 +224,10 @@ int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_l
     const double earlier = climb_by(o, gains_before, in, course, after, v_down);
     out->v[2] = law_between(in, later, earlier);
     to_ned(n, lean, noted);
+    if (o->jerk_max_m_s3 > 0.0 && in->goes_on) {
+        within_jerk(o, before, noted);
+        to_level(n, noted, lean);
+    }
     note(o, noted[0], noted[1], out->v[2], after);
     if (o->over_ground) {
         /* A velocity loop of its own gets its own velocity, so that only its integral adds to the acceleration. */

@@ -58,6 +58,8 @@ PARAMETERS: dict[str, float] = {
     "PLND_STRICT": 1,
     "PLND_LAG": 0.05,
     "GUID_TIMEOUT": 1,
+    "PSC_JERK_XY": 10,
+    "WPNAV_ACCEL": 500,
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""

@@ -47,6 +47,7 @@ from sitl.emulators.autopilots.stand_in.base import StandIn
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
+from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
 from sitl.flight.grader import FlightResult
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
@@ -63,7 +64,7 @@ COM_WATCHDOG_S: dict[Name, float] = {
 """Time for which each program flies on with the last setpoint."""
 _STATION_S = 0.05
 _AFTER_S = 1.5
-"""Time that the flight continues after its end, so that a later contact is recorded."""
+"""Time that the flight continues at least after its end, so that a later contact is recorded."""
 _TRUTH_S = 0.02 - 1e-6
 _SILENT_S = 60.0
 """Wall time without a step of the physics after which the program counts as hung."""
@@ -107,6 +108,8 @@ class FlightEnd:
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
     silences: tuple[Silence, ...] = ()
     """Flight of the vehicle while the service was killed."""
+    standing: Standing | None = None
+    """Place on the deck some seconds after the contact; None where it does not stand on it."""
     elsewhere_m: float | None = None
     """Horizontal distance in which a refused vehicle ended from the place at which it was to land; None for another end."""
 
@@ -274,8 +277,11 @@ class AutopilotFlight:
             elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
+        ended = self.clock.now()
         await self.clock.sleep(_AFTER_S)
-        began = station.began or self.clock.now()
+        if self.graded.contacts and self.body is not None and not self.body.flying:
+            await self.clock.sleep(max(0.0, STANDS_AFTER_S - seconds_between(self.graded.contacts[-1].at, self.clock.now())))
+        began = station.began or ended
         texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
         landing = None if self.body is None or station.began is None else self.body.landing()
         stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
@@ -286,7 +292,7 @@ class AutopilotFlight:
         return FlightEnd(
             outcome,
             landing,
-            max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
+            max(seconds_between(began, ended), 0.0),
             health,
             texts,
             self.body is not None and self.body.upright,
@@ -295,6 +301,7 @@ class AutopilotFlight:
             self.graded.result(pilot, health),
             stopped,
             tuple(self._silences),
+            None if self.body is None else standing_of(self.graded.truth(), self.body.pad.disc_radius_m),
             self._from_elsewhere_m(service),
         )
 

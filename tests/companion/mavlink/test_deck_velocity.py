@@ -34,6 +34,7 @@ class Scene:
     t_s: float = 1.0
     sighted_s: float | None = None
     """Time when the pad was last seen; None for just now."""
+    rested: tuple[MonoNs, F64] | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
 
     @property
@@ -150,3 +151,12 @@ def test_the_ship_s_report_stands_for_it_where_the_pad_was_never_seen_and_gives_
     seen = False
     assert run(way, scene, 5.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
     assert run(way, scene, FORGET_S) == pytest.approx([3.0, 1.0, 0.0])
+
+
+def test_the_way_of_the_deck_from_which_it_took_off_is_kept_until_the_pad_is_seen() -> None:
+    scene, seen = Scene(np.array([1.2, -0.9, 0.0])), False
+    scene.rested = scene.now, np.array([1.1, -0.8, 0.0])
+    way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene)
+    assert run(way, scene, 0.9 * KEEP_S) == pytest.approx([1.1, -0.8, 0.0])
+    seen = True
+    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)

@@ -41,7 +41,7 @@ async def flown_by(fake: MiniatureAutopilot) -> AsyncIterator[Autopilot]:
 def reads_of(fake: MiniatureAutopilot) -> int:
     """Return the parameters that were requested, beside those that the driver reads on each connect."""
     asked = [message.param_id for message in fake.messages if message.get_type() == "PARAM_REQUEST_READ"]
-    return sum(name not in samples.DELAY_PARAMETERS[Stack.ARDUPILOT] for name in asked)
+    return sum(name not in samples.SAMPLE_PARAMETERS[Stack.ARDUPILOT] for name in asked)
 
 
 async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s
+from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, jerk_max_m_s3
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
@@ -99,6 +99,21 @@ def test_imu_of_both_stacks() -> None:
 )
 def test_the_delay_of_inertial_readings_by_parameter(stack: Stack, values: dict[str, float], delay_ms: float) -> None:
     assert 1e3 * inertial_delay_s(stack, values) == pytest.approx(delay_ms, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("values", "jerk_m_s3"),
+    [
+        ({}, None),
+        ({"PSC_JERK_XY": 5.0}, 5.0),
+        ({"PSC_JERK_NE": 20.0}, 20.0),
+        ({"PSC_JERK_XY": 0.0, "INS_GYRO_FILTER": 20.0}, None),
+    ],
+)
+def test_the_limit_of_the_jerk_is_in_the_status(values: dict[str, float], jerk_m_s3: float | None) -> None:
+    s = sampler()
+    s.jerk_max_m_s3 = jerk_max_m_s3(values)
+    assert s.status(NOW, link_ok=True).jerk_max_m_s3 == jerk_m_s3
 
 
 def test_a_delay_is_of_inertial_readings_alone() -> None:

@@ -92,6 +92,23 @@ def test_of_two_that_turn_apart_the_picture_names_the_one_that_lies(who: str, fa
     assert len(states[-1].lost) == 1
 
 
+@pytest.mark.parametrize(("turns", "frozen"), [(False, False), (True, True)])
+def test_an_axis_of_coarse_steps_that_repeats_itself_is_frozen_only_while_the_attitude_turns_otherwise(
+    turns: bool, frozen: bool
+) -> None:
+    """ArduPilot's RAW_IMU has steps of 1 mrad/s: a steady heading repeats itself for longer than any limit."""
+    rng, state, found = np.random.default_rng(5), inertial.Inertial(), False
+    for n in range(400):
+        at, t = 0.01 * n, round(1e7 * n)
+        stamp = Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
+        yaw = 0.1 * math.sin(2.0 * at) if turns and at > 2.0 else 0.0002 * at
+        w = np.round([*0.02 * rng.standard_normal(2), 0.003 * (n < 40 and n % 2)], 3)
+        state, _ = inertial.felt(state, Imu(stamp, w, G + 0.1 * rng.standard_normal(3)), OPTIONS, True)
+        state = inertial.levelled(state, Attitude(stamp, Rotation.from_rpy(0.0, 0.0, yaw), 1e-4 * np.eye(3)), True)
+        found = found or bool(state.lost)
+    assert found is frozen
+
+
 def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second_and_one_that_never_changed_is_none() -> None:
     def flies(of_z: Callable[[float], float]) -> list[bool]:
         rng, state, out = np.random.default_rng(1), Inertial(), list[bool]()
