@@ -220,7 +220,7 @@ typedef struct {
 } dl_deck_ahead;
 
 typedef struct {
-    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known, adrift;
+    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known, adrift, steers;
     double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
         cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[DL_N], var[DL_N], cov_vessel,
         wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];

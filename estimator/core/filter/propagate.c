@@ -237,7 +237,7 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
     for (int i = 0; i < DL_N; i++) {
         AT(Q, i, i) = o->psd[i] * T;
     }
-    if (b->steered >= 0 && seconds(b->steered, b->t_cov) < STEERS_S) {
+    if (steers(b, b->t_cov)) {
         AT(Q, DL_VESSEL_VEL, DL_VESSEL_VEL) += STEERS_PSD * T;
         AT(Q, DL_VESSEL_VEL + 1, DL_VESSEL_VEL + 1) += STEERS_PSD * T;
         AT(Q, DL_TURN_RATE, DL_TURN_RATE) += STEERS_TURN_PSD * T;
@@ -249,6 +249,11 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
         AT(Q, DL_POS_REL + i, DL_POS_REL + i) = force * (T * T / 3.0) + jolt * T * T;
         set_symmetric(Q, DL_POS_REL + i, DL_VEL + i, -0.5 * T * force - jolt * T);
     }
+}
+
+int steers(const dl_belief *b, int64_t t)
+{
+    return b->steered >= 0 && seconds(b->steered, t) < STEERS_S;
 }
 
 int is_adrift(const dl_belief *b, int64_t t)

@@ -108,16 +108,28 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
     assert len(missed((60 * MS,), (1.0,), sigmas).excesses.t) == 1 + counted
 
 
-@pytest.mark.parametrize(("before", "steers"), [(6.0, True), (4.9, False), (-6.0, False)])
-def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(before: float, steers: bool) -> None:
+@pytest.mark.parametrize(
+    ("before", "age_ms", "way", "steers"),
+    [
+        (1.5, 33, (0.0, 0.0), True),
+        (-2.0, 33, (0.0, 0.0), False),
+        (1.5, 161, (0.0, 0.0), False),
+        (-1.5, 33, (-1.0, 0.0), True),  # she goes south, and the deck comes north: she brakes
+    ],
+)
+def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(
+    before: float, age_ms: int, way: tuple[float, float], steers: bool
+) -> None:
     P = diagonal(d=1e-4)
     P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
-    excesses = InnovationExcesses((T - 33 * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
-    b = belief(x=under(), P=P, excesses=excesses)
+    x = under()
+    x[VESSEL_VEL] = way
+    excesses = InnovationExcesses((T - age_ms * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
+    b = belief(x=x, P=P, excesses=excesses)
     after, _ = agrees(b, sighting((0.05, 0.0, 2.0)), TOOLS)
     assert after.steered == (T if steers else -1)
     assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers
-    assert bool(abs(after.x[VESSEL_NORTH]) > 0.1) is steers
+    assert bool(abs(after.x[VESSEL_NORTH] - way[0]) > 0.1) is steers
     assert after.P[VESSEL_EAST, VESSEL_EAST] < 1e-3, "the other axis shows nothing"
 
 

@@ -8,7 +8,8 @@ that the model does not have, and the covariance gains the median (covariance ma
 IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting with little information on
 an axis neither adds to it nor scales it.
 
-A ship that brakes or turns hard shows sooner, by the generalised likelihood ratio of her acceleration (Willsky, Jones, 1976).
+A ship that brakes or turns hard shows sooner, by a matched filter for her acceleration (Willsky, Jones, 1976). A sighting that no
+such acceleration explains is a wrong one.
 """
 
 from typing import NamedTuple
@@ -42,54 +43,76 @@ _NEEDED, _SPAN_NS = 3, 120_000_000
 """The median is of at least this many sightings that span at least so long."""
 _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
-_RUN_NEEDED, _RUN_LIKELIHOOD = 2, 5.0
-"""So many sightings in a row that show the ship's acceleration to one side with such a likelihood ratio make a manoeuvre."""
+_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 4.7, 6.0
+"""Two sightings within that time make a manoeuvre where they are off by so many deviations together, each of so many at most."""
+_LEFT_MOST = 16.0
+"""Chi-square that a manoeuvre may leave of an innovation."""
 _STEERED_MOST = 0.25
 """A place, m, or heading, rad, that is further off is not that of a ship that steers."""
-_STEERED = ((POS_NORTH, VESSEL_NORTH), (POS_EAST, VESSEL_EAST), (PAD_YAW, TURN_RATE))
+_UNDER_WAY_M_S = 0.3
 
 
 class Steering(NamedTuple):
-    """The ship's accelerations north, east and in heading as a sighting shows them."""
+    """The ship's accelerations along her way, across it and in heading as a sighting shows them."""
 
-    likelihood: tuple[float, ...]
-    """The likelihood ratio of each, with its sign."""
+    deviate: tuple[float, ...]
+    """The displacement by each in its standard deviations."""
     var: tuple[float, ...]
     """The variance, m^2 and rad^2, that each adds to the displacement."""
 
 
-def steering(innov: F64, S: F64, H: F64) -> Steering:
+def _places(x: F64) -> F64:
+    """Return (3, N) the directions of state by displacement along the way, across it and in heading."""
+    v = x[[VESSEL_NORTH, VESSEL_EAST]]
+    speed = float(np.hypot(*v))
+    north, east = v / speed if speed > _UNDER_WAY_M_S else (1.0, 0.0)
+    places = np.zeros((3, N))
+    places[0, [POS_NORTH, POS_EAST]] = north, east
+    places[1, [POS_NORTH, POS_EAST]] = -east, north
+    places[2, PAD_YAW] = 1.0
+    return places
+
+
+def _rates(x: F64) -> F64:
+    """Return (3, N) the directions of state by the rates of those displacements."""
+    rates = np.zeros((3, N))
+    rates[:, [VESSEL_NORTH, VESSEL_EAST, TURN_RATE]] = _places(x)[:, [POS_NORTH, POS_EAST, PAD_YAW]]
+    return rates
+
+
+def steering(innov: F64, S: F64, H: F64, x: F64) -> Steering:
     """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship."""
-    likelihood, var = [], []
-    for place, rate in _STEERED:
-        by = H[:, place] + 2.0 / _STEERED_S * H[:, rate]
-        weighed = np.linalg.solve(S, by)
-        square, along = float(by @ weighed), float(innov @ weighed)
-        counts = square > 0.0 and abs(along) < _STEERED_MOST * square
-        likelihood.append(along * abs(along) / square if counts else 0.0)
-        var.append(max(along * along / square - 1.0, 0.0) / square if counts else 0.0)
-    return Steering(tuple(likelihood), tuple(var))
+    by = H @ (_places(x) + 2.0 / _STEERED_S * _rates(x)).T
+    inverse = np.linalg.inv(S)
+    information, along = by.T @ inverse @ by, by.T @ inverse @ innov
+    nis = float(innov @ inverse @ innov)
+    turn = np.ix_([1, 2], [1, 2])
+    by_turn = float(along[1:] @ np.linalg.pinv(information[turn]) @ along[1:])
+    deviate, var = [0.0] * 3, [0.0] * 3
+    for k, square in enumerate(np.diagonal(information).tolist()):
+        if square <= 0.0 or abs(along[k]) >= _STEERED_MOST * square:
+            continue
+        explained = float(along[k]) ** 2 / square
+        if nis - (explained if k == 0 else by_turn) < _LEFT_MOST:
+            deviate[k] = float(along[k]) / square**0.5
+            var[k] = max(explained - 1.0, 0.0) / square
+    return Steering(tuple(deviate), tuple(var))
 
 
 def steered(excesses: InnovationExcesses, t: int, newest: Steering) -> F64 | None:
-    """Return the (3,) variances on which the sighting at t and those before it agree; None if there is none."""
-    run = [values[3:] for values in excesses.values[-_RUN_NEEDED:]]
-    if len(run) < _RUN_NEEDED or excesses.t[-1] != t:
+    """Return the (3,) variances of what the sighting at t shows together with the one before it; None if that is nothing."""
+    if len(excesses.t) < 2 or excesses.t[-1] != t or (t - excesses.t[-2]) * 1e-9 > _TOGETHER_S:
         return None
-    agree = [
-        all(one[k] * newest.likelihood[k] > 0.0 and abs(one[k]) > _RUN_LIKELIHOOD for one in run) for k in range(len(_STEERED))
-    ]
-    var = np.where(agree, newest.var, 0.0)
+    together = sum(np.clip(values[3:], -_DEVIATE_MOST, _DEVIATE_MOST) for values in excesses.values[-2:])
+    var = np.where(np.abs(together) > _DEVIATES_NEEDED, newest.var, 0.0)
     return var if bool((var > 0.0).any()) else None
 
 
-def loosened(P: F64, var: F64) -> F64:
+def loosened(P: F64, x: F64, var: F64) -> F64:
     """Return the (N, N) covariance after accelerations of the ship that add `var` (3,), m^2 and rad^2, to the displacement."""
-    P = P.copy()
+    by = np.stack([_places(x), _rates(x)], axis=-1)
     noise = np.array([[1.0, 1.5 / _STEERED_S], [1.5 / _STEERED_S, 3.0 / _STEERED_S**2]])
-    for states, added in zip(_STEERED, var.tolist(), strict=True):
-        P[np.ix_(states, states)] += added * noise
-    return P
+    return np.asarray(P + sum(added * one @ noise @ one.T for one, added in zip(by, var.tolist(), strict=True)))
 
 
 def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64, shown: Steering) -> InnovationExcesses:
@@ -107,7 +130,7 @@ def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64,
         return excesses
     north, east, down = (squares - RATIO_MAX * var).tolist()
     first = max(sum(one < t - _MEMORY_NS for one in excesses.t), len(excesses.t) + 1 - EXCESSES_MAX)
-    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down, *shown.likelihood)))
+    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down, *shown.deviate)))
 
 
 def missing(excesses: InnovationExcesses) -> F64 | None:
