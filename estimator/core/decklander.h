@@ -160,7 +160,7 @@ typedef struct {
         steered, swung;
     double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
         f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
-        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s, vessel_before[2];
+        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, nis_claimed, heading_held_s, vessel_before[2];
     dl_rejection_streak rejections;
     dl_aid aids[KINDS];
     dl_innovation_excesses excesses;

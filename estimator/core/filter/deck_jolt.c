@@ -20,10 +20,14 @@ static const int64_t MEMORY_NS = 350000000;
 static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 /* Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s. */
 static const double ACTED_S = 0.3, STEERED_S = 0.15;
-/* A ship manoeuvres where two sightings within so long, s, are off to one side by so many standard deviations together, each counted for
- * so many at most. What her acceleration leaves of an innovation is a chi-square; this and more is of a sighting that is wrong. By
- * chance that happened in 2 of 88 descents, and 0.23 s after a ship had begun to stop within a second it had shown in all. */
-static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 4.7, DEVIATE_MOST = 6.0, LEFT_MOST = 16.0;
+/* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
+ * sum, each counted for so many at most. What her acceleration leaves of an innovation is a chi-square; this and more is of a sighting
+ * that is wrong. In 92 descents that was so by chance once; ships that stop within a second were seen to after 0.15 to 0.22 s. */
+enum { TOGETHER = 3 };
+static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, DEVIATE_MOST = 9.0, LEFT_MOST = 12.0;
+/* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
+ * the deviations that are usual are its root, with this as the least mean. */
+static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
 /* A place, m, or heading, rad, that is further off is not that of a ship that steers. */
 static const double STEERED_MOST = 0.25;
 /* A ship that is slower has no way, m/s: north and east are as good. */
@@ -107,14 +111,15 @@ static double moved_by(const double *M, int row, const double way[2], int accele
     }
 }
 
-void jolt_steering(int m, const double *innov, const double *S, const double *H, const double x[DL_N], steering *out)
+void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out)
 {
     double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[STEERINGS][ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
     double nis = 0.0, both = 0.0;
-    const double speed = hypot(x[DL_VESSEL_VEL], x[DL_VESSEL_VEL + 1]), moves = speed > UNDER_WAY_M_S;
+    const double *v = b->x + DL_VESSEL_VEL, speed = hypot(v[0], v[1]), moves = speed > UNDER_WAY_M_S;
+    const double usual = fmin(1.0, fmax(CLAIMED_LEAST, b->nis_claimed));
     memset(out, 0, sizeof *out);
-    out->way[0] = moves ? x[DL_VESSEL_VEL] / speed : 1.0;
-    out->way[1] = moves ? x[DL_VESSEL_VEL + 1] / speed : 0.0;
+    out->way[0] = moves ? v[0] / speed : 1.0;
+    out->way[1] = moves ? v[1] / speed : 0.0;
     for (int i = 0; i < m; i++) {
         y[i] = innov[i];
         memcpy(L[i], S + i * m, (size_t)m * sizeof *S);
@@ -137,6 +142,7 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
         nis += y[i] * y[i];
         both += by[ACROSS][i] * by[TURNING][i];
     }
+    b->nis_claimed += CLAIMED_RENEWED * (fmin(CLAIMED_MOST, nis / m) - b->nis_claimed);
     /* A ship that turns moves her pad aside: the two explain an innovation together. */
     const double det = square[ACROSS] * square[TURNING] - both * both;
     const double by_turn = det > 1e-9 * square[ACROSS] * square[TURNING]
@@ -148,8 +154,8 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
         if (square[k] > 0.0 && fabs(along[k]) < STEERED_MOST * square[k]) {
             const double explained = along[k] * along[k] / square[k];
             if (nis - (k == ALONG ? explained : by_turn) < LEFT_MOST) {
-                out->deviate[k] = along[k] / sqrt(square[k]);
-                out->var[k] = fmax(explained - 1.0, 0.0) / square[k];
+                out->deviate[k] = along[k] / sqrt(square[k] * usual);
+                out->var[k] = fmax(explained - usual, 0.0) / square[k];
             }
         }
     }
@@ -159,14 +165,16 @@ int jolt_steered(const dl_innovation_excesses *excesses, int64_t t, steering *ne
 {
     int some = 0;
     /* One that is too far off was not counted. */
-    const int64_t last = excesses->n - 1, before = last - 1;
-    const int two = last > 0 && excesses->t[last] == t && seconds(excesses->t[before], t) <= TOGETHER_S;
+    const int64_t last = excesses->n > 0 && excesses->t[excesses->n - 1] == t ? excesses->n - 1 : -1;
     for (int k = 0; k < STEERINGS; k++) {
+        int shows = 0, n = 0;
         double sum = 0.0;
-        for (int64_t i = before; two && i <= last; i++) {
+        for (int64_t i = last; i >= 0 && n < TOGETHER && seconds(excesses->t[i], t) <= TOGETHER_S; i--) {
             sum += fmax(-DEVIATE_MOST, fmin(DEVIATE_MOST, excesses->values[EXCESS_NUMBERS * i + 3 + k]));
+            n += 1;
+            shows |= n > 1 && fabs(sum) > DEVIATES_NEEDED * sqrt(n);
         }
-        newest->var[k] = fabs(sum) > DEVIATES_NEEDED ? newest->var[k] : 0.0;
+        newest->var[k] = shows ? newest->var[k] : 0.0;
         some |= newest->var[k] > 0.0;
     }
     return some;

@@ -20,14 +20,14 @@
 
 enum { STEERINGS = EXCESS_NUMBERS - 3 };
 
-/* Of accelerations of the ship along `way`, a unit vector north and east, across it and in heading: the displacement in its standard
- * deviations, 0 of a sighting that they do not explain, and the variance, m^2 and rad^2, that they add to the displacement. */
+/* Of accelerations of the ship along `way`, a unit vector north and east, across it and in heading: the displacement in the
+ * deviations that are usual, 0 of a sighting that they do not explain, and the variance, m^2 and rad^2, that they add to the displacement. */
 typedef struct {
     double way[2], deviate[STEERINGS], var[STEERINGS];
 } steering;
 
-/* How an innovation (m), of covariance S (m, m) and Jacobian H (m, N), shows accelerations of a ship that the state x moves. */
-void jolt_steering(int m, const double *innov, const double *S, const double *H, const double x[DL_N], steering *out);
+/* How an innovation (m), of covariance S (m, m) and Jacobian H (m, N), shows accelerations of the ship; it counts in the belief's mean. */
+void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out);
 /* Count one more sighting; innov_ned in m, cov_ned (3, 3) in m^2 as the filter claims it. */
 void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9],
                  const double deviate[STEERINGS]);

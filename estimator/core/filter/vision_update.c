@@ -168,7 +168,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
     }
     product(back, cov, half);
     product_by_transposed(half, back, cov_ned);
-    jolt_steering(first->seen.m, first->seen.innov, first->S, first->seen.H, b->x, &shown);
+    jolt_steering(first->seen.m, first->seen.innov, first->S, first->seen.H, b, &shown);
     jolt_extend(&b->excesses, b->t, innov_ned, cov_ned, shown.deviate);
     const int missed = jolt_missing(&b->excesses, missing), manoeuvres = jolt_steered(&b->excesses, b->t, &shown);
     if (!missed && !manoeuvres) {

@@ -109,23 +109,26 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
 
 
 @pytest.mark.parametrize(
-    ("before", "age_ms", "way", "steers"),
+    ("before", "age_ms", "way", "usual", "steers"),
     [
-        (1.5, 33, (0.0, 0.0), True),
-        (-2.0, 33, (0.0, 0.0), False),
-        (1.5, 161, (0.0, 0.0), False),
-        (-1.5, 33, (-1.0, 0.0), True),  # she goes south, and the deck comes north: she brakes
+        (4.0, 33, (0.0, 0.0), 1.0, True),
+        (3.0, 33, (0.0, 0.0), 1.0, False),
+        (4.0, 161, (0.0, 0.0), 1.0, False),
+        (-4.0, 33, (-1.0, 0.0), 1.0, True),  # she goes south, and the deck comes north: she brakes
+        (0.0, 33, (0.0, 0.0), 0.2, True),
+        (-4.0, 33, (0.0, 0.0), 0.2, False),
     ],
 )
 def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(
-    before: float, age_ms: int, way: tuple[float, float], steers: bool
+    before: float, age_ms: int, way: tuple[float, float], usual: float, steers: bool
 ) -> None:
+    """What shows it is measured in how far sightings are off as a rule."""
     P = diagonal(d=1e-4)
     P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
     x = under()
     x[VESSEL_VEL] = way
     excesses = InnovationExcesses((T - age_ms * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
-    b = belief(x=x, P=P, excesses=excesses)
+    b = belief(x=x, P=P, excesses=excesses, nis_claimed=usual)
     after, _ = agrees(b, sighting((0.05, 0.0, 2.0)), TOOLS)
     assert after.steered == (T if steers else -1)
     assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers

@@ -28,6 +28,7 @@ from estimator.ekf.state import (
     VESSEL_EAST,
     VESSEL_NORTH,
     WAVES,
+    Belief,
     InnovationExcesses,
     N,
 )
@@ -43,9 +44,9 @@ _NEEDED, _SPAN_NS = 3, 120_000_000
 """The median is of at least this many sightings that span at least so long."""
 _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
-_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 4.7, 6.0
-"""Two sightings within that time make a manoeuvre where they are off by so many deviations together, each of so many at most."""
-_LEFT_MOST = 16.0
+_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, 9.0
+"""Two or three sightings within that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
+_LEFT_MOST = 12.0
 """Chi-square that a manoeuvre may leave of an innovation."""
 _STEERED_MOST = 0.25
 """A place, m, or heading, rad, that is further off is not that of a ship that steers."""
@@ -80,9 +81,9 @@ def _rates(x: F64) -> F64:
     return rates
 
 
-def steering(innov: F64, S: F64, H: F64, x: F64) -> Steering:
-    """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship."""
-    by = H @ (_places(x) + 2.0 / _STEERED_S * _rates(x)).T
+def steering(innov: F64, S: F64, H: F64, b: Belief) -> tuple[Steering, float]:
+    """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship, and the mean NIS."""
+    by, usual = H @ (_places(b.x) + 2.0 / _STEERED_S * _rates(b.x)).T, min(1.0, max(0.2, b.nis_claimed))
     inverse = np.linalg.inv(S)
     information, along = by.T @ inverse @ by, by.T @ inverse @ innov
     nis = float(innov @ inverse @ innov)
@@ -94,17 +95,22 @@ def steering(innov: F64, S: F64, H: F64, x: F64) -> Steering:
             continue
         explained = float(along[k]) ** 2 / square
         if nis - (explained if k == 0 else by_turn) < _LEFT_MOST:
-            deviate[k] = float(along[k]) / square**0.5
-            var[k] = max(explained - 1.0, 0.0) / square
-    return Steering(tuple(deviate), tuple(var))
+            deviate[k] = float(along[k]) / (square * usual) ** 0.5
+            var[k] = max(explained - usual, 0.0) / square
+    return Steering(tuple(deviate), tuple(var)), b.nis_claimed + 0.1 * (min(5.0, nis / innov.size) - b.nis_claimed)
 
 
 def steered(excesses: InnovationExcesses, t: int, newest: Steering) -> F64 | None:
-    """Return the (3,) variances of what the sighting at t shows together with the one before it; None if that is nothing."""
-    if len(excesses.t) < 2 or excesses.t[-1] != t or (t - excesses.t[-2]) * 1e-9 > _TOGETHER_S:
+    """Return the (3,) variances of what the sighting at t shows together with those before it; None if that is nothing."""
+    counted = [
+        np.clip(v[3:], -_DEVIATE_MOST, _DEVIATE_MOST) for at, v in zip(*excesses, strict=True) if (t - at) * 1e-9 <= _TOGETHER_S
+    ]
+    if not excesses.t or excesses.t[-1] != t:
         return None
-    together = sum(np.clip(values[3:], -_DEVIATE_MOST, _DEVIATE_MOST) for values in excesses.values[-2:])
-    var = np.where(np.abs(together) > _DEVIATES_NEEDED, newest.var, 0.0)
+    shows = np.zeros(3, dtype=bool)
+    for n in range(2, min(len(counted), 3) + 1):
+        shows |= np.abs(sum(counted[-n:])) > _DEVIATES_NEEDED * n**0.5
+    var = np.where(shows, newest.var, 0.0)
     return var if bool((var > 0.0).any()) else None
 
 

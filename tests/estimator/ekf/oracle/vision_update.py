@@ -122,7 +122,8 @@ def _jolted(
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
-    shown = deck_jolt.steering(row.innov, fix.S, row.H, b.x)
+    shown, nis_claimed = deck_jolt.steering(row.innov, fix.S, row.H, b)
+    b = b._replace(nis_claimed=nis_claimed)
     excesses = deck_jolt.extended(b.excesses, b.t, back.dot(row.innov[:3]), cov_ned, shown)
     missing, steered = deck_jolt.missing(excesses), deck_jolt.steered(excesses, b.t, shown)
     if missing is None and steered is None:
