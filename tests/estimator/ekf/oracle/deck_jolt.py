@@ -45,7 +45,7 @@ _NEEDED, _SPAN_NS = 3, 120_000_000
 _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
 _TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, 9.0
-"""Two or three sightings within that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
+"""Two or three sightings in that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
 _LEFT_MOST = 12.0
 """Chi-square that a manoeuvre may leave of an innovation."""
 _STEERED_MOST = 0.25
@@ -82,7 +82,7 @@ def _rates(x: F64) -> F64:
 
 
 def steering(innov: F64, S: F64, H: F64, b: Belief) -> tuple[Steering, float]:
-    """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship, and the mean NIS."""
+    """Return how an innovation (m,) of covariance S and Jacobian H (m, N) shows accelerations of the ship, and the mean NIS."""
     by, usual = H @ (_places(b.x) + 2.0 / _STEERED_S * _rates(b.x)).T, min(1.0, max(0.2, b.nis_claimed))
     inverse = np.linalg.inv(S)
     information, along = by.T @ inverse @ by, by.T @ inverse @ innov
