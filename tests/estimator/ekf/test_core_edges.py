@@ -122,7 +122,7 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
 def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(
     before: float, age_ms: int, way: tuple[float, float], usual: float, steers: bool
 ) -> None:
-    """What shows it is measured in how far sightings are off as a rule."""
+    """The unit is the deviation that sightings have had so far."""
     P = diagonal(d=1e-4)
     P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
     x = under()
