@@ -137,9 +137,17 @@ def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_veloci
 
 
 @pytest.mark.parametrize(
-    ("seen_ms", "swung_ms", "adrift"), [(301, 301, True), (299, 299, False), (400, 1399, True), (400, 1401, False)]
+    ("seen_ms", "of", "shown_ms", "adrift"),
+    [
+        (301, "swung", 301, True),
+        (299, "swung", 299, False),
+        (400, "swung", 1399, True),
+        (400, "swung", 1401, False),
+        (400, "steered", 499, True),
+        (400, "steered", 501, False),
+    ],
 )
-def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int, swung_ms: int, adrift: bool) -> None:
+def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int, of: str, shown_ms: int, adrift: bool) -> None:
     """The truth is the first-order process about the speed before, which the body's error over the ground shifts alike."""
     for common_m_s in (0.0, 1.3):
         x, P, later = under(), diagonal(d=1e-4), T + 100 * MS
@@ -147,11 +155,11 @@ def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int
         x[VESSEL_VEL], x[TURN_RATE] = (common_m_s + 3.0, -2.0), 1.5
         P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
         b = belief(
-            x=x, P=P, sighted=T - seen_ms * MS, swung=T - swung_ms * MS, vessel_before=np.array([1.0, 0.5]), ins_v=np.zeros(3),
-        )  # fmt: skip
+            x=x, P=P, sighted=T - seen_ms * MS, vessel_before=np.array([1.0, 0.5]), ins_v=np.zeros(3),
+        )._replace(**{of: T - shown_ms * MS})  # fmt: skip
         ours = PackedBelief.of(b).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
         same(ours, propagated_with_covariance(b, later, TOOLS))
-        turned = b._replace(swung=-1)
+        turned = b._replace(swung=-1, steered=-1)
         free = PackedBelief.of(turned).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
         stays = math.exp(-0.1 / 0.3) if adrift else 1.0
         settled = np.array([common_m_s + 1.0, 0.5])
