@@ -22,7 +22,7 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 static const double ACTED_S = 0.3, STEERED_S = 0.15;
 /* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
  * sum, each counted for so many at most. What her acceleration leaves of an innovation is a chi-square; this and more is of a sighting
- * that is wrong. In 92 descents that was so by chance once; ships that stop within a second were seen to after 0.15 to 0.22 s. */
+ * that is wrong. Measured in docs/decisions/119. */
 enum { TOGETHER = 3 };
 static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, DEVIATE_MOST = 9.0, LEFT_MOST = 12.0;
 /* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
