@@ -41,13 +41,10 @@ _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
-_STEERS_SIGMA_M_S, _STEERS_M_S2 = 0.08, 2.0
-"""Doubt that a ship brakes: the least 1-sigma of that speed, m/s, and her acceleration until the contact, m/s^2.
-
-A vehicle that feels its own acceleration knows the speed better than that over any other ship.
-"""
+_STEERS_M_S2 = 2.5
+"""Acceleration until the contact of a ship that is seen to brake or turn, m/s^2."""
 _DECIDES_M = 0.05
-"""Height over the least one for a climb from which on such a doubt ends the commit, m: two frames of 30 a second and more."""
+"""Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
 LEANS_MORE_M_S2 = 2.5
 """Further lean that a gust may call for before the descent has ended, m/s^2: 17 degrees became 25."""
 _CLIMB_LEAST = 0.2
@@ -195,10 +192,9 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     speed = math.hypot(v[0], v[1]) if lifts else None
     ahead = _at_contact(knowledge, limits, _COMMIT_SPEED)
     if speed is not None and knowledge.deck is not None:
-        sigma = _sigma_m_s(estimate)
-        speed += SIGMAS_AHEAD * max(0.0, sigma - _USUAL_SIGMA_M_S)
-        # Higher up the next frames say what she does.
-        if over_m < _DECIDES_M and sigma > _STEERS_SIGMA_M_S and not knowledge.unfelt:
+        speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
+        # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
+        if over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt:
             speed += _STEERS_M_S2 * to_contact_s(estimate, knowledge, cone)
     return _first(
         [

@@ -200,6 +200,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     """Sensors that this belief does without because they lie, and what each does, in words."""
     adrift: bool = False
     """True if the pad went out of sight while its ship turned hard: `cov` says where it may have been swung."""
+    steers: bool = False
+    """True if the newest sightings show that the ship brakes, starts or turns hard."""
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))

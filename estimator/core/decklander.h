@@ -160,7 +160,7 @@ typedef struct {
         steered, swung;
     double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
         f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
-        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, heading_held_s, vessel_before[2];
+        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, nis_claimed, heading_held_s, vessel_before[2];
     dl_rejection_streak rejections;
     dl_aid aids[KINDS];
     dl_innovation_excesses excesses;
@@ -220,7 +220,7 @@ typedef struct {
 } dl_deck_ahead;
 
 typedef struct {
-    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known, adrift;
+    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known, adrift, steers;
     double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
         cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[DL_N], var[DL_N], cov_vessel,
         wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];

@@ -84,6 +84,7 @@ class FilterAnswer:
             sighted=MonoNs(self._number("sighted")),
             consistent=fits and self._confirmed(cov, self._options),
             adrift=bool(self._number("adrift")),
+            steers=bool(self._number("steers")),
             details=Details(_figures(self._answer, self._evidence_of_rest)),
         )
 

@@ -38,7 +38,7 @@ _NOTHING = CORE.ffi.new("dl_filter_step *", {"P_index": -1, "bank_index": -1})
 _NO_BANKS = CORE.room("dl_bank", 0)
 _NUMBERS = (
     "t", "t_cov", "t_imu", "t_velocity", "sighted", "agreed", "heading_seen", "steered", "swung", "ins_var_m2_s2",
-    "jolt_var_m2_s2", "jolt_var_rad2", "over_pad", "coast_s", "nis_mean", "heading_held_s",
+    "jolt_var_m2_s2", "jolt_var_rad2", "over_pad", "coast_s", "nis_mean", "nis_claimed", "heading_held_s",
 )  # fmt: skip
 _FLAGS = ("heading_is_given", "heading_known")
 _MATRICES = ("R", "R_cov", "turned", "cov_levelled_by")

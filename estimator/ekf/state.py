@@ -213,6 +213,8 @@ class Belief(NamedTuple):
     """Number of sightings fused since the belief was last initialized or reset."""
     nis_mean: float
     """Recent mean of the sightings' NIS over their degrees of freedom; rejected sightings count."""
+    nis_claimed: float
+    """The same by what sightings claim to the last tenth of a millimetre, for how much less than that they are off."""
     excesses: InnovationExcesses
     """Excess of the last sightings' errors over what the filter claimed."""
     heading_known: bool
@@ -277,6 +279,6 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         t_imu=-1, w=NO_VEC3, w_smooth=NO_VEC3, f=NO_VEC3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)),
         heading_is_given=False, ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
-        sighted=-1, agreed=0, nis_mean=1.0, excesses=InnovationExcesses(), heading_known=False, heading_held_s=0.0,
-        heading_seen=-1, steered=-1, swung=-1, vessel_before=np.zeros(2),
+        sighted=-1, agreed=0, nis_mean=1.0, nis_claimed=1.0, excesses=InnovationExcesses(), heading_known=False,
+        heading_held_s=0.0, heading_seen=-1, steered=-1, swung=-1, vessel_before=np.zeros(2),
     )  # fmt: skip

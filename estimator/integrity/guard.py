@@ -36,7 +36,7 @@ _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""
-_SWUNG_SIGMAS = 4.0
+_SWUNG_SIGMAS = 5.0
 """Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
 
 

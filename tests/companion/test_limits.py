@@ -267,19 +267,23 @@ def test_the_contact_is_that_of_the_lowest_foot_at_the_rate_that_is_flown() -> N
 
 
 def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
-    """Two sigma count beyond the usual one: a ship that brakes makes the speed unknown before it shows.
+    """Two sigma count beyond the usual one, and a ship that is seen to brake gains speed until the contact.
 
-    Who feels his own acceleration knows it better, and takes the last chance to climb where he suddenly does not.
+    Low over the deck that takes the last chance to climb. Who does not feel his own acceleration takes it for the ship's.
     """
     cases = (
-        (0.2, 0.15, True, False), (0.2, 0.3, True, True), (0.2, 0.07, False, False), (0.2, 0.1, False, True),
-        (0.25, 0.1, False, False),
-    )  # fmt: skip
-    for height_m, sigma_m_s, unfelt, ends in cases:
+        (0.2, 0.15, False, True, False),
+        (0.2, 0.3, False, True, True),
+        (0.2, 0.15, False, False, False),
+        (0.2, 0.02, True, False, True),
+        (0.2, 0.02, True, True, False),
+        (0.25, 0.02, True, False, False),
+    )
+    for height_m, sigma_m_s, steers, unfelt, ends in cases:
         seen = estimate(NOW, (0.0, 0.0, height_m), (0.2, 0.0, -0.4))
         cov = seen.cov.copy()
         cov[3, 3] = cov[4, 4] = sigma_m_s**2
-        seen = replace(seen, cov=cov)
+        seen = replace(seen, cov=cov, steers=steers)
         found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, deck=tilted(0.0, 0.0), unfelt=unfelt), LIMITS, CONE)
         assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
 

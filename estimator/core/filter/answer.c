@@ -149,6 +149,7 @@ void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belie
     out->nis_mean = b.nis_mean;
     out->velocity_fused = b.aids[DL_VELOCITY].fused;
     out->adrift = is_adrift(&b, t);
+    out->steers = steers(&b, t);
     out->has_pad = b.sighted >= 0 && seconds(b.sighted, t) <= o->forget_s;
     out->has_body = b.t_imu >= 0 && t - b.t_imu <= o->hold_ns && b.is_levelled;
     if (out->has_body) {

@@ -20,12 +20,18 @@ static const int64_t MEMORY_NS = 350000000;
 static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 /* Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s. */
 static const double ACTED_S = 0.3, STEERED_S = 0.15;
-/* A ship manoeuvres where so many sightings in a row show it to the same side, each with a likelihood ratio above this, a chi-square
- * of one. By chance that happens once in some minutes, and costs a few cm/s of certainty. */
-enum { RUN_NEEDED = 2 };
+/* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
+ * sum, each counted for so many at most. What her acceleration leaves of an innovation is a chi-square; this and more is of a sighting
+ * that is wrong. Measured in docs/decisions/119. */
+enum { TOGETHER = 3 };
+static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, DEVIATE_MOST = 9.0, LEFT_MOST = 12.0;
+/* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
+ * the deviations that are usual are its root, with this as the least mean. */
+static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
 /* A place, m, or heading, rad, that is further off is not that of a ship that steers. */
 static const double STEERED_MOST = 0.25;
-static const double RUN_LIKELIHOOD = 5.0;
+/* A ship that is slower has no way, m/s: north and east are as good. */
+static const double UNDER_WAY_M_S = 0.3;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
 static void drop_old(dl_innovation_excesses *excesses, int64_t t)
@@ -41,10 +47,10 @@ static void drop_old(dl_innovation_excesses *excesses, int64_t t)
 }
 
 void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov_ned[3], const double cov_ned[9],
-                 const double likelihood[STEERINGS])
+                 const double deviate[STEERINGS])
 {
     double excess[EXCESS_NUMBERS];
-    memcpy(excess + 3, likelihood, STEERINGS * sizeof *likelihood);
+    memcpy(excess + 3, deviate, STEERINGS * sizeof *deviate);
     for (int i = 0; i < 3; i++) {
         const double square = innov_ned[i] * innov_ned[i], var = cov_ned[4 * i];
         if (square > fmax(RATIO_COUNTED * var, COUNTED_M2)) {
@@ -88,15 +94,32 @@ int jolt_missing(const dl_innovation_excesses *excesses, double missing[3])
     return some;
 }
 
-/* Places and rates that a manoeuvre changes: north, east, heading. */
-static const int STEERED[STEERINGS][2] = {
-    {DL_POS_REL, DL_VESSEL_VEL}, {DL_POS_REL + 1, DL_VESSEL_VEL + 1}, {DL_PAD_YAW, DL_TURN_RATE},
-};
+/* Accelerations: along the way, across it, in heading. */
+enum { ALONG, ACROSS, TURNING };
 
-void jolt_steering(int m, const double *innov, const double *S, const double *H, steering *out)
+/* The derivative in a row of M by a displacement of an acceleration's kind, or by its rate. */
+static double moved_by(const double *M, int row, const double way[2], int acceleration, int rate)
 {
-    double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[ROWS_MAX];
+    const int north = rate ? DL_VESSEL_VEL : DL_POS_REL;
+    switch (acceleration) {
+    case ALONG:
+        return way[0] * AT(M, row, north) + way[1] * AT(M, row, north + 1);
+    case ACROSS:
+        return way[0] * AT(M, row, north + 1) - way[1] * AT(M, row, north);
+    default:
+        return AT(M, row, rate ? DL_TURN_RATE : DL_PAD_YAW);
+    }
+}
+
+void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out)
+{
+    double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[STEERINGS][ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
+    double nis = 0.0, both = 0.0;
+    const double *v = b->x + DL_VESSEL_VEL, speed = hypot(v[0], v[1]), moves = speed > UNDER_WAY_M_S;
+    const double usual = fmin(1.0, fmax(CLAIMED_LEAST, b->nis_claimed));
     memset(out, 0, sizeof *out);
+    out->way[0] = moves ? v[0] / speed : 1.0;
+    out->way[1] = moves ? v[1] / speed : 0.0;
     for (int i = 0; i < m; i++) {
         y[i] = innov[i];
         memcpy(L[i], S + i * m, (size_t)m * sizeof *S);
@@ -106,18 +129,34 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
     }
     solve_lower(m, L, y);
     for (int k = 0; k < STEERINGS; k++) {
-        double square = 0.0, along = 0.0;
         for (int i = 0; i < m; i++) {
-            by[i] = AT(H, i, STEERED[k][0]) + 2.0 / STEERED_S * AT(H, i, STEERED[k][1]);
+            by[k][i] = moved_by(H, i, out->way, k, 0) + 2.0 / STEERED_S * moved_by(H, i, out->way, k, 1);
         }
-        solve_lower(m, L, by);
+        solve_lower(m, L, by[k]);
         for (int i = 0; i < m; i++) {
-            square += by[i] * by[i];
-            along += by[i] * y[i];
+            square[k] += by[k][i] * by[k][i];
+            along[k] += by[k][i] * y[i];
         }
-        if (square > 0.0 && fabs(along) < STEERED_MOST * square) {
-            out->likelihood[k] = along * fabs(along) / square;
-            out->var[k] = fmax(along * along / square - 1.0, 0.0) / square;
+    }
+    for (int i = 0; i < m; i++) {
+        nis += y[i] * y[i];
+        both += by[ACROSS][i] * by[TURNING][i];
+    }
+    b->nis_claimed += CLAIMED_RENEWED * (fmin(CLAIMED_MOST, nis / m) - b->nis_claimed);
+    /* A ship that turns moves her pad aside: the two explain an innovation together. */
+    const double det = square[ACROSS] * square[TURNING] - both * both;
+    const double by_turn = det > 1e-9 * square[ACROSS] * square[TURNING]
+                               ? (square[TURNING] * along[ACROSS] * along[ACROSS] - 2.0 * both * along[ACROSS] * along[TURNING] +
+                                  square[ACROSS] * along[TURNING] * along[TURNING]) /
+                                     det
+                               : square[ACROSS] > 0.0 ? along[ACROSS] * along[ACROSS] / square[ACROSS] : 0.0;
+    for (int k = 0; k < STEERINGS; k++) {
+        if (square[k] > 0.0 && fabs(along[k]) < STEERED_MOST * square[k]) {
+            const double explained = along[k] * along[k] / square[k];
+            if (nis - (k == ALONG ? explained : by_turn) < LEFT_MOST) {
+                out->deviate[k] = along[k] / sqrt(square[k] * usual);
+                out->var[k] = fmax(explained - usual, 0.0) / square[k];
+            }
         }
     }
 }
@@ -125,30 +164,44 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
 int jolt_steered(const dl_innovation_excesses *excesses, int64_t t, steering *newest)
 {
     int some = 0;
+    /* One that is too far off was not counted. */
+    const int64_t last = excesses->n > 0 && excesses->t[excesses->n - 1] == t ? excesses->n - 1 : -1;
     for (int k = 0; k < STEERINGS; k++) {
-        int64_t n = excesses->n, runs = n > 0 && excesses->t[n - 1] == t;
-        while (runs && n > 0 && excesses->n - n < RUN_NEEDED) {
-            n--;
-            runs = excesses->values[EXCESS_NUMBERS * n + 3 + k] * newest->likelihood[k] > 0.0 &&
-                   fabs(excesses->values[EXCESS_NUMBERS * n + 3 + k]) > RUN_LIKELIHOOD;
+        int shows = 0, n = 0;
+        double sum = 0.0;
+        for (int64_t i = last; i >= 0 && n < TOGETHER && seconds(excesses->t[i], t) <= TOGETHER_S; i--) {
+            sum += fmax(-DEVIATE_MOST, fmin(DEVIATE_MOST, excesses->values[EXCESS_NUMBERS * i + 3 + k]));
+            n += 1;
+            shows |= n > 1 && fabs(sum) > DEVIATES_NEEDED * sqrt(n);
         }
-        runs = runs && excesses->n - n == RUN_NEEDED;
-        newest->var[k] = runs ? newest->var[k] : 0.0;
+        newest->var[k] = shows ? newest->var[k] : 0.0;
         some |= newest->var[k] > 0.0;
     }
     return some;
 }
 
-void jolt_steer(const double var[STEERINGS], double *P)
+void jolt_steer(const steering *shown, double *P)
 {
-    for (int k = 0; k < STEERINGS; k++) {
-        const int place = STEERED[k][0], rate = STEERED[k][1];
-        const double across = 1.5 / STEERED_S * var[k];
-        AT(P, place, place) += var[k];
-        AT(P, rate, rate) += 3.0 / (STEERED_S * STEERED_S) * var[k];
-        AT(P, place, rate) += across;
-        AT(P, rate, place) += across;
+    const double across = 1.5 / STEERED_S, rate = 3.0 / (STEERED_S * STEERED_S);
+    const double *way = shown->way, turn = shown->var[TURNING], along = shown->var[ALONG], aside = shown->var[ACROSS];
+    const double cov[3] = {
+        along * way[0] * way[0] + aside * way[1] * way[1],
+        (along - aside) * way[0] * way[1],
+        along * way[1] * way[1] + aside * way[0] * way[0],
+    };
+    for (int i = 0; i < 2; i++) {
+        for (int j = 0; j < 2; j++) {
+            const int place[2] = {DL_POS_REL + i, DL_POS_REL + j}, velocity[2] = {DL_VESSEL_VEL + i, DL_VESSEL_VEL + j};
+            AT(P, place[0], place[1]) += cov[i + j];
+            AT(P, velocity[0], velocity[1]) += rate * cov[i + j];
+            AT(P, place[0], velocity[1]) += across * cov[i + j];
+            AT(P, velocity[0], place[1]) += across * cov[i + j];
+        }
     }
+    AT(P, DL_PAD_YAW, DL_PAD_YAW) += turn;
+    AT(P, DL_TURN_RATE, DL_TURN_RATE) += rate * turn;
+    AT(P, DL_PAD_YAW, DL_TURN_RATE) += across * turn;
+    AT(P, DL_TURN_RATE, DL_PAD_YAW) += across * turn;
 }
 
 void jolt_widen(const double x[DL_N], const double missing[3], double *P)

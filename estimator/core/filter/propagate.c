@@ -19,9 +19,9 @@ static const double YAW_DAMPING = 0.5;
 static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PSD = 0.5 * 0.5 * 0.1;
 
 /* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
- * turn and unseen for UNSEEN_S, its velocity and turn come back to what they were before within about SETTLES_S, but for these
+ * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to what they were before within about SETTLES_S, but for these
  * standard deviations, m/s and rad/s. */
-static const double SWINGS_S = 1.0, UNSEEN_S = 0.3, SETTLES_S = 0.3, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
+static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
 
 double seconds(int64_t since, int64_t until)
 {
@@ -237,7 +237,7 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
     for (int i = 0; i < DL_N; i++) {
         AT(Q, i, i) = o->psd[i] * T;
     }
-    if (b->steered >= 0 && seconds(b->steered, b->t_cov) < STEERS_S) {
+    if (steers(b, b->t_cov)) {
         AT(Q, DL_VESSEL_VEL, DL_VESSEL_VEL) += STEERS_PSD * T;
         AT(Q, DL_VESSEL_VEL + 1, DL_VESSEL_VEL + 1) += STEERS_PSD * T;
         AT(Q, DL_TURN_RATE, DL_TURN_RATE) += STEERS_TURN_PSD * T;
@@ -251,9 +251,16 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
     }
 }
 
+int steers(const dl_belief *b, int64_t t)
+{
+    return b->steered >= 0 && seconds(b->steered, t) < STEERS_S;
+}
+
 int is_adrift(const dl_belief *b, int64_t t)
 {
-    return b->swung >= 0 && b->sighted >= 0 && seconds(b->swung, b->sighted) < SWINGS_S && seconds(b->sighted, t) > UNSEEN_S;
+    const int swings = b->swung >= 0 && seconds(b->swung, b->sighted) < SWINGS_S;
+    const int begins = b->steered >= 0 && seconds(b->steered, b->sighted) < BEGINS_S;
+    return b->sighted >= 0 && (swings || begins) && seconds(b->sighted, t) > UNSEEN_S;
 }
 
 /* Let velocity and turn of a pad that is adrift settle: a first-order Gauss-Markov process about those before. The velocity before is

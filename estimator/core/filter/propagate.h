@@ -15,6 +15,8 @@ typedef struct {
 double *free_place(const covariance *c);
 /* Seconds from one instant to another, ns. */
 double seconds(int64_t since, int64_t until);
+/* Whether sightings showed a manoeuvre of the ship that may still go on at t. */
+int steers(const dl_belief *b, int64_t t);
 /* Whether the pad went out of sight while its ship swung it aside, so that at t nobody knows its speed. */
 int is_adrift(const dl_belief *b, int64_t t);
 /* Propagate the nominal state to instant t by a rate and a specific force; coast if no IMU sample holds. */

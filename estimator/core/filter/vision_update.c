@@ -168,8 +168,8 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
     }
     product(back, cov, half);
     product_by_transposed(half, back, cov_ned);
-    jolt_steering(first->seen.m, first->seen.innov, first->S, first->seen.H, &shown);
-    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned, shown.likelihood);
+    jolt_steering(first->seen.m, first->seen.innov, first->S, first->seen.H, b, &shown);
+    jolt_extend(&b->excesses, b->t, innov_ned, cov_ned, shown.deviate);
     const int missed = jolt_missing(&b->excesses, missing), manoeuvres = jolt_steered(&b->excesses, b->t, &shown);
     if (!missed && !manoeuvres) {
         return first;
@@ -177,11 +177,12 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
     const double *before = c->P;
     double *P = changeable(c);
     if (missed) {
-        missing[0] = shown.var[0] > 0.0 ? 0.0 : missing[0];
-        missing[1] = shown.var[1] > 0.0 ? 0.0 : missing[1];
+        const int horizontally = shown.var[0] > 0.0 || shown.var[1] > 0.0;
+        missing[0] = horizontally ? 0.0 : missing[0];
+        missing[1] = horizontally ? 0.0 : missing[1];
         jolt_widen(b->x, missing, P);
     }
-    jolt_steer(shown.var, P);
+    jolt_steer(&shown, P);
     compare(o, b, c->P, s, 0, second);
     if (!second->ok) {
         c->P = before;

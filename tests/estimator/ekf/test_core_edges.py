@@ -108,23 +108,46 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
     assert len(missed((60 * MS,), (1.0,), sigmas).excesses.t) == 1 + counted
 
 
-@pytest.mark.parametrize(("before", "steers"), [(6.0, True), (4.9, False), (-6.0, False)])
-def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(before: float, steers: bool) -> None:
+@pytest.mark.parametrize(
+    ("before", "age_ms", "way", "usual", "steers"),
+    [
+        (4.0, 33, (0.0, 0.0), 1.0, True),
+        (3.0, 33, (0.0, 0.0), 1.0, False),
+        (4.0, 161, (0.0, 0.0), 1.0, False),
+        (-4.0, 33, (-1.0, 0.0), 1.0, True),  # she goes south, and the deck comes north: she brakes
+        (0.0, 33, (0.0, 0.0), 0.2, True),
+        (-4.0, 33, (0.0, 0.0), 0.2, False),
+    ],
+)
+def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_velocity(
+    before: float, age_ms: int, way: tuple[float, float], usual: float, steers: bool
+) -> None:
+    """The unit is the deviation that sightings have had so far."""
     P = diagonal(d=1e-4)
     P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
-    excesses = InnovationExcesses((T - 33 * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
-    b = belief(x=under(), P=P, excesses=excesses)
+    x = under()
+    x[VESSEL_VEL] = way
+    excesses = InnovationExcesses((T - age_ms * MS,), ((-1.0, -1.0, -1.0, before, 0.0, 0.0),))
+    b = belief(x=x, P=P, excesses=excesses, nis_claimed=usual)
     after, _ = agrees(b, sighting((0.05, 0.0, 2.0)), TOOLS)
     assert after.steered == (T if steers else -1)
     assert bool(after.P[VESSEL_NORTH, VESSEL_NORTH] > 1e-2) is steers
-    assert bool(abs(after.x[VESSEL_NORTH]) > 0.1) is steers
+    assert bool(abs(after.x[VESSEL_NORTH] - way[0]) > 0.1) is steers
     assert after.P[VESSEL_EAST, VESSEL_EAST] < 1e-3, "the other axis shows nothing"
 
 
 @pytest.mark.parametrize(
-    ("seen_ms", "swung_ms", "adrift"), [(301, 301, True), (299, 299, False), (400, 1399, True), (400, 1401, False)]
+    ("seen_ms", "of", "shown_ms", "adrift"),
+    [
+        (301, "swung", 301, True),
+        (299, "swung", 299, False),
+        (400, "swung", 1399, True),
+        (400, "swung", 1401, False),
+        (400, "steered", 499, True),
+        (400, "steered", 501, False),
+    ],
 )
-def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int, swung_ms: int, adrift: bool) -> None:
+def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int, of: str, shown_ms: int, adrift: bool) -> None:
     """The truth is the first-order process about the speed before, which the body's error over the ground shifts alike."""
     for common_m_s in (0.0, 1.3):
         x, P, later = under(), diagonal(d=1e-4), T + 100 * MS
@@ -132,11 +155,11 @@ def test_a_pad_swung_out_of_sight_settles_to_the_ships_speed_before(seen_ms: int
         x[VESSEL_VEL], x[TURN_RATE] = (common_m_s + 3.0, -2.0), 1.5
         P[VESSEL_VEL, VESSEL_VEL] = 1e-4 * np.eye(2)
         b = belief(
-            x=x, P=P, sighted=T - seen_ms * MS, swung=T - swung_ms * MS, vessel_before=np.array([1.0, 0.5]), ins_v=np.zeros(3),
-        )  # fmt: skip
+            x=x, P=P, sighted=T - seen_ms * MS, vessel_before=np.array([1.0, 0.5]), ins_v=np.zeros(3),
+        )._replace(**{of: T - shown_ms * MS})  # fmt: skip
         ours = PackedBelief.of(b).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
         same(ours, propagated_with_covariance(b, later, TOOLS))
-        turned = b._replace(swung=-1)
+        turned = b._replace(swung=-1, steered=-1)
         free = PackedBelief.of(turned).propagated(later, TOOLS, DL_WITH_COVARIANCE).belief
         stays = math.exp(-0.1 / 0.3) if adrift else 1.0
         settled = np.array([common_m_s + 1.0, 0.5])

@@ -73,7 +73,8 @@ def sighted_belief(seed: int) -> Belief:
     return b._replace(
         sea=sea, excesses=excesses, rejections=streak if streak.n else RejectionStreak(), agreed=int(rng.integers(0, 8)),
         heading_known=bool(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)),
-        nis_mean=float(rng.uniform(0.5, 3.0)), heading_seen=int(rng.choice([-1, T - 100 * MS])),
+        nis_mean=float(rng.uniform(0.5, 3.0)), nis_claimed=float(rng.uniform(0.1, 1.2)),
+        heading_seen=int(rng.choice([-1, T - 100 * MS])),
         steered=int(rng.choice([-1, T - 300 * MS, T - 600 * MS])),
         swung=int(rng.choice([-1, T - 300 * MS, T - 1600 * MS])), vessel_before=rng.normal(size=2),
         ins_var_m2_s2=float(rng.choice([0.0, 0.05])),

@@ -140,6 +140,12 @@ def test_no_message_reports_a_pad_never_seen_or_not_for_half_a_minute() -> None:
     assert moving(first) is not None
 
 
+def test_a_ship_steers_for_two_fifths_of_a_second_after_a_sighting_showed_it() -> None:
+    for age_ms, steers in ((399, True), (401, False)):
+        assert told(belief(steered=T - age_ms * MS)).steers is steers
+    assert not told(belief()).steers
+
+
 @pytest.mark.parametrize(("agreed", "nis_mean", "wanted"), [(3, 1.0, True), (2, 1.0, False), (10, 1.99, True), (10, 2.0, False)])
 def test_three_sightings_that_fit_make_it_consistent(agreed: int, nis_mean: float, wanted: bool) -> None:
     assert told(belief(agreed=agreed, nis_mean=nis_mean)).consistent is wanted

@@ -175,7 +175,7 @@ def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
     assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.1, 2.0), 0.001))[1] is Verdict.ELSEWHERE
 
 
-@pytest.mark.parametrize(("adrift", "beside_m", "taken"), [(True, 2.3, True), (True, 2.5, False), (False, 2.3, False)])
+@pytest.mark.parametrize(("adrift", "beside_m", "taken"), [(True, 2.9, True), (True, 3.1, False), (False, 2.9, False)])
 def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_belief_can_have_it(adrift, beside_m, taken):
     t, swung = T + 500 * MS, replace(belief((1.0, 0.5, 2.0), 0.6), adrift=adrift)
     guard, verdict = admit_sighting(followed(), sighting(t, (1.0 + beside_m, 0.5, 2.0)), attitude(t), swung)

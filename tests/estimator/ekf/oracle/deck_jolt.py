@@ -8,7 +8,8 @@ that the model does not have, and the covariance gains the median (covariance ma
 IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings, and a sighting with little information on
 an axis neither adds to it nor scales it.
 
-A ship that brakes or turns hard shows sooner, by the generalised likelihood ratio of her acceleration (Willsky, Jones, 1976).
+A ship that brakes or turns hard shows sooner, by a matched filter for her acceleration (Willsky, Jones, 1976). A sighting that no
+such acceleration explains is a wrong one.
 """
 
 from typing import NamedTuple
@@ -27,6 +28,7 @@ from estimator.ekf.state import (
     VESSEL_EAST,
     VESSEL_NORTH,
     WAVES,
+    Belief,
     InnovationExcesses,
     N,
 )
@@ -42,54 +44,81 @@ _NEEDED, _SPAN_NS = 3, 120_000_000
 """The median is of at least this many sightings that span at least so long."""
 _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
-_RUN_NEEDED, _RUN_LIKELIHOOD = 2, 5.0
-"""So many sightings in a row that show the ship's acceleration to one side with such a likelihood ratio make a manoeuvre."""
+_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, 9.0
+"""Two or three sightings in that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
+_LEFT_MOST = 12.0
+"""Chi-square that a manoeuvre may leave of an innovation."""
 _STEERED_MOST = 0.25
 """A place, m, or heading, rad, that is further off is not that of a ship that steers."""
-_STEERED = ((POS_NORTH, VESSEL_NORTH), (POS_EAST, VESSEL_EAST), (PAD_YAW, TURN_RATE))
+_UNDER_WAY_M_S = 0.3
 
 
 class Steering(NamedTuple):
-    """The ship's accelerations north, east and in heading as a sighting shows them."""
+    """The ship's accelerations along her way, across it and in heading as a sighting shows them."""
 
-    likelihood: tuple[float, ...]
-    """The likelihood ratio of each, with its sign."""
+    deviate: tuple[float, ...]
+    """The displacement by each in its standard deviations."""
     var: tuple[float, ...]
     """The variance, m^2 and rad^2, that each adds to the displacement."""
 
 
-def steering(innov: F64, S: F64, H: F64) -> Steering:
-    """Return how an innovation (m,) of covariance S (m, m) and Jacobian H (m, N) shows accelerations of the ship."""
-    likelihood, var = [], []
-    for place, rate in _STEERED:
-        by = H[:, place] + 2.0 / _STEERED_S * H[:, rate]
-        weighed = np.linalg.solve(S, by)
-        square, along = float(by @ weighed), float(innov @ weighed)
-        counts = square > 0.0 and abs(along) < _STEERED_MOST * square
-        likelihood.append(along * abs(along) / square if counts else 0.0)
-        var.append(max(along * along / square - 1.0, 0.0) / square if counts else 0.0)
-    return Steering(tuple(likelihood), tuple(var))
+def _places(x: F64) -> F64:
+    """Return (3, N) the directions of state by displacement along the way, across it and in heading."""
+    v = x[[VESSEL_NORTH, VESSEL_EAST]]
+    speed = float(np.hypot(*v))
+    north, east = v / speed if speed > _UNDER_WAY_M_S else (1.0, 0.0)
+    places = np.zeros((3, N))
+    places[0, [POS_NORTH, POS_EAST]] = north, east
+    places[1, [POS_NORTH, POS_EAST]] = -east, north
+    places[2, PAD_YAW] = 1.0
+    return places
+
+
+def _rates(x: F64) -> F64:
+    """Return (3, N) the directions of state by the rates of those displacements."""
+    rates = np.zeros((3, N))
+    rates[:, [VESSEL_NORTH, VESSEL_EAST, TURN_RATE]] = _places(x)[:, [POS_NORTH, POS_EAST, PAD_YAW]]
+    return rates
+
+
+def steering(innov: F64, S: F64, H: F64, b: Belief) -> tuple[Steering, float]:
+    """Return how an innovation (m,) of covariance S and Jacobian H (m, N) shows accelerations of the ship, and the mean NIS."""
+    by, usual = H @ (_places(b.x) + 2.0 / _STEERED_S * _rates(b.x)).T, min(1.0, max(0.2, b.nis_claimed))
+    inverse = np.linalg.inv(S)
+    information, along = by.T @ inverse @ by, by.T @ inverse @ innov
+    nis = float(innov @ inverse @ innov)
+    turn = np.ix_([1, 2], [1, 2])
+    by_turn = float(along[1:] @ np.linalg.pinv(information[turn]) @ along[1:])
+    deviate, var = [0.0] * 3, [0.0] * 3
+    for k, square in enumerate(np.diagonal(information).tolist()):
+        if square <= 0.0 or abs(along[k]) >= _STEERED_MOST * square:
+            continue
+        explained = float(along[k]) ** 2 / square
+        if nis - (explained if k == 0 else by_turn) < _LEFT_MOST:
+            deviate[k] = float(along[k]) / (square * usual) ** 0.5
+            var[k] = max(explained - usual, 0.0) / square
+    return Steering(tuple(deviate), tuple(var)), b.nis_claimed + 0.1 * (min(5.0, nis / innov.size) - b.nis_claimed)
 
 
 def steered(excesses: InnovationExcesses, t: int, newest: Steering) -> F64 | None:
-    """Return the (3,) variances on which the sighting at t and those before it agree; None if there is none."""
-    run = [values[3:] for values in excesses.values[-_RUN_NEEDED:]]
-    if len(run) < _RUN_NEEDED or excesses.t[-1] != t:
-        return None
-    agree = [
-        all(one[k] * newest.likelihood[k] > 0.0 and abs(one[k]) > _RUN_LIKELIHOOD for one in run) for k in range(len(_STEERED))
+    """Return the (3,) variances of what the sighting at t shows together with those before it; None if that is nothing."""
+    counted = [
+        np.clip(v[3:], -_DEVIATE_MOST, _DEVIATE_MOST) for at, v in zip(*excesses, strict=True) if (t - at) * 1e-9 <= _TOGETHER_S
     ]
-    var = np.where(agree, newest.var, 0.0)
+    if not excesses.t or excesses.t[-1] != t:
+        return None
+    shows = np.zeros(3, dtype=bool)
+    for n in range(2, min(len(counted), 3) + 1):
+        shows |= np.abs(sum(counted[-n:])) > _DEVIATES_NEEDED * n**0.5
+    var = np.where(shows, newest.var, 0.0)
     return var if bool((var > 0.0).any()) else None
 
 
-def loosened(P: F64, var: F64) -> F64:
+def loosened(P: F64, x: F64, var: F64) -> F64:
     """Return the (N, N) covariance after accelerations of the ship that add `var` (3,), m^2 and rad^2, to the displacement."""
-    P = P.copy()
+    by = np.stack([_places(x), _rates(x)], axis=-1)
     noise = np.array([[1.0, 1.5 / _STEERED_S], [1.5 / _STEERED_S, 3.0 / _STEERED_S**2]])
-    for states, added in zip(_STEERED, var.tolist(), strict=True):
-        P[np.ix_(states, states)] += added * noise
-    return P
+    return np.asarray(P + sum(added * one @ noise @ one.T for one, added in zip(by, var.tolist(), strict=True)))
 
 
 def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64, shown: Steering) -> InnovationExcesses:
@@ -107,7 +136,7 @@ def extended(excesses: InnovationExcesses, t: int, innov_ned: F64, cov_ned: F64,
         return excesses
     north, east, down = (squares - RATIO_MAX * var).tolist()
     first = max(sum(one < t - _MEMORY_NS for one in excesses.t), len(excesses.t) + 1 - EXCESSES_MAX)
-    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down, *shown.likelihood)))
+    return InnovationExcesses((*excesses.t[first:], t), (*excesses.values[first:], (north, east, down, *shown.deviate)))
 
 
 def missing(excesses: InnovationExcesses) -> F64 | None:

@@ -282,7 +282,8 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
 
 def is_adrift(b: Belief, t: int) -> bool:
     """Return whether the pad went out of sight while its ship swung it aside."""
-    return b.swung >= 0 and b.sighted >= 0 and (b.sighted - b.swung) * 1e-9 < 1.0 and (t - b.sighted) * 1e-9 > 0.3
+    lost = any(shown >= 0 and (b.sighted - shown) * 1e-9 < within_s for shown, within_s in ((b.swung, 1.0), (b.steered, 0.1)))
+    return lost and b.sighted >= 0 and (t - b.sighted) * 1e-9 > 0.3
 
 
 def peek(b: Belief) -> F64:

@@ -122,21 +122,23 @@ def _jolted(
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
-    shown = deck_jolt.steering(row.innov, fix.S, row.H)
+    shown, nis_claimed = deck_jolt.steering(row.innov, fix.S, row.H, b)
+    b = b._replace(nis_claimed=nis_claimed)
     excesses = deck_jolt.extended(b.excesses, b.t, back.dot(row.innov[:3]), cov_ned, shown)
     missing, steered = deck_jolt.missing(excesses), deck_jolt.steered(excesses, b.t, shown)
     if missing is None and steered is None:
         return b._replace(excesses=excesses), row, fix
     P = b.P
     if missing is not None:
-        P = deck_jolt.widened(P, b.x, missing if steered is None else np.where(np.append(steered[:2], 0.0) > 0.0, 0.0, missing))
+        horizontally = steered is not None and bool((steered[:2] > 0.0).any())
+        P = deck_jolt.widened(P, b.x, missing * [0.0, 0.0, 1.0] if horizontally else missing)
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
         anew = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
         before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if anew else b.vessel_before
         swung = b.t if steered[2] > 0.012**2 else b.swung
-        P = deck_jolt.loosened(P, steered)
+        P = deck_jolt.loosened(P, b.x, steered)
         wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
     row, again = _compared(wider, event, params)
     return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
