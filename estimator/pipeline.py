@@ -251,6 +251,11 @@ def follow(memory: Memory, sighting: Sighting, assumed: Attitude, alone_in: F64 
     return structs.replace(memory, guard=integrity.follow(memory.guard, sighting, assumed, alone_in))
 
 
+def asks_alone(memory: Memory, sighting: Sighting, assumed: Attitude) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame: that costs a search."""
+    return _refusal(memory.options, sighting) is None and integrity.asks_alone(memory.guard, sighting, assumed)
+
+
 def held_at(memory: Memory, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
     """Return how the camera's gimbal held it at the instant of an exposure; None if no report of the gimbal covers it.
 

@@ -216,7 +216,7 @@ class PadSearch:
         place = pipeline.place_to_look(known, assumed)
         seen, self._memory = track(self._tracker, self._memory or TrackerMemory(), frame, assumed, place)
         sighting = seen.selected or seen.elsewhere
-        if sighting is None or sighting.confidence < known.options.min_confidence:
+        if sighting is None or not pipeline.asks_alone(known, sighting, assumed):
             return seen
         return structs.replace(seen, alone_in=alone_in(self._tracker, self._memory, frame, assumed, sighting))
 

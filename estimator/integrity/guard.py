@@ -200,6 +200,11 @@ def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude, alone_i
     return _following(guard, _place(sighting, assumed), assumed, alone_in)
 
 
+def asks_alone(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame."""
+    return tracks.asks_alone(guard.tracks, _place(sighting, assumed), guard.options)
+
+
 def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, assumed: Attitude) -> IntegrityGuard:
     """Follow the pad into a frame with an attitude, by the one that was assumed before: the true one moves its place at once."""
     d_body = attitude.R_ned_body.without_heading().inv @ sighting.d_body_pad_level

@@ -32,6 +32,8 @@ _SURELY = 0.9
 """Share of the distance to another pad that is left for the errors of two looks."""
 _SWING_RAD_S, _SWING_RAD = 4.0, 0.35
 """Largest rate and angle of the body's turns while its own hover begins."""
+_ALONE_S = 0.2
+"""Time for which a look at one pad alone serves those after it."""
 _DISC = np.array([(x, y) for x in np.linspace(-1, 1, 21) for y in np.linspace(-1, 1, 21) if math.hypot(x, y) < 1.05])
 """Places, (N, 2), on a disc of radius 1."""
 _ALIVE_S = 1.0
@@ -143,13 +145,24 @@ def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions, 
     if last is None or dt <= 0.0 or tracks.n < _ESTABLISHED:
         return None
     beside = alone_in is not None and len(alone_in) == 0
-    unknown_m = (_SPEED_M_S + (_SWING_RAD_S if beside else _TURN_RAD_S) * math.hypot(*seen.d)) * dt
     now = None if alone_in is None or beside else (seen, alone_in)
     whole = now is not None and bool(_inside(np.array([seen.d[:2]]), now[1])[0])
-    near = unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
+    near = _near(last, seen, _SWING_RAD_S if beside else _TURN_RAD_S, o)
     if not near and (tracks.alone is None or now is None or not _no_other(tracks.alone, now, last, o)):
         return None
     return tracks._replace(last=seen, assumed=assumed, alone=now if beside or whole else tracks.alone)
+
+
+def asks_alone(tracks: Tracks, seen: Place, o: IntegrityOptions) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame."""
+    if tracks.last is None or tracks.alone is None or seen.t - tracks.alone[0].t > _ALONE_S * 1e9:
+        return True
+    return not _near(tracks.last, seen, _TURN_RAD_S, o)
+
+
+def _near(last: Place, seen: Place, turn_rad_s: float, o: IntegrityOptions) -> bool:
+    unknown_m = (_SPEED_M_S + turn_rad_s * math.hypot(*seen.d)) * (seen.t - last.t) * 1e-9
+    return unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
 
 
 def _no_other(before: tuple[Place, F64], after: tuple[Place, F64], last: Place, o: IntegrityOptions) -> bool:

@@ -1,9 +1,11 @@
 """Look whether a pad is the only one in its frame, and how much of the deck the frame shows.
 
 A pad that is followed without an attitude may leave the picture. It is known again if any other pad would have shown beside it.
+The search has no limit of work, and takes some times as long as an ordinary look: it is not made in each frame.
 """
 
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -48,11 +50,12 @@ def alone_in(tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitu
     uv, px = np.round(camera.project(rim)).astype(np.int32), frame.px.copy()
     u, v = np.clip(uv, 0, (camera.width - 1, camera.height - 1)).T
     cv2.fillConvexPoly(px, uv, np.median(px[v, u], axis=0).tolist())  # with the deck's colour: else it would be a disc again
-    whole = dataclasses.replace(tracker, search_work=float("inf"))
-    fresh = dataclasses.replace(memory, search=FRESH_SEARCH)
-    other = track(whole, fresh, replace(frame, px=px), attitude)[0].selected
+    whole = dataclasses.replace(tracker, search_work=math.inf)
+    other = track(whole, dataclasses.replace(memory, search=FRESH_SEARCH), replace(frame, px=px), attitude)[0].selected
     if other is None or other.confidence < _DOUBTFUL:
         return corners
+    if math.dist(other.d_body_pad_level[:2], pad.d_body_pad_level[:2]) < tracker.integrity.pads_apart_m:
+        return None  # what is left of the same one, where the edge of the frame cut it and its place is off
     return None if other.confidence < _SEEN else np.empty((0, 2))
 
 
