@@ -18,7 +18,7 @@ from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
@@ -39,7 +39,7 @@ from estimator.late import Late
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
-_MOMENT_S = 0.5
+_MOMENT_S = 1.0
 """Longest time since a pad was seen after which a frame without an attitude is looked at for it."""
 _ASSUMED_RAD = 0.1
 """Standard deviation of an assumed attitude, about each axis."""
@@ -239,15 +239,21 @@ def place_to_look(memory: Memory, assumed: Attitude) -> RelativeState | None:
     return RelativeState(at, believed.path, d, np.zeros(3), believed.yaw_rad, cov, MonoNs(last.t), True)
 
 
-def follow(memory: Memory, sighting: Sighting, assumed: Attitude) -> Memory:
+def follow(memory: Memory, sighting: Sighting, assumed: Attitude, alone_in: F64 | None = None) -> Memory:
     """Take note of a sighting in a frame that no attitude covers. It is not fused: it tells which pad is seen, and not where.
 
     Args:
         assumed: the attitude that levelled it.
+        alone_in: as `Detection.alone_in` has it.
     """
     if _refusal(memory.options, sighting) is not None:
         return memory
-    return structs.replace(memory, guard=integrity.follow(memory.guard, sighting, assumed))
+    return structs.replace(memory, guard=integrity.follow(memory.guard, sighting, assumed, alone_in))
+
+
+def asks_alone(memory: Memory, sighting: Sighting, assumed: Attitude) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame: that costs a search."""
+    return _refusal(memory.options, sighting) is None and integrity.asks_alone(memory.guard, sighting, assumed)
 
 
 def held_at(memory: Memory, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:

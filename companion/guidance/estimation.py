@@ -137,9 +137,10 @@ class Estimation:
 
     def follow(self, seen: Detection, assumed: Attitude) -> None:
         """Take note of what a frame without an attitude shows of the tracked pad."""
-        if seen.selected is not None:
+        sighting = seen.selected or seen.elsewhere
+        if sighting is not None:
             self._settle()
-            self._memory = pipeline.follow(self._memory, seen.selected, assumed)
+            self._memory = pipeline.follow(self._memory, sighting, assumed, seen.alone_in)
 
     def admit(self, frame: Frame) -> Verdict | None:
         """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
@@ -209,11 +210,15 @@ class PadSearch:
 
     def follow(self, known: pipeline.Memory, frame: Frame, assumed: Attitude) -> Detection:
         """Search a frame that no attitude covers for the pad, beginning where it was; otherwise as `detect`."""
+        from estimator.vision.alone import alone_in
         from estimator.vision.tracker import TrackerMemory, track
 
         place = pipeline.place_to_look(known, assumed)
         seen, self._memory = track(self._tracker, self._memory or TrackerMemory(), frame, assumed, place)
-        return seen
+        sighting = seen.selected or seen.elsewhere
+        if sighting is None or not pipeline.asks_alone(known, sighting, assumed):
+            return seen
+        return structs.replace(seen, alone_in=alone_in(self._tracker, self._memory, frame, assumed, sighting))
 
     def detect(self, known: pipeline.Memory, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
         """Search a frame for the pad, beginning where it is expected.

@@ -11,7 +11,17 @@ The functions are pure. Freshness concerns the content and not the packet: a fra
 content is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, follow, judged
+from estimator.integrity.guard import (
+    IntegrityGuard,
+    admit,
+    admit_frame,
+    admit_sighting,
+    alerts,
+    asks_alone,
+    excludes,
+    follow,
+    judged,
+)
 from estimator.integrity.options import IntegrityOptions
 
 __all__ = [
@@ -21,6 +31,7 @@ __all__ = [
     "admit_frame",
     "admit_sighting",
     "alerts",
+    "asks_alone",
     "excludes",
     "follow",
     "judged",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -187,13 +188,21 @@ def admit_sighting(
     return replace(guard, arbiter=seen), None
 
 
-def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude) -> IntegrityGuard:
+def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
     """Take note of where a frame without an attitude shows the pad: it may show that this is still the tracked one.
 
     Args:
         assumed: the attitude that levelled the sighting.
+        alone_in: corners, (4, 2) m in `level`, of the deck that the frame shows with no second pad, as `tracks.follow`.
     """
-    return _following(guard, _place(sighting, assumed), assumed)
+    if alone_in is not None:
+        alone_in = np.array([_fixed(np.array([x, y, 0.0]), assumed)[:2] for x, y in alone_in.tolist()]).reshape(-1, 2)
+    return _following(guard, _place(sighting, assumed), assumed, alone_in)
+
+
+def asks_alone(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame."""
+    return tracks.asks_alone(guard.tracks, _place(sighting, assumed), guard.options)
 
 
 def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, assumed: Attitude) -> IntegrityGuard:
@@ -203,8 +212,8 @@ def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, as
     return _following(guard, _place(sighting, attitude)._replace(d=(x, y, z)), assumed)
 
 
-def _following(guard: IntegrityGuard, place: tracks.Place, assumed: Attitude) -> IntegrityGuard:
-    following = tracks.follow(guard.tracks, place, assumed, guard.options)
+def _following(guard: IntegrityGuard, place: tracks.Place, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
+    following = tracks.follow(guard.tracks, place, assumed, guard.options, alone_in)
     return guard if following is None else replace(guard, tracks=following)
 
 

@@ -13,6 +13,9 @@ Without an attitude nothing is estimated, but the frames go on to show whether t
 import math
 from typing import NamedTuple
 
+import numpy as np
+
+from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude
 from estimator.integrity.options import IntegrityOptions
 
@@ -27,6 +30,12 @@ _TURN_RAD_S = 1.0
 """Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind."""
 _SURELY = 0.9
 """Share of the distance to another pad that is left for the errors of two looks."""
+_SWING_RAD_S, _SWING_RAD = 4.0, 0.35
+"""Largest rate and angle of the body's turns while its own hover begins."""
+_ALONE_S = 0.2
+"""Time for which a look at one pad alone serves those after it."""
+_DISC = np.array([(x, y) for x in np.linspace(-1, 1, 21) for y in np.linspace(-1, 1, 21) if math.hypot(x, y) < 1.05])
+"""Places, (N, 2), on a disc of radius 1."""
 _ALIVE_S = 1.0
 _MOST = 4
 _SEEN_AT_LEAST = 3
@@ -77,6 +86,8 @@ class Tracks(NamedTuple):
     candidates: tuple[TrackCandidate, ...] = ()
     assumed: Attitude | None = None
     """The attitude that was assumed for the newest sighting, whose frame had none; None if it had one."""
+    alone: tuple[Place, F64] | None = None
+    """The pad's place when it was last whole and alone in the frame, and the corners, (4, 2) m, of what the frame showed."""
 
     def disputed(self, now: int) -> bool:
         """Return whether a pad was repeatedly detected elsewhere within the last second."""
@@ -118,19 +129,64 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     return tracks._replace(candidates=candidates), False
 
 
-def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions) -> Tracks | None:
+def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions, alone_in: F64 | None = None) -> Tracks | None:
     """Process a place that was seen under an assumed attitude; return None if another pad can have come there unseen.
 
     The body's true turn moves the place, too. Another pad is seen no nearer to the last place than two pads lie apart, less what
-    turn and speed can have moved between the two looks.
+    turn and speed can have moved between the two looks. Nor has another pad come if it would have shown beside the one or the
+    other in a frame that showed one pad alone: so a pad is known again that swung out of the picture.
+
+    Args:
+        alone_in: corners, (4, 2) m in the axes of `seen`, of the deck that the frame shows with no second pad; empty if a second
+            one is there, and None if that is in doubt or was not looked for.
     """
     last = tracks.last
     dt = 0.0 if last is None else (seen.t - last.t) * 1e-9
     if last is None or dt <= 0.0 or tracks.n < _ESTABLISHED:
         return None
-    unknown_m = (_SPEED_M_S + _TURN_RAD_S * math.hypot(*seen.d)) * dt
-    same = unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
-    return tracks._replace(last=seen, assumed=assumed) if same else None
+    beside = alone_in is not None and len(alone_in) == 0
+    now = None if alone_in is None or beside else (seen, alone_in)
+    whole = now is not None and bool(_inside(np.array([seen.d[:2]]), now[1])[0])
+    near = _near(last, seen, _SWING_RAD_S if beside else _TURN_RAD_S, o)
+    if not near and (tracks.alone is None or now is None or not _no_other(tracks.alone, now, last, o)):
+        return None
+    return tracks._replace(last=seen, assumed=assumed, alone=now if beside or whole else tracks.alone)
+
+
+def asks_alone(tracks: Tracks, seen: Place, o: IntegrityOptions) -> bool:
+    """Return whether `follow` has to know if a second pad is in the frame."""
+    if tracks.last is None or tracks.alone is None or seen.t - tracks.alone[0].t > _ALONE_S * 1e9:
+        return True
+    return not _near(tracks.last, seen, _TURN_RAD_S, o)
+
+
+def _near(last: Place, seen: Place, turn_rad_s: float, o: IntegrityOptions) -> bool:
+    unknown_m = (_SPEED_M_S + turn_rad_s * math.hypot(*seen.d)) * (seen.t - last.t) * 1e-9
+    return unknown_m + _apart(last, seen)[0] < _SURELY * o.pads_apart_m
+
+
+def _no_other(before: tuple[Place, F64], after: tuple[Place, F64], last: Place, o: IntegrityOptions) -> bool:
+    """Return whether the tracked pad can have come there, and any other one would have shown beside it, before or after.
+
+    Args:
+        last: the tracked pad's newest place, maybe newer than `before`.
+    """
+    (was, showed), (seen, shows) = before, after
+    dt = (seen.t - last.t) * 1e-9
+    moved_m = _SPEED_M_S * dt + math.hypot(*seen.d) * min(_SWING_RAD_S * dt, _SWING_RAD)
+    if _apart(last, seen)[0] > moved_m:
+        return False
+    apart_m = np.subtract(seen.d[:2], last.d[:2]) + moved_m * _DISC
+    apart_m = apart_m[np.hypot(*apart_m.T) >= _SURELY * o.pads_apart_m]
+    return bool(np.all(_inside(np.array(was.d[:2]) + apart_m, showed) | _inside(np.array(seen.d[:2]) - apart_m, shows)))
+
+
+def _inside(p: F64, corners: F64) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return which of (N, 2) points lie within a convex quadrilateral, whose corners go clockwise or all the other way."""
+    along = np.roll(corners, -1, axis=0) - corners
+    rel = p[:, None, :] - corners
+    side = along[:, 0] * rel[..., 1] - along[:, 1] * rel[..., 0]
+    return np.asarray(np.all(side > 0.0, axis=1) | np.all(side < 0.0, axis=1))
 
 
 def fused(tracks: Tracks, seen: Place) -> Tracks:

@@ -214,3 +214,8 @@ class Detection(Struct, frozen=True, eq=False):
     """
     on_pad: PadCheck | None = None
     """Known things that lie on the pad; None before its surface was read."""
+    alone_in: F64 | None = None
+    """Corners, (4, 2) m in `level`, of the deck that the frame shows with no second pad.
+
+    Empty if a second one is there; None if that is in doubt or was not looked for.
+    """

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,21 +20,25 @@ from estimator.vision.tracker import drawn
 from tests.companion.test_daemon import EYES
 from tests.companion.virtual_flight import TICK_S, FakeFlight, VirtualClock, fly
 
-PAD = drawn(EYES.camera, EYES.pad)
-SEA = np.full_like(PAD, (90, 60, 20))
-HEIGHT_M = 5.0 * EYES.pad.disc_radius_m
+NEAR_M, HIGH_M = 5.0 * EYES.pad.disc_radius_m, 4.4
+"""Heights over the pad: that of the drawn one, and one from which much of the deck is in the picture."""
+PAD = drawn(EYES.camera, EYES.pad)[40:320, 180:460]
 SILENT_S, ENDS_S = (1.2, 2.4), 2.8
 """Times between which no sample comes, and the end. It comes sooner than a pad elsewhere is adopted."""
 BEFORE_M, AFTER_M = 0.0, 0.85
 """The pad is in the picture so far aside before and after. It is farther than two pads may lie apart."""
 
 
-class Filmed(FakeFlight):
-    """A vehicle that holds still by its sensors; its pictures are those of `aside_m`, by the time."""
+Places = list[tuple[float, float]]
+"""Places of pads in the picture, m to the right of its centre and below it."""
 
-    def __init__(self, clock: VirtualClock, aside_m: Callable[[float], float | None]) -> None:
+
+class Filmed(FakeFlight):
+    """A vehicle that holds still by its sensors; its pictures show pads by the time."""
+
+    def __init__(self, clock: VirtualClock, pads: Callable[[float], Places], height_m: float) -> None:
         super().__init__(clock)
-        self._aside_m = aside_m
+        self._pads, self._height_m = pads, height_m
 
     def command(self, command: Command) -> None:
         """Hold still by itself, whatever is ordered."""
@@ -43,8 +48,15 @@ class Filmed(FakeFlight):
             super().sense(n)
 
     def picture(self, n: int) -> NDArray[np.uint8]:
-        aside_m = self._aside_m(n * TICK_S)
-        px = SEA if aside_m is None else np.roll(PAD, round(EYES.camera.fx / HEIGHT_M * aside_m), axis=1)
+        px_m = EYES.camera.fx / self._height_m
+        small = cv2.resize(PAD, None, fx=NEAR_M / self._height_m, fy=NEAR_M / self._height_m, interpolation=cv2.INTER_AREA)
+        px = np.empty((EYES.camera.height, EYES.camera.width, 3), np.uint8)
+        px[:] = PAD[0, 0]
+        for right_m, below_m in self._pads(n * TICK_S):
+            u = round(EYES.camera.cx + px_m * right_m - 0.5 * len(small))
+            v = round(EYES.camera.cy + px_m * below_m - 0.5 * len(small))
+            shows = px[max(0, v) : max(0, v + len(small)), max(0, u) : max(0, u + len(small))]
+            shows[:] = small[max(0, -v) :, max(0, -u) :][: shows.shape[0], : shows.shape[1]]
         return px + super().picture(n)
 
 
@@ -56,25 +68,39 @@ class Diary(NullObserver):
         self.frames.append(processed)
 
 
-def slides(t: float) -> float:
+def slides(t: float) -> Places:
     """Return the pad's place while the vehicle drifts over it during the silence."""
-    return float(np.interp(t, SILENT_S, (BEFORE_M, AFTER_M)))
+    return [(float(np.interp(t, SILENT_S, (BEFORE_M, AFTER_M))), 0.0)]
 
 
-def leaves(t: float) -> float | None:
+def leaves(t: float) -> Places:
     """Return the place of a pad that leaves the picture, and of one that comes into it at another place."""
-    return None if 1.6 <= t < 1.8 else BEFORE_M if t < 1.7 else AFTER_M
+    return [] if 1.6 <= t < 1.8 else [(BEFORE_M if t < 1.7 else AFTER_M, 0.0)]
 
 
-def jumps(t: float) -> float:
+def jumps(t: float) -> Places:
     """Return the place of one pad, and from one picture to the next that of another."""
-    return BEFORE_M if t < 1.8 else AFTER_M
+    return [(BEFORE_M if t < 1.8 else AFTER_M, 0.0)]
 
 
-@pytest.mark.parametrize(("aside_m", "same"), [(slides, True), (leaves, False), (jumps, False)])
-def test_a_pad_that_never_left_the_picture_is_no_other_one_when_the_samples_come_back(aside_m, same):
+def swings(t: float) -> Places:
+    """Return the place of a pad that swings out of the picture for half a second and back, while the vehicle drifts over it."""
+    return [(0.3, float(np.interp(t, (1.4, 1.6, 1.9, 2.1, 2.4), (-1.2, -3.0, -3.0, -1.3, -0.35))))]
+
+
+def swings_on(t: float) -> Places:
+    """Return a pad that swings out of the picture, and another one that swings near to its place; it was covered at first."""
+    below_m = float(np.interp(t, (1.4, 1.6, 1.9, 2.1), (-1.2, -3.0, -3.0, -2.6)))
+    return [(0.3, below_m), *([(1.1, below_m + 1.3)] if t > 0.9 else [])]
+
+
+@pytest.mark.parametrize(
+    ("pads", "height_m", "same"),
+    [(slides, NEAR_M, True), (leaves, NEAR_M, False), (jumps, NEAR_M, False), (swings, HIGH_M, True), (swings_on, HIGH_M, False)],
+)
+def test_a_pad_is_known_again_after_a_silence_in_which_no_other_one_can_have_come(pads, height_m, same):
     clock, diary = VirtualClock(), Diary()
-    vehicle = Filmed(clock, aside_m)
+    vehicle = Filmed(clock, pads, height_m)
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     daemon = Daemon(vehicle.open, pilot, clock, DaemonSetup(RestartOptions(), 50.0), observers=[diary])
     asyncio.run(fly(daemon, vehicle, clock, ENDS_S))

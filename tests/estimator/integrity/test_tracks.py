@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
@@ -203,6 +204,40 @@ def test_without_an_attitude_a_pad_in_sight_goes_on_and_one_that_takes_its_place
     late = follow(tracks, place(5.37, last.d), ASSUMED, LIMITS)
     assert (late is None) == (height_m > 0.6), "after a pause another pad may have come there, save close by"
     assert tracks.n == 60, "no look without an attitude is a sighting"
+
+
+def corners(right_m: float, half_m: float = 1.8) -> NDArray[np.float64]:
+    """Return what a frame shows of the deck that is so far to the right: 6 m to each side, `half_m` before and behind."""
+    return np.array([(half_m, right_m - 6.0), (half_m, right_m + 6.0), (-half_m, right_m + 6.0), (-half_m, right_m - 6.0)])
+
+
+@pytest.mark.parametrize(
+    ("back", "out_s", "before", "after", "same"),
+    [
+        ((1.7, 0.2), 0.4, corners(0.0), corners(0.0), True),
+        ((1.7, 0.2), 0.4, corners(0.0), None, False),
+        ((1.7, 0.2), 0.4, None, corners(0.0), False),
+        ((1.7, 0.2), 0.4, corners(0.0, 1.75), corners(0.0, 1.0), False),
+        ((1.7, 0.5), 0.4, corners(0.0), corners(0.0), True),
+        ((1.6, 0.1), 0.04, None, None, True),
+        ((1.6, 0.1), 0.04, None, np.empty((0, 2)), False),
+        ((1.7, 0.2), 0.4, np.empty((0, 2)), corners(0.0), False),
+        ((1.7, 0.2), 0.4, corners(-5.0), corners(4.6), False),
+        ((-1.7, 0.2), 0.4, corners(0.0), corners(0.0), False),
+        ((1.7, 0.2), 2.4, corners(0.0), corners(0.0), False),
+    ],
+)
+def test_a_pad_that_left_the_picture_is_known_again_where_any_other_one_would_have_shown(
+    back: tuple[float, float],
+    out_s: float,
+    before: NDArray[np.float64] | None,
+    after: NDArray[np.float64] | None,
+    same: bool,
+) -> None:
+    tracks, _ = follow_all(Tracks(), steady(0, 2, (1.6, 0.0, 4.4)))
+    there = follow(tracks, place(1.98, (1.6, 0.0, 4.4)), ASSUMED, LIMITS, before)
+    assert there is not None
+    assert (follow(there, place(1.98 + out_s, (*back, 4.4)), ASSUMED, LIMITS, after) is not None) is same
 
 
 def test_from_so_high_that_a_turn_can_hide_a_change_of_pads_none_is_followed() -> None:
