@@ -4,12 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from companion.base.mission import State
+from companion.guidance.pilot import Pilot
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.time import MonoNs
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
+from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Mast
 from sitl.camera.surroundings import Decal, Surroundings
@@ -76,6 +83,27 @@ def test_light_is_no_thing(light: Light) -> None:
     # Clipped cells say nothing.
     assert of.seen > (0.8 if light.exposure_ev == 0.0 else 0.5)
     assert of.thing is None
+
+
+def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
+    deck = shown(BRIGHT, Decal("crate", (0.1, 0.28), 0.15, 0.0, "pad", (98, 98, 98)))
+    pilot = Pilot(TrackerConfig(CAMERA, PAD), EstimatorOptions(), GuidanceOptions())
+    blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+
+    def looked(later_s: float, state: State) -> PadCheck | None:
+        pilot.landing.mission = replace(pilot.landing.mission, state=state)
+        at = MonoNs(deck.at + round(later_s * 1e9))
+        stamp = Stamp(at, at, 0.001, "sim")
+        level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
+        return pilot.detect(Frame(stamp, 0, blank), level).on_pad
+
+    pilot.search._memory = TrackerMemory(deck=deck)
+    check = looked(1.0, State.REFUSED)
+    assert check is not None
+    assert check.thing is not None
+    assert looked(LASTS_S + 1.0, State.REFUSED) is None
+    assert looked(1.0, State.LANDED) is None
+    assert looked(2.0, State.READY) is None, "what another flight saw"
 
 
 def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> None:
