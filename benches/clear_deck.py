@@ -4,7 +4,8 @@ The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and d
 prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
 random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
 `--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame;
-where the pad is sure in fewer than three of the last ten frames, nobody lands. Bodies are crates of 0.3 to 1 m and people of 0.8
+where the pad is sure in fewer than three of the last ten frames, nobody lands; where a part of it is in glare, the operator is
+asked. Bodies are crates of 0.3 to 1 m and people of 0.8
 to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the pad and back: seen counts any
 frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
 """
@@ -64,6 +65,11 @@ class Approached:
     """The same about it."""
     lands: bool
     """True if the pad is sure in the last frames."""
+
+    @property
+    def asks(self) -> bool:
+        """True if glare hides a part of the pad in the last frame."""
+        return self.check is not None and self.check.glare > 0.0
 
 
 def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB:
@@ -132,7 +138,7 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
     if not runs:
         return
-    seen: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
+    seen: dict[tuple[str, str], list[tuple[bool, bool, bool]]] = defaultdict(list)
     heights: list[float] = []
     for seed in runs:
         rng = np.random.default_rng([51, seed])
@@ -145,31 +151,31 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
         check, found = of.check, of.check is not None and of.check.thing is not None
         heights += [of.first_m] if found else []
         for key in ((hue, "15 cm and more" if size_m >= 0.15 else "less"), ("all", light)):
-            seen[key].append((found, of.lands and not found))
+            seen[key].append((found, of.asks and not found, of.lands and not found and not of.asks))
         if not found:
-            why = "not seen" if of.lands else "no pad"
+            why = "no pad" if not of.lands else "asked" if of.asks else "not seen"
             print(f"  {why}: seed {seed}, {100 * size_m:.0f} cm, {hue}, {light}, {100 * r:.0f} cm off, {check}", flush=True)
     for key, each in sorted(seen.items()):
-        found_n, missed_n = np.sum(each, axis=0)
-        print(f"{', '.join(key)}: {found_n} of {len(each)} seen, {missed_n} landed upon", flush=True)
+        found_n, asked_n, missed_n = np.sum(each, axis=0)
+        print(f"{', '.join(key)}: {found_n} of {len(each)} seen, {asked_n} more asked about, {missed_n} landed upon", flush=True)
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
 def without(runs: range, tracker: TrackerConfig) -> None:
     """Print the number of clear approaches in which something is seen at any time."""
-    wrong: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
+    wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = LIGHTS[seed % len(LIGHTS)]
         of = approach(10_000 + seed, light, (), tracker)
-        wrong[light].append((of.first_m > 0.0, of.near_m > 0.0))
+        wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
             print(
                 f"  false: seed {seed}, {light}, on it from {of.first_m:.1f} m, about it from {of.near_m:.1f} m, {of.check}",
                 flush=True,
             )
     for light, each in wrong.items():
-        on, about = np.sum(each, axis=0)
-        print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it", flush=True)
+        on, about, asked = np.sum(each, axis=0)
+        print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it, {asked} asked", flush=True)
 
 
 def with_bodies(runs: range, tracker: TrackerConfig) -> None:
@@ -211,7 +217,7 @@ def photographs() -> None:
         for k in range(8):
             at = MonoNs(1_000_000_000 + 250_000_000 * k)
             memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
-        if memory is None or memory.check.thing is not None:
+        if memory is None or memory.check.thing is not None or memory.check.glare:
             wrong += memory is not None
             print(f"  {name}: {found.pose.range_m:.1f} m, {'not read' if memory is None else memory.check}", flush=True)
     print(f"photographs: {wrong} of {len(labels)} with something seen", flush=True)

@@ -82,6 +82,7 @@ def test_light_is_no_thing(light: Light) -> None:
     of = check(light)
     # Clipped cells say nothing.
     assert of.seen > (0.8 if light.exposure_ev == 0.0 else 0.5)
+    assert (of.glare > 0.1) == (light.exposure_ev > 0.0)
     assert of.thing is None
 
 
