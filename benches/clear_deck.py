@@ -134,7 +134,7 @@ def approach(
     return Approached(check, first_m, near_m, sure >= LAST_SURE)
 
 
-def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
+def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
     if not runs:
         return
@@ -143,7 +143,7 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     for seed in runs:
         rng = np.random.default_rng([51, seed])
         size_m, hue = float(rng.uniform(0.1, 0.5)), HUES[seed % 3]
-        light = LIGHTS[int(rng.integers(len(LIGHTS)))]
+        light = lights[int(rng.integers(len(lights)))]
         a, r = rng.uniform(0, math.tau), (tracker.pad.disc_radius_m - 0.5 * size_m) * math.sqrt(rng.uniform())
         colour = paint(rng, hue, contrast, tracker.pad.markings.colours.disc)
         thing = Decal("crate", (r * math.cos(a), r * math.sin(a)), size_m, float(rng.uniform(0, math.pi)), "pad", colour)
@@ -161,11 +161,11 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: range, tracker: TrackerConfig) -> None:
+def without(runs: range, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
     """Print the number of clear approaches in which something is seen at any time."""
     wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
-        light = LIGHTS[seed % len(LIGHTS)]
+        light = lights[seed % len(lights)]
         of = approach(10_000 + seed, light, (), tracker)
         wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
@@ -231,14 +231,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
     parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
+    parser.add_argument("--light", choices=LIGHTS, help="fly in this light alone")
     args = parser.parse_args()
+    lights = LIGHTS if args.light is None else (args.light,)
     cv2.setNumThreads(1)
     if args.photos:
         photographs()
         return
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
-    without(range(args.first, args.first + args.clear), tracker)
-    with_things(range(args.first, args.first + args.runs), args.contrast, tracker)
+    without(range(args.first, args.first + args.clear), lights, tracker)
+    with_things(range(args.first, args.first + args.runs), args.contrast, lights, tracker)
     with_bodies(range(args.first, args.first + args.bodies), tracker)
 
 

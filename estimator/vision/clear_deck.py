@@ -275,8 +275,35 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         whole = _median(shows / (own * shade), 0.8) if len(of) >= _LEAST_CELLS else 0.0
         whole = max(whole, marking.least * usual)
         even = spread < _UNEVEN * whole * shade * own
+        # Glare falls off about it: its ground there is a slope. Shadows end in steps, and both sides are darker.
+        slopes = np.flatnonzero(~even & (shade >= 1.0))
+        if len(slopes):
+            below, spread = _slope(square, inside[of[slopes]])
+            shows[slopes] = (light[of[slopes]] - below) @ marking.way
+            even[slopes] = spread < _UNEVEN * whole * own[slopes]
         out[of] = np.where(even[:, None], np.stack([shows * own / whole, shade * own * own, np.ones_like(own)], axis=1), 0.0)
     return out
+
+
+def _slope(square: F32, at: NDArray[np.int64]) -> tuple[F32, F32]:
+    """Return the ground's light at cells, (N, 3), by the plane through it in the square about each, and its spread about that.
+
+    Args:
+        square: light of the ground and 1, (cells of the square, 4 or more); 0 where there is no ground.
+        at: numbers of the cells in it.
+    """
+    half = _ABOUT // 2
+    off = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1)
+    row, column = at[:, None] // ACROSS + off[0], at[:, None] % ACROSS + off[1]
+    near = np.where(((row >= 0) & (row < ACROSS) & (column >= 0) & (column < ACROSS)), row * ACROSS + column, 0)
+    near_light, there = square[near, :3], square[near, 3]
+    plane = np.column_stack([np.ones(off.shape[1]), *off])
+    # Ground on one side alone says little of the slope.
+    M = np.einsum("nk,ki,kj->nij", there, plane, plane) + np.diag([0.0, 0.5, 0.5])
+    by = np.linalg.solve(M, np.einsum("nk,ki,nkc->nic", there, plane, near_light))
+    rest = np.square(near_light - np.einsum("ki,nic->nkc", plane, by)).sum(axis=2)
+    spread = np.sqrt((there * rest).sum(axis=1) / there.sum(axis=1))
+    return by[:, 0].astype(np.float32), spread.astype(np.float32)
 
 
 def _from_paint(light: F32, place: F32, white: F32) -> F32:
