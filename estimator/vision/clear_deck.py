@@ -268,10 +268,10 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         of, about, own = marking.at[read], about[read], marking.own[read]
         if not len(of):
             continue
-        about = about / about[:, 3:4]
-        spread = np.sqrt(np.maximum(0.0, about[:, 4] - np.einsum("ij,ij->i", about[:, :3], about[:, :3])))
-        shade = np.clip(about[:, :3] @ hue / usual, _DARKEST, 1.0)
-        shows = (light[of] - about[:, :3]) @ marking.way
+        mean = np.asarray(about / about[:, 3:4], np.float32)
+        spread = np.sqrt(np.maximum(0.0, mean[:, 4] - np.einsum("ij,ij->i", mean[:, :3], mean[:, :3])))
+        shade = np.clip(mean[:, :3] @ hue / usual, _DARKEST, 1.0)
+        shows = (light[of] - mean[:, :3]) @ marking.way
         whole = _median(shows / (own * shade), 0.8) if len(of) >= _LEAST_CELLS else 0.0
         whole = max(whole, marking.least * usual)
         even = spread < _UNEVEN * whole * shade * own
