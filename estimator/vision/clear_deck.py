@@ -275,7 +275,7 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         whole = _median(shows / (own * shade), 0.8) if len(of) >= _LEAST_CELLS else 0.0
         whole = max(whole, marking.least * usual)
         even = spread < _UNEVEN * whole * shade * own
-        # Glare falls off about it: its ground there is a slope. Shadows end in steps, and both sides are darker.
+        # Beside glare the ground is a slope. Shadows, which end in steps, are darker than most of the ground.
         slopes = np.flatnonzero(~even & (shade >= 1.0))
         if len(slopes):
             below, spread = _slope(square, inside[of[slopes]])

@@ -53,7 +53,11 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
     assert of.thing.from_centre_m == pytest.approx(math.hypot(*at), abs=0.03)
 
 
-@pytest.mark.parametrize("light", [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6))], ids=["even light", "shadows"])
+@pytest.mark.parametrize(
+    "light",
+    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6)), Light(drone_shadow=0.0, glare=0.8)],
+    ids=["even light", "shadows", "beside glare"],
+)
 def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
     of = check(light, Decal("crate", (0.0, 0.26), 0.15, 0.3, "pad", PAD.markings.colours.disc))
     assert of.thing is not None
