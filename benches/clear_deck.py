@@ -99,7 +99,8 @@ def approach(
     small = seed // 6 % 2 == 1
     deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
     waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None
-    around = Surroundings(replace(deck, paint=DECK_PAINTS[seed % 4], seed=seed % 7), waves, things)
+    # Twelve approaches share a deck, whose wear takes as long to draw as half an approach.
+    around = Surroundings(replace(deck, paint=DECK_PAINTS[seed // 12 % 4], seed=seed // 12 % 7), waves, things)
     sensor = Sensor(
         float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)), full_well_e=500.0 if light == "dusk" else 8000.0
     )
