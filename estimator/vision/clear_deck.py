@@ -297,13 +297,13 @@ def _slope(square: F32, at: NDArray[np.int64]) -> tuple[F32, F32]:
     row, column = at[:, None] // ACROSS + off[0], at[:, None] % ACROSS + off[1]
     near = np.where(((row >= 0) & (row < ACROSS) & (column >= 0) & (column < ACROSS)), row * ACROSS + column, 0)
     near_light, there = square[near, :3], square[near, 3]
-    plane = np.column_stack([np.ones(off.shape[1]), *off])
+    plane = np.column_stack([np.ones(off.shape[1]), *off]).astype(np.float32)
     # Ground on one side alone says little of the slope.
-    M = np.einsum("nk,ki,kj->nij", there, plane, plane) + np.diag([0.0, 0.5, 0.5])
-    by = np.linalg.solve(M, np.einsum("nk,ki,nkc->nic", there, plane, near_light))
-    rest = np.square(near_light - np.einsum("ki,nic->nkc", plane, by)).sum(axis=2)
+    M = (there @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(-1, 3, 3) + np.diag([0.0, 0.5, 0.5])
+    by = np.linalg.solve(M, plane.T @ near_light).astype(np.float32)
+    rest = np.square(near_light - plane @ by).sum(axis=2)
     spread = np.sqrt((there * rest).sum(axis=1) / there.sum(axis=1))
-    return by[:, 0].astype(np.float32), spread.astype(np.float32)
+    return by[:, 0], spread
 
 
 def _from_paint(light: F32, place: F32, white: F32) -> F32:
