@@ -66,7 +66,7 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     thing: Reason | None = None
     """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
     unseen: Reason | None = None
-    """What hides a part of the pad; None if all of it was seen lately, or if the operator says that it is clear."""
+    """Glare that hides a part of the pad; None if there is none, or if the operator says that it is clear."""
 
     @property
     def place(self) -> VesselPosition | None:
