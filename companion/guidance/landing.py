@@ -462,7 +462,7 @@ class LandingGuidance:
         self._overruled = True
 
     def _lies_there(self, now: MonoNs) -> tuple[Reason | None, Reason | None]:
-        """Return the thing on the pad or about it that bars the landing, and the glare that hides a part of it, as lately seen."""
+        """Return the thing on the pad or about it that bars the landing, and the glare that hides a part of it."""
         check = self._on_pad
         if check is None or self._overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
             return None, None
