@@ -5,21 +5,23 @@ prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wea
 random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
 `--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame;
 where the pad is sure in fewer than three of the last ten frames, nobody lands; where a part of it is in glare, the operator is
-asked. Bodies are crates of 0.3 to 1 m and people of 0.8
-to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the pad and back: seen counts any
-frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
+asked. Bodies are crates of 0.3 to 1 m and people of 0.8 to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and
+drones on their way over the pad and back: seen counts any frame. Half of these approaches and of the clear ones are over a small
+deck with waves about it. `--scenarios` comes down on the ships of scenarios.
 """
 
 import argparse
 import math
 import sys
 from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -27,7 +29,7 @@ sys.path.insert(0, str(ROOT))
 from benches.photographs import FOLDER, read_labels  # noqa: E402
 from benches.tracked import SIGMA_YAW_RAD  # noqa: E402
 from estimator.contracts.estimates import RelativeState  # noqa: E402
-from estimator.contracts.geometry import Rotation  # noqa: E402
+from estimator.contracts.geometry import Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.clear_deck import DeckMemory, checked_deck  # noqa: E402
@@ -43,7 +45,12 @@ from sitl.camera.light import Mast, Sensor  # noqa: E402
 from sitl.camera.picture_effects import PictureEffects  # noqa: E402
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings  # noqa: E402
 from sitl.faults.kinds import Bystander  # noqa: E402
+from sitl.scenario.scenario import Scenario, camera_model, pad_model  # noqa: E402
+from sitl.scenario.scenario import load as load_scenario  # noqa: E402
 from sitl.sea.sea import SEA_STATES, Waves  # noqa: E402
+from sitl.vessel.vessel import Vessel  # noqa: E402
+from sitl.world.stage import renderer as renderer_of  # noqa: E402
+from sitl.world.stage import sea_and_vessel  # noqa: E402
 from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
 
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
@@ -83,14 +90,8 @@ def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB
     return r, g, b
 
 
-def approach(
-    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
-) -> Approached:
-    """Return what an approach shows.
-
-    About every other seed has a small deck on waves, and bodies are about the pad.
-    """
-    rng = np.random.default_rng([50, seed])
+def drawn_by(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, rng: np.random.Generator) -> Renderer:
+    """Return what renders an approach; about every other seed has a small deck on waves."""
     lit = random_light(rng, "shadow" if light == "mast" else light)
     if light == "dusk":
         lit = replace(lit, colour_temperature_k=9000.0, drone_shadow=0.0, visibility_m=400.0)
@@ -104,25 +105,60 @@ def approach(
     sensor = Sensor(
         float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)), full_well_e=500.0 if light == "dusk" else 8000.0
     )
-    renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
-    effects = PictureEffects(tracker.camera, tracker.pad, lit, seed)
+    return Renderer(tracker.camera, tracker.pad, around, lit, sensor)
+
+
+def over_ship(seed: int, scenario: Scenario) -> Approached:
+    """Return what an approach to the clear pad of a scenario's ship shows, in its sea and light."""
+    waves, vessel = sea_and_vessel(scenario, [seed])
+    film = renderer_of(scenario, waves, vessel, seed)
+    tracker = TrackerConfig(camera_model(scenario), pad_model(scenario), TrackerOptions())
+    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]))
+
+
+def approach(
+    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
+) -> Approached:
+    """Return what an approach to a pad at rest shows."""
+    rng = np.random.default_rng([50, seed])
+    renderer = drawn_by(seed, light, things, tracker, rng)
+    effects = PictureEffects(tracker.camera, tracker.pad, renderer.light, seed)
+
+    def image(shot: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
+        px = renderer.render(shot, rng)
+        return effects.drawn(px, bodies, shot, rng) if bodies else px
+
+    return followed(tracker, None, image, rng)
+
+
+def followed(
+    tracker: TrackerConfig,
+    vessel: Vessel | None,
+    image: Callable[[Exposure, np.random.Generator], NDArray[np.uint8]],
+    rng: np.random.Generator,
+) -> Approached:
+    """Return what the tracker makes of an approach to the pad of a vessel, or to one at rest."""
     memory, check, first_m, near_m, sure = TrackerMemory(), None, 0.0, 0.0, 0
     yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
+    p_pad, v_pad, w_pad, R_pad = np.array([0.0, 0.0, -0.6]), np.zeros(3), np.zeros(3), Rotation.identity()
     for k in range(FRAMES):
         t = k * PERIOD_S
+        if vessel is not None:
+            pad = vessel.pad_at(t)
+            p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, pad.rotation()
         height_m = HIGH_M + (LOW_M - HIGH_M) * k / (FRAMES - 1)
         roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
         x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])
         R = Rotation.from_rpy(roll, pitch, yaw)
         v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
-        p_pad, p_body = np.array([0.0, 0.0, -0.6]), np.array([x, y, -0.6 - height_m])
-        shot = Exposure(t, R, p_body, Rotation.identity(), p_pad, v, rng.normal(0, 0.1, 3))
-        px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng) if bodies else renderer.render(shot, rng)
+        p_body = p_pad + np.array([x, y, -height_m])
+        shot = Exposure(t, R, p_body, R_pad, p_pad, v + v_pad, rng.normal(0, 0.1, 3), v_pad, w_pad)
+        px = image(shot, rng)
         stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
         d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
         error = rng.normal(0.0, 0.005, 3)
         belief = RelativeState(
-            stamp.measured_at, "ekf", d_level + error, np.zeros(3), yaw + float(rng.normal(0, 0.005)),
+            stamp.measured_at, "ekf", d_level + error, np.zeros(3), wrap_pi(yaw - R_pad.rpy_rad[2] + float(rng.normal(0, 0.005))),
             np.diag([0.005**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), stamp.measured_at, True,
         )  # fmt: skip
         attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
@@ -162,12 +198,12 @@ def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: 
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: range, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
-    """Print the number of clear approaches in which something is seen at any time."""
+def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None) -> None:
+    """Print the number of clear approaches in which something is seen at any time; None flies in scenarios of these names."""
     wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = lights[seed % len(lights)]
-        of = approach(10_000 + seed, light, (), tracker)
+        of = over_ship(seed, load_scenario(light)) if tracker is None else approach(10_000 + seed, light, (), tracker)
         wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
             print(
@@ -232,6 +268,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
     parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
+    parser.add_argument("--scenarios", help="clear approaches over the ships of these scenarios, with commas")
     parser.add_argument("--light", choices=LIGHTS, help="fly in this light alone")
     args = parser.parse_args()
     lights = LIGHTS if args.light is None else (args.light,)
@@ -240,7 +277,11 @@ def main() -> None:
         photographs()
         return
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
-    without(range(args.first, args.first + args.clear), lights, tracker)
+    clear = range(args.first, args.first + args.clear)
+    if args.scenarios:
+        without(clear, args.scenarios.split(","), None)
+    else:
+        without(clear, lights, tracker)
     with_things(range(args.first, args.first + args.runs), args.contrast, lights, tracker)
     with_bodies(range(args.first, args.first + args.bodies), tracker)
 
