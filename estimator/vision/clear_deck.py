@@ -261,7 +261,7 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
     square[inside[ground], :3], square[inside[ground], 3] = paint, 1.0
     square[inside[ground], 4] = np.einsum("ij,ij->i", paint, paint)
     sums = cv2.boxFilter(square.reshape(ACROSS, ACROSS, 5), -1, (_ABOUT, _ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    usual = _median(paint @ hue) + 1e-6
+    usual, is_sharp = _median(paint @ hue) + 1e-6, BLURS_M[blur] < pad.disc_radius_m / ACROSS
     for marking in markings:
         about = sums.reshape(-1, 5)[inside[marking.at]]
         read = clear[marking.at] & (about[:, 3] >= _GROUND_CELLS)
@@ -275,8 +275,8 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         whole = _median(shows / (own * shade), 0.8) if len(of) >= _LEAST_CELLS else 0.0
         whole = max(whole, marking.least * usual)
         even = spread < _UNEVEN * whole * shade * own
-        # Beside glare the ground is a slope. Shadows, which end in steps, are darker than most of the ground.
-        slopes = np.flatnonzero(~even & (shade >= 1.0))
+        # Beside glare the ground is a slope, which a blurred edge beside it would bend. Shadows, which end in steps, are darker.
+        slopes = np.flatnonzero(~even & (shade >= 1.0) & is_sharp)
         if len(slopes):
             below, spread = _slope(square, inside[of[slopes]])
             shows[slopes] = (light[of[slopes]] - below) @ marking.way
