@@ -4,21 +4,24 @@ The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and d
 prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
 random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Their luminance differs from the disc's by
 `--contrast`; a third is grey, a third of any hue, and a third of the disc's own hue. Seen counts what is there in the last frame;
-where the pad is sure in fewer than three of the last ten frames, nobody lands. Bodies are crates of 0.3 to 1 m and people of 0.8
-to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and drones on their way over the pad and back: seen counts any
-frame. Half of these approaches and of the clear ones are over a small deck with waves about it.
+where the pad is sure in fewer than three of the last ten frames, nobody lands; where a part of it is in glare, the operator is
+asked. Bodies are crates of 0.3 to 1 m and people of 0.8 to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and
+drones on their way over the pad and back: seen counts any frame. Half of these approaches and of the clear ones are over a small
+deck with waves about it. `--scenarios` comes down on the ships of scenarios.
 """
 
 import argparse
 import math
 import sys
 from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -26,7 +29,7 @@ sys.path.insert(0, str(ROOT))
 from benches.photographs import FOLDER, read_labels  # noqa: E402
 from benches.tracked import SIGMA_YAW_RAD  # noqa: E402
 from estimator.contracts.estimates import RelativeState  # noqa: E402
-from estimator.contracts.geometry import Rotation  # noqa: E402
+from estimator.contracts.geometry import Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.clear_deck import DeckMemory, checked_deck  # noqa: E402
@@ -42,7 +45,12 @@ from sitl.camera.light import Mast, Sensor  # noqa: E402
 from sitl.camera.picture_effects import PictureEffects  # noqa: E402
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings  # noqa: E402
 from sitl.faults.kinds import Bystander  # noqa: E402
+from sitl.scenario.scenario import Scenario, camera_model, pad_model  # noqa: E402
+from sitl.scenario.scenario import load as load_scenario  # noqa: E402
 from sitl.sea.sea import SEA_STATES, Waves  # noqa: E402
+from sitl.vessel.vessel import Vessel  # noqa: E402
+from sitl.world.stage import renderer as renderer_of  # noqa: E402
+from sitl.world.stage import sea_and_vessel  # noqa: E402
 from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
 
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
@@ -65,6 +73,11 @@ class Approached:
     lands: bool
     """True if the pad is sure in the last frames."""
 
+    @property
+    def asks(self) -> bool:
+        """True if glare hides a part of the pad in the last frame."""
+        return self.check is not None and self.check.glare > 0.0
+
 
 def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB:
     """Return a colour whose luminance differs from the disc's by a factor 1 +- contrast or a little more."""
@@ -77,14 +90,8 @@ def paint(rng: np.random.Generator, hue: str, contrast: float, disc: RGB) -> RGB
     return r, g, b
 
 
-def approach(
-    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
-) -> Approached:
-    """Return what an approach shows.
-
-    About every other seed has a small deck on waves, and bodies are about the pad.
-    """
-    rng = np.random.default_rng([50, seed])
+def drawn_by(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, rng: np.random.Generator) -> Renderer:
+    """Return what renders an approach; about every other seed has a small deck on waves."""
     lit = random_light(rng, "shadow" if light == "mast" else light)
     if light == "dusk":
         lit = replace(lit, colour_temperature_k=9000.0, drone_shadow=0.0, visibility_m=400.0)
@@ -93,29 +100,65 @@ def approach(
     small = seed // 6 % 2 == 1
     deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
     waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None
-    around = Surroundings(replace(deck, paint=DECK_PAINTS[seed % 4], seed=seed % 7), waves, things)
+    # Twelve approaches share a deck, whose wear takes as long to draw as half an approach.
+    around = Surroundings(replace(deck, paint=DECK_PAINTS[seed // 12 % 4], seed=seed // 12 % 7), waves, things)
     sensor = Sensor(
         float(rng.choice([0.002, 0.008])), float(rng.uniform(0.5, 1.0)), full_well_e=500.0 if light == "dusk" else 8000.0
     )
-    renderer = Renderer(tracker.camera, tracker.pad, around, lit, sensor)
-    effects = PictureEffects(tracker.camera, tracker.pad, lit, seed)
+    return Renderer(tracker.camera, tracker.pad, around, lit, sensor)
+
+
+def over_ship(seed: int, scenario: Scenario) -> Approached:
+    """Return what an approach to the clear pad of a scenario's ship shows, in its sea and light."""
+    waves, vessel = sea_and_vessel(scenario, [seed])
+    film = renderer_of(scenario, waves, vessel, seed)
+    tracker = TrackerConfig(camera_model(scenario), pad_model(scenario), TrackerOptions())
+    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]))
+
+
+def approach(
+    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
+) -> Approached:
+    """Return what an approach to a pad at rest shows."""
+    rng = np.random.default_rng([50, seed])
+    renderer = drawn_by(seed, light, things, tracker, rng)
+    effects = PictureEffects(tracker.camera, tracker.pad, renderer.light, seed)
+
+    def image(shot: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
+        px = renderer.render(shot, rng)
+        return effects.drawn(px, bodies, shot, rng) if bodies else px
+
+    return followed(tracker, None, image, rng)
+
+
+def followed(
+    tracker: TrackerConfig,
+    vessel: Vessel | None,
+    image: Callable[[Exposure, np.random.Generator], NDArray[np.uint8]],
+    rng: np.random.Generator,
+) -> Approached:
+    """Return what the tracker makes of an approach to the pad of a vessel, or to one at rest."""
     memory, check, first_m, near_m, sure = TrackerMemory(), None, 0.0, 0.0, 0
     yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
+    p_pad, v_pad, w_pad, R_pad = np.array([0.0, 0.0, -0.6]), np.zeros(3), np.zeros(3), Rotation.identity()
     for k in range(FRAMES):
         t = k * PERIOD_S
+        if vessel is not None:
+            pad = vessel.pad_at(t)
+            p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, pad.rotation()
         height_m = HIGH_M + (LOW_M - HIGH_M) * k / (FRAMES - 1)
         roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
         x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])
         R = Rotation.from_rpy(roll, pitch, yaw)
         v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
-        p_pad, p_body = np.array([0.0, 0.0, -0.6]), np.array([x, y, -0.6 - height_m])
-        shot = Exposure(t, R, p_body, Rotation.identity(), p_pad, v, rng.normal(0, 0.1, 3))
-        px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng) if bodies else renderer.render(shot, rng)
+        p_body = p_pad + np.array([x, y, -height_m])
+        shot = Exposure(t, R, p_body, R_pad, p_pad, v + v_pad, rng.normal(0, 0.1, 3), v_pad, w_pad)
+        px = image(shot, rng)
         stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
         d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
         error = rng.normal(0.0, 0.005, 3)
         belief = RelativeState(
-            stamp.measured_at, "ekf", d_level + error, np.zeros(3), yaw + float(rng.normal(0, 0.005)),
+            stamp.measured_at, "ekf", d_level + error, np.zeros(3), wrap_pi(yaw - R_pad.rpy_rad[2] + float(rng.normal(0, 0.005))),
             np.diag([0.005**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), stamp.measured_at, True,
         )  # fmt: skip
         attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
@@ -128,16 +171,16 @@ def approach(
     return Approached(check, first_m, near_m, sure >= LAST_SURE)
 
 
-def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
+def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
     """Print the share of things that were seen, by size and hue."""
     if not runs:
         return
-    seen: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
+    seen: dict[tuple[str, str], list[tuple[bool, bool, bool]]] = defaultdict(list)
     heights: list[float] = []
     for seed in runs:
         rng = np.random.default_rng([51, seed])
         size_m, hue = float(rng.uniform(0.1, 0.5)), HUES[seed % 3]
-        light = LIGHTS[int(rng.integers(len(LIGHTS)))]
+        light = lights[int(rng.integers(len(lights)))]
         a, r = rng.uniform(0, math.tau), (tracker.pad.disc_radius_m - 0.5 * size_m) * math.sqrt(rng.uniform())
         colour = paint(rng, hue, contrast, tracker.pad.markings.colours.disc)
         thing = Decal("crate", (r * math.cos(a), r * math.sin(a)), size_m, float(rng.uniform(0, math.pi)), "pad", colour)
@@ -145,31 +188,31 @@ def with_things(runs: range, contrast: float, tracker: TrackerConfig) -> None:
         check, found = of.check, of.check is not None and of.check.thing is not None
         heights += [of.first_m] if found else []
         for key in ((hue, "15 cm and more" if size_m >= 0.15 else "less"), ("all", light)):
-            seen[key].append((found, of.lands and not found))
+            seen[key].append((found, of.asks and not found, of.lands and not found and not of.asks))
         if not found:
-            why = "not seen" if of.lands else "no pad"
+            why = "no pad" if not of.lands else "asked" if of.asks else "not seen"
             print(f"  {why}: seed {seed}, {100 * size_m:.0f} cm, {hue}, {light}, {100 * r:.0f} cm off, {check}", flush=True)
     for key, each in sorted(seen.items()):
-        found_n, missed_n = np.sum(each, axis=0)
-        print(f"{', '.join(key)}: {found_n} of {len(each)} seen, {missed_n} landed upon", flush=True)
+        found_n, asked_n, missed_n = np.sum(each, axis=0)
+        print(f"{', '.join(key)}: {found_n} of {len(each)} seen, {asked_n} more asked about, {missed_n} landed upon", flush=True)
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: range, tracker: TrackerConfig) -> None:
-    """Print the number of clear approaches in which something is seen at any time."""
-    wrong: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
+def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None) -> None:
+    """Print the number of clear approaches in which something is seen at any time; None flies in scenarios of these names."""
+    wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
-        light = LIGHTS[seed % len(LIGHTS)]
-        of = approach(10_000 + seed, light, (), tracker)
-        wrong[light].append((of.first_m > 0.0, of.near_m > 0.0))
+        light = lights[seed % len(lights)]
+        of = over_ship(seed, load_scenario(light)) if tracker is None else approach(10_000 + seed, light, (), tracker)
+        wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
             print(
                 f"  false: seed {seed}, {light}, on it from {of.first_m:.1f} m, about it from {of.near_m:.1f} m, {of.check}",
                 flush=True,
             )
     for light, each in wrong.items():
-        on, about = np.sum(each, axis=0)
-        print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it", flush=True)
+        on, about, asked = np.sum(each, axis=0)
+        print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it, {asked} asked", flush=True)
 
 
 def with_bodies(runs: range, tracker: TrackerConfig) -> None:
@@ -211,7 +254,7 @@ def photographs() -> None:
         for k in range(8):
             at = MonoNs(1_000_000_000 + 250_000_000 * k)
             memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
-        if memory is None or memory.check.thing is not None:
+        if memory is None or memory.check.thing is not None or memory.check.glare:
             wrong += memory is not None
             print(f"  {name}: {found.pose.range_m:.1f} m, {'not read' if memory is None else memory.check}", flush=True)
     print(f"photographs: {wrong} of {len(labels)} with something seen", flush=True)
@@ -225,14 +268,21 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
     parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
+    parser.add_argument("--scenarios", help="clear approaches over the ships of these scenarios, with commas")
+    parser.add_argument("--light", choices=LIGHTS, help="fly in this light alone")
     args = parser.parse_args()
+    lights = LIGHTS if args.light is None else (args.light,)
     cv2.setNumThreads(1)
     if args.photos:
         photographs()
         return
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
-    without(range(args.first, args.first + args.clear), tracker)
-    with_things(range(args.first, args.first + args.runs), args.contrast, tracker)
+    clear = range(args.first, args.first + args.clear)
+    if args.scenarios:
+        without(clear, args.scenarios.split(","), None)
+    else:
+        without(clear, lights, tracker)
+    with_things(range(args.first, args.first + args.runs), args.contrast, lights, tracker)
     with_bodies(range(args.first, args.first + args.bodies), tracker)
 
 

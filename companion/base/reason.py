@@ -71,6 +71,7 @@ class ReasonCause(Enum):
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ON_PAD = "something {measured:.0f} cm wide lies {detail} from the pad's centre"
+    GLARE = "{measured:.0f} % of the pad is in glare or overexposed: what lies there cannot be seen"
     NEAR_PAD = "something {detail} {measured:.1f} m from the pad's centre"
     ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
     ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
@@ -107,6 +108,7 @@ CONDITIONS = frozenset(
         ReasonCause.TIME_LOCK,
         ReasonCause.ON_PAD,
         ReasonCause.NEAR_PAD,
+        ReasonCause.GLARE,
         ReasonCause.SIGMA,
     }
 )

@@ -50,6 +50,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.STARVED: "End other programs on the drone's computer; see that it is cool and has power.",
     _C.NOT_CLIMBING: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
     _C.ON_PAD: "Clear the pad; if nothing lies there, order clear and begin again.",
+    _C.GLARE: "Look at the pad; if nothing lies there, order clear and begin again.",
     _C.NEAR_PAD: "Keep people and things away from the pad; if nothing is there, order clear and begin again.",
     _C.ERROR: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",
     _C.ERROR_AHEAD: "Wait for less wind; if it stays so, check the vehicle's response (decklander calibrate vehicle).",

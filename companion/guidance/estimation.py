@@ -208,19 +208,21 @@ class PadSearch:
 
         rehearse(replace(self._tracker, camera=self.camera))
 
-    def follow(self, known: pipeline.Memory, frame: Frame, assumed: Attitude) -> Detection:
+    def follow(self, known: pipeline.Memory, frame: Frame, assumed: Attitude, *, watches: bool = True) -> Detection:
         """Search a frame that no attitude covers for the pad, beginning where it was; otherwise as `detect`."""
         from estimator.vision.alone import alone_in
         from estimator.vision.tracker import TrackerMemory, track
 
-        place = pipeline.place_to_look(known, assumed)
-        seen, self._memory = track(self._tracker, self._memory or TrackerMemory(), frame, assumed, place)
+        place, tracker = pipeline.place_to_look(known, assumed), replace(self._tracker, watches=watches)
+        seen, self._memory = track(tracker, self._memory or TrackerMemory(), frame, assumed, place)
         sighting = seen.selected or seen.elsewhere
         if sighting is None or not pipeline.asks_alone(known, sighting, assumed):
             return seen
         return structs.replace(seen, alone_in=alone_in(self._tracker, self._memory, frame, assumed, sighting))
 
-    def detect(self, known: pipeline.Memory, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+    def detect(
+        self, known: pipeline.Memory, frame: Frame, attitude: Attitude, held: HeldCamera | None = None, *, watches: bool = True
+    ) -> Detection:
         """Search a frame for the pad, beginning where it is expected.
 
         This may run on another thread, one call at a time: it reads only immutable estimator state and writes only its own.
@@ -228,11 +230,12 @@ class PadSearch:
         Args:
             known: the estimator's memory, which says where the pad is expected.
             held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
+            watches: whether to look for things on the pad and about it too; else what was seen of them is forgotten.
         """
         from estimator.vision.tracker import TrackerMemory, track
 
         estimated = pipeline.belief(known, frame.stamp.measured_at)
-        tracker = self._tracker
+        tracker = replace(self._tracker, watches=watches)
         if held is not None:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)

@@ -414,13 +414,13 @@ class LandingGuidance:
                 self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
             place = rendezvous.position(self._vessel_track, now)
         self._vessel = place
-        self._thing = self._lies_there(now)
+        self._thing, unseen = self._lies_there(now)
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, self._touch, range_m, self._thing,
+            self._response.late_s, self._touch, range_m, self._thing, unseen,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
@@ -464,18 +464,20 @@ class LandingGuidance:
         """Land in this flight whatever is seen on the pad, by the operator's order."""
         self._overruled = True
 
-    def _lies_there(self, now: MonoNs) -> Reason | None:
-        """Return what was seen on the pad or about it lately and bars the landing; None if nothing does."""
+    def _lies_there(self, now: MonoNs) -> tuple[Reason | None, Reason | None]:
+        """Return the thing on the pad or about it that bars the landing, and the glare that hides a part of it."""
         check = self._on_pad
         if check is None or self._overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
-            return None
-        if check.thing is None:
-            near = check.near
-            if near is None:
-                return None
-            how = f"stands {100.0 * near.height_m:.0f} cm out of the deck" if near.height_m > 0.0 else "moves"
-            return Reason(ReasonCause.NEAR_PAD, near.from_centre_m, detail=how)
-        return Reason(ReasonCause.ON_PAD, 100.0 * check.thing.width_m, detail=f"{100.0 * check.thing.from_centre_m:.0f} cm")
+            return None, None
+        unseen = Reason(ReasonCause.GLARE, 100.0 * check.glare) if check.glare > 0.0 else None
+        if check.thing is not None:
+            away = f"{100.0 * check.thing.from_centre_m:.0f} cm"
+            return Reason(ReasonCause.ON_PAD, 100.0 * check.thing.width_m, detail=away), unseen
+        near = check.near
+        if near is None:
+            return None, unseen
+        how = f"stands {100.0 * near.height_m:.0f} cm out of the deck" if near.height_m > 0.0 else "moves"
+        return Reason(ReasonCause.NEAR_PAD, near.from_centre_m, detail=how), unseen
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Take the verdict on a frame, whoever gave it."""

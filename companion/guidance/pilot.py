@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import structs
 
-from companion.base.mission import AGAIN, FLOWN, Event, FlightOutcome, State
+from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.controller import Controller, Knowledge
@@ -274,7 +274,7 @@ class Pilot:
         Args:
             held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
         """
-        return self.search.detect(self.estimation.memory, frame, attitude, held)
+        return self.search.detect(self.estimation.memory, frame, attitude, held, watches=self.state not in GROUND)
 
     def assumed_at(self, stamp: Stamp) -> Attitude | None:
         """Return what to assume for a frame that no attitude covers; None if there is nothing to `follow` in it."""
@@ -282,7 +282,7 @@ class Pilot:
 
     def follow(self, frame: Frame, assumed: Attitude) -> Detection:
         """Search a frame that no attitude covers for the tracked pad; otherwise as `detect`."""
-        return self.search.follow(self.estimation.memory, frame, assumed)
+        return self.search.follow(self.estimation.memory, frame, assumed, watches=self.state not in GROUND)
 
     def on_followed(self, seen: Detection, assumed: Attitude) -> None:
         """Take note of whether the pad has left the picture. Nothing is fused."""

@@ -65,6 +65,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """The newest range to the surface below; None without a fresh one."""
     thing: Reason | None = None
     """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
+    unseen: Reason | None = None
+    """Glare that hides a part of the pad; None if there is none, or if the operator says that it is clear."""
 
     @property
     def place(self) -> VesselPosition | None:

@@ -532,6 +532,7 @@ def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
                 aligned=o.tries.heading == "align",
             )
         )
+    blocked = blocked or s.unseen
     if blocked is not None:
         if p.waits_since is None or seconds_between(p.waits_since, s.at) >= _REASON_STANDS_S:
             p = replace(p, waits_for=blocked, waits_since=s.at)

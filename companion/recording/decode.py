@@ -102,7 +102,7 @@ def _pad_check(of: rec.PadCheckRecord) -> PadCheck:
     if of.near is not None and len(of.near) != 3:
         raise ValueError(f"a thing about the pad has place and height, got {len(of.near)} numbers")
     thing, near = (None if of.thing is None else PadThing(*of.thing)), (None if of.near is None else NearThing(*of.near))
-    return PadCheck(MonoNs(of.at_ns), of.seen, thing, near)
+    return PadCheck(MonoNs(of.at_ns), of.seen, thing, near, of.glare)
 
 
 def held_rotation(of: rec.DetectionRecord) -> Rotation | None:

@@ -113,7 +113,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
 def _pad_check(of: PadCheck) -> rec.PadCheckRecord:
     thing = None if of.thing is None else [of.thing.width_m, of.thing.forward_m, of.thing.right_m]
     near = None if of.near is None else [of.near.forward_m, of.near.right_m, of.near.height_m]
-    return rec.PadCheckRecord(int(of.at), of.seen, thing, near)
+    return rec.PadCheckRecord(int(of.at), of.seen, thing, near, of.glare)
 
 
 def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:

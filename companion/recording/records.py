@@ -154,6 +154,8 @@ class PadCheckRecord(Struct, frozen=True, omit_defaults=True):
     near: list[float] | None = None
     """Place of the nearest thing about the pad along the arrow and to starboard of it, m, and its height over the deck, 0 for
     what moves; left out without one."""
+    glare: float = 0.0
+    """Share of the pad in glare where it may hide something, 0..1."""
 
 
 class DetectionRecord(Struct, frozen=True, omit_defaults=True):

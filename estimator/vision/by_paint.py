@@ -21,10 +21,10 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.beside_pad import AroundMemory, around
 from estimator.vision.camera import Camera
-from estimator.vision.clear_deck import DeckMemory, checked_deck
+from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import pose_about
@@ -175,8 +175,8 @@ def by_paint(
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     best = registered.settled().tracked
-    deck, about, passing = _deck_of(now, best, belief), memory.around, memory.passing
-    shows = best is not None and best.sighting.confidence >= SURE and _shows(now, best, belief)
+    deck, about, passing = (_deck_of(now, best, belief), memory.around, memory.passing) if tracker.watches else (None, None, None)
+    shows = tracker.watches and best is not None and best.sighting.confidence >= SURE and _shows(now, best, belief)
     # A frame in which one of them is read has cost enough: the others follow in the next ones.
     if best is not None and best.found is not None and shows and deck is memory.deck:
         at, pose = frame.stamp.measured_at, best.found.pose
@@ -206,7 +206,8 @@ def by_paint(
 
 
 def _checked(deck: DeckMemory | None, about: AroundMemory | None, passing: PassMemory | None, at: MonoNs) -> PadCheck | None:
-    """Return what is known of things on the pad and about it; None before its surface was read and while nothing is about it."""
+    """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""
+    deck = None if deck is None or seconds_between(deck.check.at, at) > LASTS_S else deck
     there = [(each.near(at), each.at) for each in (about, passing) if each is not None]
     near, read = min(
         ((near, read) for near, read in there if near is not None), key=lambda of: of[0].from_centre_m, default=(None, at)

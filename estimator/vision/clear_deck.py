@@ -17,6 +17,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -63,6 +64,8 @@ _DARKEST, _NOMINAL, _UNEVEN = 0.1, 0.25, 0.15
 Third: spread of the ground's light about a marking, in its contrast, from which on its ground is not known."""
 _HIDDEN, _HIDDEN_CELLS, _SEEN_OFTEN = 0.25, 5, 2.0
 """Contrast of a marking, in parts of that of the whole, that something hides; least number of such cells, and frames' weight."""
+_HIDES_M, _HIDES = 0.15, 0.6
+"""Width of a place in which something may lie unseen, and the share of its ground that is clipped there."""
 
 _DECK_LIGHT = np.full(3, 0.3)
 """Light of the deck about the pad, 1 for white."""
@@ -82,6 +85,8 @@ class DeckMemory:
     """Weight of the frames in it, (cells,)."""
     seen_at: F64
     """Seconds of the newest reading of each cell, (cells,); -inf before."""
+    glare_at: F64
+    """Seconds of the newest frame in which a cell of the ground was clipped, (cells,); -inf before."""
     marks: F32
     """Weighted sums over frames, (cells, 3): contrast of a marking, contrast of the whole marking, and the frames' weight."""
     check: PadCheck
@@ -95,6 +100,12 @@ def _cells(pad: Pad) -> tuple[F64, NDArray[np.int64]]:
     x, y = np.meshgrid(side, side, indexing="ij")
     inside = np.flatnonzero(np.hypot(x, y).ravel() < pad.disc_radius_m)
     return np.stack([x.ravel(), y.ravel()], axis=1)[inside], inside
+
+
+@lru_cache(maxsize=8)
+def _points(pad: Pad) -> F64:
+    """Return the cells' centres, (cells, 3) m."""
+    return np.pad(_cells(pad)[0], ((0, 0), (0, 1)))
 
 
 @lru_cache(maxsize=16)
@@ -123,6 +134,33 @@ def _known(pad: Pad, blur: int) -> NDArray[np.int8]:
     return np.where((most >= _PURE) & (leak <= _LEAK * light[own]), own, -1).astype(np.int8)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Marking:
+    """Cells in which a marking shows, beside no other one."""
+
+    at: NDArray[np.intp]
+    own: F32
+    """The marking's coverage of them."""
+    way: F32
+    """Direction of its light from that of the ground, (3,)."""
+    least: float
+    """Contrast below which it is hidden altogether, in parts of the ground's light."""
+
+
+@lru_cache(maxsize=16)
+def _markings(pad: Pad, blur: int) -> tuple[NDArray[np.intp], F32, tuple[_Marking, ...]]:
+    """Return the cells of the markings' ground, the direction of its light, and the markings, at one of `BLURS_M`."""
+    share, nominal = _shares(pad, blur), _nominal(pad)
+    bright, out = float(np.linalg.norm(nominal[2])), []
+    for one in range(_PAINTS - 1):
+        way = nominal[one] - nominal[2]
+        size = float(np.linalg.norm(way))
+        at = np.flatnonzero((share[:, one] >= _MARK) & (share[:, 1 - one] <= _OTHER) & (share[:, 3] <= _OTHER))
+        if size >= 0.1 * bright:
+            out.append(_Marking(at, share[at, one], (way / size).astype(np.float32), _NOMINAL * size / bright))
+    return np.flatnonzero(share[:, 2] >= _GROUND), (nominal[2] / bright).astype(np.float32), tuple(out)
+
+
 def checked_deck(
     memory: DeckMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
 ) -> DeckMemory | None:
@@ -143,7 +181,7 @@ def checked_deck(
     if cell_px < _CELL_PX_LEAST:
         return memory
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
-    values, shown = _read(pyramid, level, camera, pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1)))))
+    values, shown = _read(pyramid, level, camera, pose.points(_points(pad)))
     blur_m = math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
     return _after(memory if 0.0 <= since_s < LASTS_S else None, pad, values, shown, blur_m, at)
 
@@ -164,24 +202,27 @@ def _after(
     """Return the memory with the cells' values, (cells, 3)."""
     blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
     nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
-    bright = np.zeros((ACROSS, ACROSS), np.uint8)
-    np.put(bright, _cells(pad)[1], np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2]) >= _BRIGHT)
-    clear = shown & (cv2.dilate(bright, np.ones((3, 3), np.uint8)).ravel()[_cells(pad)[1]] == 0)
-    light = _LIGHT[values]
+    bright = np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2]) >= _BRIGHT
+    clear = shown & (cv2.dilate(_square(pad, bright), np.ones((3, 3), np.uint8)).ravel()[_cells(pad)[1]] == 0)
+    light = _LIGHT.take(values)
     difference, seen = _differences(light, clear, pad, blur)
     contrast = _contrasts(light, clear, pad, nearest)
     now_s = at * 1e-9
     if memory is None:
         memory = DeckMemory(
             at, np.zeros_like(difference), np.zeros(len(values), np.float32), np.full(len(values), -np.inf),
-            np.zeros_like(contrast), PadCheck(at, 0.0),
+            np.full(len(values), -np.inf), np.zeros_like(contrast), PadCheck(at, 0.0),
         )  # fmt: skip
     fades = np.float32(math.exp(-min(seconds_between(memory.at, at), _AVERAGE_S) / _AVERAGE_S))
     keep = np.where(seen, fades, np.float32(1.0))
     total, weight = memory.total * keep[:, None] + difference, memory.weight * keep + seen
     marks = memory.marks * np.where(contrast[:, 2:] > 0, fades, np.float32(1.0)) + contrast
     seen_at = np.where(seen | (contrast[:, 2] > 0), now_s, memory.seen_at)
-    return DeckMemory(at, total, weight, seen_at, marks, _judged(pad, total, weight, marks, now_s - seen_at, at))
+    # Markings are brighter: where they alone are clipped, what would hide them is seen.
+    glare_at = np.where(shown & bright & (_known(pad, blur) == _PAINTS - 1), now_s, memory.glare_at)
+    check = _judged(pad, total, weight, marks, now_s - seen_at, at)
+    unread = (now_s - glare_at <= LASTS_S) & ~((weight >= _ENOUGH) & (now_s - seen_at <= LASTS_S))
+    return DeckMemory(at, total, weight, seen_at, glare_at, marks, replace(check, glare=_hiding(pad, unread)))
 
 
 def _differences(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> tuple[F32, NDArray[np.bool_]]:
@@ -212,36 +253,57 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         light: of the cells, (cells, 3).
         clear: which of them are in the frame and not clipped.
     """
-    share, inside, nominal = _shares(pad, blur), _cells(pad)[1], _nominal(pad)
-    out, ground = np.zeros((len(light), 3), np.float32), clear & (share[:, 2] >= _GROUND)
-    if np.count_nonzero(ground) < _LEAST_CELLS:
+    inside, (on_ground, hue, markings) = _cells(pad)[1], _markings(pad, blur)
+    out, ground = np.zeros((len(light), 3), np.float32), on_ground[clear[on_ground]]
+    if len(ground) < _LEAST_CELLS:
         return out
-    square = np.zeros((ACROSS * ACROSS, 5), np.float32)
-    square[inside[ground], :3], square[inside[ground], 3] = light[ground], 1.0
-    square[inside[ground], 4] = np.einsum("ij,ij->i", light[ground], light[ground])
+    square, paint = np.zeros((ACROSS * ACROSS, 5), np.float32), light[ground]
+    square[inside[ground], :3], square[inside[ground], 3] = paint, 1.0
+    square[inside[ground], 4] = np.einsum("ij,ij->i", paint, paint)
     sums = cv2.boxFilter(square.reshape(ACROSS, ACROSS, 5), -1, (_ABOUT, _ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    about = sums.reshape(-1, 5)[inside]
-    count = about[:, 3]
-    about = about / np.maximum(count, 1.0)[:, None]
-    spread = np.sqrt(np.maximum(0.0, about[:, 4] - np.einsum("ij,ij->i", about[:, :3], about[:, :3])))
-    bright = float(np.linalg.norm(nominal[2]))
-    level = about[:, :3] @ (nominal[2] / bright).astype(np.float32)
-    usual = float(np.median(light[ground] @ (nominal[2] / bright))) + 1e-6
-    shade = np.clip(level / usual, _DARKEST, 1.0)
-    for one in range(_PAINTS - 1):
-        way = nominal[one] - nominal[2]
-        size = float(np.linalg.norm(way))
-        of = clear & (share[:, one] >= _MARK) & (share[:, 1 - one] <= _OTHER) & (share[:, 3] <= _OTHER) & (count >= _GROUND_CELLS)
-        if size < 0.1 * bright or not of.any():
+    usual, is_sharp = _median(paint @ hue) + 1e-6, BLURS_M[blur] < pad.disc_radius_m / ACROSS
+    for marking in markings:
+        about = sums.reshape(-1, 5)[inside[marking.at]]
+        read = clear[marking.at] & (about[:, 3] >= _GROUND_CELLS)
+        of, about, own = marking.at[read], about[read], marking.own[read]
+        if not len(of):
             continue
-        shows = (light[of] - about[of, :3]) @ (way / size).astype(np.float32)
-        own = share[of, one]
-        whole = float(np.percentile(shows / (own * shade[of]), 80)) if np.count_nonzero(of) >= _LEAST_CELLS else 0.0
-        whole = max(whole, _NOMINAL * size / bright * usual)
-        even = spread[of] < _UNEVEN * whole * shade[of] * own
-        read = np.stack([shows * own / whole, shade[of] * own * own, np.ones_like(own)], axis=1)
-        out[of] = np.where(even[:, None], read, 0.0)
+        mean = np.asarray(about / about[:, 3:4], np.float32)
+        spread = np.sqrt(np.maximum(0.0, mean[:, 4] - np.einsum("ij,ij->i", mean[:, :3], mean[:, :3])))
+        shade = np.clip(mean[:, :3] @ hue / usual, _DARKEST, 1.0)
+        shows = (light[of] - mean[:, :3]) @ marking.way
+        whole = _median(shows / (own * shade), 0.8) if len(of) >= _LEAST_CELLS else 0.0
+        whole = max(whole, marking.least * usual)
+        even = spread < _UNEVEN * whole * shade * own
+        # Beside glare the ground is a slope, which a blurred edge beside it would bend. Shadows, which end in steps, are darker.
+        slopes = np.flatnonzero(~even & (shade >= 1.0) & is_sharp)
+        if len(slopes):
+            below, spread = _slope(square, inside[of[slopes]])
+            shows[slopes] = (light[of[slopes]] - below) @ marking.way
+            even[slopes] = spread < _UNEVEN * whole * own[slopes]
+        out[of] = np.where(even[:, None], np.stack([shows * own / whole, shade * own * own, np.ones_like(own)], axis=1), 0.0)
     return out
+
+
+def _slope(square: F32, at: NDArray[np.int64]) -> tuple[F32, F32]:
+    """Return the ground's light at cells, (N, 3), by the plane through it in the square about each, and its spread about that.
+
+    Args:
+        square: light of the ground and 1, (cells of the square, 4 or more); 0 where there is no ground.
+        at: numbers of the cells in it.
+    """
+    half = _ABOUT // 2
+    off = np.mgrid[-half : half + 1, -half : half + 1].reshape(2, -1)
+    row, column = at[:, None] // ACROSS + off[0], at[:, None] % ACROSS + off[1]
+    near = np.where(((row >= 0) & (row < ACROSS) & (column >= 0) & (column < ACROSS)), row * ACROSS + column, 0)
+    near_light, there = square[near, :3], square[near, 3]
+    plane = np.column_stack([np.ones(off.shape[1]), *off]).astype(np.float32)
+    # Ground on one side alone says little of the slope.
+    M = (there @ (plane[:, :, None] * plane[:, None]).reshape(-1, 9)).reshape(-1, 3, 3) + np.diag([0.0, 0.5, 0.5])
+    by = np.linalg.solve(M, plane.T @ near_light).astype(np.float32)
+    rest = np.square(near_light - plane @ by).sum(axis=2)
+    spread = np.sqrt((there * rest).sum(axis=1) / there.sum(axis=1))
+    return by[:, 0], spread
 
 
 def _from_paint(light: F32, place: F32, white: F32) -> F32:
@@ -266,7 +328,7 @@ def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoN
     for one in range(_PAINTS):
         of = counts & (paint == one)
         if np.count_nonzero(of) >= _LEAST_CELLS:
-            odd |= of & (mean > max(_LEAST, _SPREADS * float(np.median(mean[of]))))
+            odd |= of & (mean > max(_LEAST, _SPREADS * _median(mean[of])))
     sharp = _sharp(pad, odd, np.where(counts & (paint >= 0), mean, _NONE).astype(np.float32))
     # Together with its neighbours: strokes are painted narrower or wider than drawn, and a registration is off by part of a cell.
     square = np.zeros((ACROSS * ACROSS, 2), np.float32)
@@ -276,10 +338,16 @@ def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoN
     return PadCheck(at, share, _largest(pad, sharp, _patches(pad, hidden, 3, _HIDDEN_CELLS)))
 
 
+def _median(of: F32, part: float = 0.5) -> float:
+    """Return the median of numbers, or the one that another part of them is below; of an even number the upper one."""
+    at = min(len(of) - 1, int(part * len(of)))
+    return float(np.partition(of, at)[at])
+
+
 def _square(pad: Pad, of: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    square = np.zeros((ACROSS, ACROSS), np.uint8)
-    np.put(square, _cells(pad)[1], of)
-    return square
+    square = np.zeros(ACROSS * ACROSS, np.uint8)
+    square[_cells(pad)[1]] = of
+    return square.reshape(ACROSS, ACROSS)
 
 
 def _patches(pad: Pad, of: NDArray[np.bool_], across: int, least: int) -> NDArray[np.uint8]:
@@ -291,6 +359,25 @@ def _patches(pad: Pad, of: NDArray[np.bool_], across: int, least: int) -> NDArra
     count, labels = cv2.connectedComponents(joined, connectivity=8)
     sizes = np.bincount(labels[square > 0], minlength=count)
     return np.asarray(square * (sizes >= least)[labels], np.uint8)
+
+
+def _hiding(pad: Pad, unread: NDArray[np.bool_]) -> float:
+    """Return the share of the ground that was clipped whenever it was looked at; 0 unless it hides all of some place.
+
+    Args:
+        unread: cells of the ground that were clipped, (cells,).
+    """
+    if np.count_nonzero(unread) < _CELLS_LEAST:
+        return 0.0
+    ground = _known(pad, 0) == _PAINTS - 1
+    across = max(5, 2 * int(_HIDES_M * ACROSS / pad.disc_radius_m / 8.0) + 1)
+    circle = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across)).astype(np.float32)
+    hidden, whole = (
+        cv2.filter2D(_square(pad, of).astype(np.float32), -1, circle, borderType=cv2.BORDER_CONSTANT) for of in (unread, ground)
+    )
+    if not ((whole >= 0.25 * circle.sum()) & (hidden >= _HIDES * whole)).any():
+        return 0.0
+    return float(np.count_nonzero(unread)) / max(1, int(np.count_nonzero(ground)))
 
 
 def _sharp(pad: Pad, odd: NDArray[np.bool_], mean: F32) -> NDArray[np.uint8]:

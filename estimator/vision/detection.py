@@ -193,6 +193,8 @@ class PadCheck(Struct, frozen=True):
     """The largest thing; None if nothing is seen."""
     near: NearThing | None = None
     """The nearest thing about the pad; None if nothing is seen."""
+    glare: float = 0.0
+    """Share of the pad's ground, 0..1, that is in glare where this may hide something of 15 cm; 0 otherwise."""
 
 
 class Detection(Struct, frozen=True, eq=False):

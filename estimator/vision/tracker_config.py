@@ -40,5 +40,7 @@ class TrackerConfig:
     """Motion of the camera in this frame; None if unknown, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None
     """The trained network for a second opinion on what a search finds; None for no second opinion."""
+    watches: bool = True
+    """Look for things on the pad and about it; what was seen before is forgotten where that ends."""
     integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
     """The guard's limits, by which a belief excludes a place."""

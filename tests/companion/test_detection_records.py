@@ -52,7 +52,7 @@ def test_what_is_seen_elsewhere_reads_back_and_stays_where_a_recording_is_thinne
 def test_what_lies_on_the_pad_and_stands_about_it_reads_back(thing: PadThing | None, near: NearThing | None) -> None:
     plain = seen(AT, True)
     assert plain.detection is not None
-    check = PadCheck(AT, 0.9, thing, near)
+    check = PadCheck(AT, 0.9, thing, near, 0.3)
     back = decode.detection(encode.detection(replace(plain, detection=replace(plain.detection, on_pad=check))))
     assert back is not None
     assert back.on_pad == check

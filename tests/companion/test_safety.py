@@ -54,6 +54,8 @@ class Loop:
     """Vision reports things on the pad."""
     near: NearThing | None = None
     """Vision reports things about it."""
+    glare: float = 0.0
+    """Share of the pad that vision cannot see for glare."""
 
     def __post_init__(self) -> None:
         self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance)
@@ -124,7 +126,7 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing, self.near)
+        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing, self.near, self.glare)
         self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}, on_pad=on_pad))[0])
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
@@ -316,6 +318,21 @@ def test_what_stands_or_moves_about_the_pad_ends_the_descent(height_m: float, wo
     loop.until(lambda decision: loop.pilot.phase not in ("descend", "gate"), seconds=2.0)
     loop.near = None
     loop.until(lambda decision: loop.pilot.phase == "commit", seconds=90.0)
+
+
+@pytest.mark.parametrize("passes", [True, False], ids=["glare that passes", "the operator looks"])
+def test_a_pad_in_glare_is_not_landed_upon_before_it_is_seen_or_called_clear(passes: bool) -> None:
+    loop = Loop("ekf", GuidanceOptions(mission="cone", controller="pid"))
+    loop.glare = 0.31
+    loop.until(lambda decision: loop.pilot.phase == "gate" and "31 % of the pad is in glare" in decision.reason)
+    for _ in range(60):
+        loop.tick()
+        assert loop.pilot.phase not in ("commit", "press", "down")
+    if passes:
+        loop.glare = 0.0
+    else:
+        assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
+    loop.until(lambda decision: loop.pilot.phase == "commit")
 
 
 def test_what_passed_delays_the_landing_and_the_operator_may_overrule_what_stays() -> None:

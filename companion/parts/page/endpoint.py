@@ -73,6 +73,8 @@ _WRONG_TOKEN_S = 1.0
 _ALIVE_S = 4.0
 """Interval of pings to a browser, s; half of it without an answer ends the connection."""
 _ATTITUDE_S = 1.0
+_THINGS_S = 1.0
+"""Time after the last frame that was searched for which things are shown."""
 _LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60
 """Events that are kept for a browser that comes later."""
@@ -120,6 +122,8 @@ class PageEndpoint(NullObserver):
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._things: tuple[ThingReport, ...] = ()
+        self._looked: MonoNs | None = None
+        """Time when a frame was last searched."""
         self._viewers: list[PageViewer] = []
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
@@ -155,8 +159,9 @@ class PageEndpoint(NullObserver):
     def on_frame(self, processed: ProcessedFrame) -> None:
         for tool in self._tools:
             tool.on_frame(processed)
-        self._things = things_of(processed.detection)
         now = self.clock.now()
+        if processed.detection is not None:
+            self._things, self._looked = things_of(processed.detection), now
         due = self._offered is None or seconds_between(self._offered, now) >= 1.0 / self._settings.picture_rate_hz
         if due and any(viewer.ready for viewer in self._viewers):
             self._offered = now
@@ -341,6 +346,7 @@ class PageEndpoint(NullObserver):
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
+        looks = self._looked is not None and seconds_between(self._looked, now) < _THINGS_S
         for viewer in self._viewers:
             flight = self._flight.state(viewer.sender)
             viewer.tell(
@@ -349,7 +355,7 @@ class PageEndpoint(NullObserver):
                     at_s=seconds_between(self._began, now),
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
                     place=where,
-                    things=self._things,
+                    things=self._things if looks else (),
                     roll_rad=roll,
                     pitch_rad=pitch,
                     refusals={order.value: self.pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},

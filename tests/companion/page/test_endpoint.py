@@ -20,13 +20,14 @@ from companion.base.connection_limits import ConnectionLimits
 from companion.base.mission import Event, State, StateChange
 from companion.base.observer import Decision
 from companion.base.reason import Reason, ReasonCause
-from companion.parts.page import viewer
+from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import request_in
 from companion.parts.page.recordings import Recordings
 from companion.settings.page import PageSettings
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
+from tests.support import processed_frames
 from tests.support.certificates import make_certificates
 from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, browsing, serving
@@ -51,6 +52,19 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         await browser.read("state")
         assert any("hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
         assert "an order of MQTT" in (await browser.order("record"))["text"]
+
+
+async def test_things_are_shown_while_frames_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoint, "_THINGS_S", 0.2)
+    async with serving(tmp_path) as service, browsing(service) as browser:
+        service.found = processed_frames.seen(service.clock.now(), True).detection
+        while (state := await browser.read("state"))["things"] == []:
+            pass
+        assert state["things"][0]["width_m"] == 0.25
+        service.found = None
+        async with asyncio.timeout(5):
+            while (await browser.read("state"))["things"] != []:
+                pass
 
 
 async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_path: Path) -> None:

@@ -4,12 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from companion.base.mission import State
+from companion.guidance.pilot import Pilot
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.time import MonoNs
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
+from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Mast
 from sitl.camera.surroundings import Decal, Surroundings
@@ -46,7 +53,11 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
     assert of.thing.from_centre_m == pytest.approx(math.hypot(*at), abs=0.03)
 
 
-@pytest.mark.parametrize("light", [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6))], ids=["even light", "shadows"])
+@pytest.mark.parametrize(
+    "light",
+    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6)), Light(drone_shadow=0.0, glare=0.8)],
+    ids=["even light", "shadows", "beside glare"],
+)
 def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
     of = check(light, Decal("crate", (0.0, 0.26), 0.15, 0.3, "pad", PAD.markings.colours.disc))
     assert of.thing is not None
@@ -75,7 +86,29 @@ def test_light_is_no_thing(light: Light) -> None:
     of = check(light)
     # Clipped cells say nothing.
     assert of.seen > (0.8 if light.exposure_ev == 0.0 else 0.5)
+    assert (of.glare > 0.1) == (light.exposure_ev > 0.0)
     assert of.thing is None
+
+
+def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
+    deck = shown(BRIGHT, Decal("crate", (0.1, 0.28), 0.15, 0.0, "pad", (98, 98, 98)))
+    pilot = Pilot(TrackerConfig(CAMERA, PAD), EstimatorOptions(), GuidanceOptions())
+    blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+
+    def looked(later_s: float, state: State) -> PadCheck | None:
+        pilot.landing.mission = replace(pilot.landing.mission, state=state)
+        at = MonoNs(deck.at + round(later_s * 1e9))
+        stamp = Stamp(at, at, 0.001, "sim")
+        level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
+        return pilot.detect(Frame(stamp, 0, blank), level).on_pad
+
+    pilot.search._memory = TrackerMemory(deck=deck)
+    check = looked(1.0, State.REFUSED)
+    assert check is not None
+    assert check.thing is not None
+    assert looked(LASTS_S + 1.0, State.REFUSED) is None
+    assert looked(1.0, State.LANDED) is None
+    assert looked(2.0, State.READY) is None, "what another flight saw"
 
 
 def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> None:
