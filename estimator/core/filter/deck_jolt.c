@@ -21,10 +21,11 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 /* Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s. */
 static const double ACTED_S = 0.3, STEERED_S = 0.15;
 /* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
- * sum, each counted for so many at most. What her acceleration leaves of an innovation is a chi-square; this and more is of a sighting
- * that is wrong. Measured in docs/decisions/119. */
+ * sum, each counted for so many at most: of places for so few that one alone shows nothing. What her acceleration leaves of an
+ * innovation is a chi-square; this and more is of a sighting that is wrong. Measured in docs/decisions/119. */
 enum { TOGETHER = 3 };
-static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, DEVIATE_MOST = 9.0, LEFT_MOST = 12.0;
+static const double DEVIATE_MOST[STEERINGS] = {5.0, 5.0, 9.0};
+static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, LEFT_MOST = 12.0;
 /* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
  * the deviations that are usual are its root, with this as the least mean. */
 static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
@@ -170,7 +171,7 @@ int jolt_steered(const dl_innovation_excesses *excesses, int64_t t, steering *ne
         int shows = 0, n = 0;
         double sum = 0.0;
         for (int64_t i = last; i >= 0 && n < TOGETHER && seconds(excesses->t[i], t) <= TOGETHER_S; i--) {
-            sum += fmax(-DEVIATE_MOST, fmin(DEVIATE_MOST, excesses->values[EXCESS_NUMBERS * i + 3 + k]));
+            sum += fmax(-DEVIATE_MOST[k], fmin(DEVIATE_MOST[k], excesses->values[EXCESS_NUMBERS * i + 3 + k]));
             n += 1;
             shows |= n > 1 && fabs(sum) > DEVIATES_NEEDED * sqrt(n);
         }

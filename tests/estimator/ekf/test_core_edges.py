@@ -115,7 +115,8 @@ def test_a_sighting_seven_sigmas_off_is_of_something_else(sigmas: float, counted
         (3.0, 33, (0.0, 0.0), 1.0, False),
         (4.0, 161, (0.0, 0.0), 1.0, False),
         (-4.0, 33, (-1.0, 0.0), 1.0, True),  # she goes south, and the deck comes north: she brakes
-        (0.0, 33, (0.0, 0.0), 0.2, True),
+        (2.2, 33, (0.0, 0.0), 0.2, True),
+        (2.0, 33, (0.0, 0.0), 0.2, False),  # one alone shows nothing, however far off it is
         (-4.0, 33, (0.0, 0.0), 0.2, False),
     ],
 )

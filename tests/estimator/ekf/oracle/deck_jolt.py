@@ -44,7 +44,7 @@ _NEEDED, _SPAN_NS = 3, 120_000_000
 """The median is of at least this many sightings that span at least so long."""
 _ACTED_S, _STEERED_S = 0.3, 0.15
 """Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s."""
-_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, 9.0
+_TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, np.array([5.0, 5.0, 9.0])
 """Two or three sightings in that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
 _LEFT_MOST = 12.0
 """Chi-square that a manoeuvre may leave of an innovation."""
