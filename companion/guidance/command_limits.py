@@ -245,12 +245,11 @@ def _vertical(
     if place.range is not None and seconds_between(place.range.stamp.measured_at, now) <= _RANGE_S:
         range_m = place.range.range_m
     above_pad_m = None if belief is None else belief.height_m
-    if place.baro_m is not None and place.ground_baro_m is not None:
-        above_start_m: float | None = place.baro_m - place.ground_baro_m
-    else:
-        above_start_m = range_m if range_m is not None else above_pad_m
-    if down < 0.0 and above_start_m is not None:
-        climb = min(-down, max(0.0, (options.height_max_m - above_start_m) / _CLIMB_S))
+    above_start_m = None if place.baro_m is None or place.ground_baro_m is None else place.baro_m - place.ground_baro_m
+    # A barometer that lies would keep a drone low over a deck that comes up to it: the least height counts.
+    known = [height_m for height_m in (above_start_m, range_m, above_pad_m) if height_m is not None]
+    if down < 0.0 and known:
+        climb = min(-down, max(0.0, (options.height_max_m - min(known)) / _CLIMB_S))
         return -climb, [Limit.HEIGHT_MAX] if climb < -down else []
     above_m = range_m if range_m is not None else above_pad_m
     if manual and down > 0.0 and above_m is not None:

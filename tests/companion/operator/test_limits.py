@@ -155,6 +155,9 @@ def test_heights_and_battery() -> None:
     up, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=19.5), None, NOW, manual=False)
     assert isinstance(up, Velocity)
     assert (up.v_level[2], hit) == (pytest.approx(-0.5), (Limit.HEIGHT_MAX,))
+    for near in (place(baro_m=400.0, range_m=0.3), place(baro_m=400.0)):
+        up, hit = limited(flown((0.0, 0.0, -2.0)), options, near, pad_at((0.0, 0.0, 0.4)), NOW, manual=False)
+        assert not hit, "a barometer that lies keeps no drone low over a deck"
     for manual, down_m_s in ((True, 0.1), (False, 0.5)):
         down, _ = limited(flown((0.0, 0.0, 0.5)), options, place(range_m=0.6), None, NOW, manual=manual)
         assert isinstance(down, Velocity)
