@@ -253,12 +253,8 @@ class FollowDeck:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
             observers = self._observers_unfelt if unfelt else self._observers
             of = self._tuning(memory.tuning).response
-            params = {
-                **self._params,
-                "frequency_rad_s": of.frequency_rad_s,
-                "damping": of.damping,
-                "jerk_max_m_s3": jerk_max_m_s3,
-            }
+            own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping, "jerk_max_m_s3": jerk_max_m_s3}
+            params = {**self._params, **own}
             self._in_use[key] = law_in_use(params, gains, chosen(observers, sigma_p_m), earlier)
         return self._in_use[key]
 
@@ -298,9 +294,9 @@ class FollowDeck:
         tuning = self._tuning(memory.tuning)
         beside_m = math.dist(relative.d_body_pad_level.tolist()[:2], over)
         fast_m_s = math.hypot(*relative.v_pad_level.tolist()[:2])
-        for soft_m in SIGMAS_P_M:
+        for soft_m in (one for one in SIGMAS_P_M if one >= sigma):
             stiff = abs(tuning.gains(soft_m).p)
-            if soft_m >= sigma and stiff * math.hypot(math.sqrt(stiff) * beside_m, fast_m_s) <= jerk_m_s3:
+            if stiff * math.hypot(math.sqrt(stiff) * beside_m, fast_m_s) <= jerk_m_s3:
                 return soft_m
         return max(sigma, SIGMAS_P_M[-1])
 

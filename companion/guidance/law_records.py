@@ -48,8 +48,7 @@ def law_params(
     return {
         "remembered": remembered, "over_ground": over_ground, "keeps_in_view": view is not None, "looks_ahead": looks_ahead,
         "period_s": period_s, "frequency_rad_s": tilt.frequency_rad_s, "damping": tilt.damping, "lag_s": tilt.lag_s,
-        "tilt_max_m_s2": tilt.max_m_s2, "jerk_max_m_s3": tilt.jerk_max_m_s3 or 0.0,
-        "climb_lag_s": climb.lag_s, "climb_max_m_s": climb.max_m_s,
+        "tilt_max_m_s2": tilt.max_m_s2, "climb_lag_s": climb.lag_s, "climb_max_m_s": climb.max_m_s,
         "view_forward_m": seen.forward_m, "view_right_m": seen.right_m,
         "half_forward_rad": seen.half_forward_rad, "half_right_rad": seen.half_right_rad,
     }  # fmt: skip

@@ -50,7 +50,7 @@ _PRESSURE_HPA = (100.0, 1200.0)
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 _JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE")
 SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3), Stack.PX4: (_INTERVALS_HZ,)}
-"""The parameters that say it, by stack."""
+"""Parameters that samples depend on, by stack; the first one is that of the inertial delay."""
 _MOST_S = 0.05
 """Longest delay that is accepted: a cutoff of 4.5 Hz, with which nothing flies."""
 

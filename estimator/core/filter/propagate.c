@@ -19,8 +19,8 @@ static const double YAW_DAMPING = 0.5;
 static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PSD = 0.5 * 0.5 * 0.1;
 
 /* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
- * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to what they were before within about SETTLES_S, but for these
- * standard deviations, m/s and rad/s. */
+ * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to
+ * what they were before within about SETTLES_S, but for these standard deviations, m/s and rad/s. */
 static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
 
 double seconds(int64_t since, int64_t until)
