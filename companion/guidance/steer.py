@@ -12,7 +12,7 @@ from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, fastest_climb_m_s, off_deck
+from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, deck_rises_m_s, fastest_climb_m_s, off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -49,14 +49,14 @@ def rising_m_s(knowledge: Knowledge) -> float:
 def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> float:
     """Return how fast the drone climbs before a deck that comes up to it out of sight.
 
-    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave. It goes no
-    further than to the safe height, where no deck reaches it. An unknown deck may rise.
+    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave; from a
+    height above the safe one it does once the deck has come up to that.
     """
-    if p.deck_rise_m < p.deck_top_m or p.seen_height_m + p.deck_top_m >= o.tries.safe_height_m:
+    if p.deck_rise_m < p.deck_top_m or p.seen_height_m - p.deck_top_m >= o.tries.safe_height_m:
         return 0.0
-    if s.estimate is None:
-        return fastest_climb_m_s(s, o)
-    return 0.0 if over_ground else rising_m_s(s.knowledge)
+    rises_m_s = max(0.0, deck_rises_m_s(p, s, o))
+    # A driver that adds the deck's velocity adds the one that is thought.
+    return max(0.0, rises_m_s - rising_m_s(s.knowledge)) if over_ground else rises_m_s
 
 
 def _falling_m_s(knowledge: Knowledge) -> float:
@@ -132,7 +132,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
             return p, _way_down(p, s, o, estimate)
-        case State.PRESS if estimate is not None and estimate.consistent and s.silent_s <= _PRESS_SILENT_S:
+        # Sightings of the last decimetre are wrong often, and what was known before them still holds for so short a time.
+        case State.PRESS if estimate is not None and not estimate.alerts and s.silent_s <= _PRESS_SILENT_S:
             level = np.array(estimate.d_body_pad_level)
             # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
             level_off = None if s.wind is not None and s.wind.drags else 0.0
@@ -172,8 +173,8 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
     height_m, error_m, fast = estimate.height_m, limits.beside_m(estimate, s.knowledge), o.cone.intercept_speed_m_s
     x_m, y_m = s.knowledge.aim_level
-    rise_m = rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
-    least_m = o.cone.gate_m + rise_m
+    # A forecast of more than any swell that was watched is one of which nothing is known: no reason to climb without end.
+    least_m = min(_waits_m(s, o), max(o.cone.gate_m, _clear_m(s, o)))
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
@@ -185,7 +186,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
             return Target(np.array([x_m, y_m, least_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
         case State.COMMIT:
             return Target(np.array([x_m, y_m, 0.0]), descent_rate_m_s=o.cone.commit_rate_m_s, yaw_rad=yaw)
-    rate_max = o.tries.climb_m_s if rise_m == 0.0 or height_m > least_m else _AWAY_M_S
+    rate_max = o.tries.climb_m_s if least_m == o.cone.gate_m or height_m > least_m else _AWAY_M_S
     return Target(np.array([x_m, y_m, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
 
 

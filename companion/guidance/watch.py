@@ -108,9 +108,9 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
             attempt = attempt.lost()
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
-        deck = s.knowledge.deck
-        up_m_s = fastest_climb_m_s(s, o) if estimate is None else 0.0 if deck is None else -deck.v_level.item(2)
-        rise_m = p.deck_rise_m + since_last_s * up_m_s
+        # A deck that came nearer than it is thought to be is at its highest.
+        rise_m = p.deck_top_m if _came_nearer(p, s, o) else p.deck_rise_m
+        rise_m += since_last_s * deck_rises_m_s(p, s, o)
         p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
@@ -165,6 +165,29 @@ def _bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
 def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the fastest climb that the vehicle can make, m/s."""
     return max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
+
+
+def _came_nearer(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether a range sensor finds the deck out of sight nearer than it was in sight, and than is safe."""
+    safe_m = o.tries.safe_height_m
+    return (
+        s.range_m is not None
+        and s.range_m < min(safe_m, p.seen_height_m) - NEAR_SAFE_M
+        and p.seen_height_m + p.deck_top_m < 2.0 * safe_m
+    )
+
+
+def deck_rises_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the rate at which an unseen deck rises, m/s.
+
+    An unknown deck, or one that a range sensor finds nearer than it is thought to be, may rise as fast as a drone can climb.
+    That is until the drone is at the safe height over where the deck was seen, or at twice that by the sensor.
+    """
+    if _came_nearer(p, s, o):
+        return fastest_climb_m_s(s, o)
+    if s.estimate is None:
+        return fastest_climb_m_s(s, o) if p.seen_height_m + p.deck_top_m < o.tries.safe_height_m else 0.0
+    return 0.0 if s.knowledge.deck is None else -s.knowledge.deck.v_level.item(2)
 
 
 def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:

@@ -18,6 +18,7 @@ from companion.guidance.watch import account, events
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import estimate, guided, ns
@@ -108,7 +109,12 @@ def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
     for mission, on_deck in (("cone", True), ("thesis", False)):
         assert asked(State.DOWN, known(), guided(mission))[1] == Land(on_deck=on_deck)
     p = Progress(State.PRESS, automatic=True, begun=True)
-    for relative, silent_s, lands in ((known(), 0.15, False), (known(), 0.16, True), (known(consistent=False), 0.0, True)):
+    wrong = known(consistent=False)
+    assert wrong.relative is not None
+    doubted = replace(wrong, relative=replace(wrong.relative, alerts=(IntegrityAlert.DECK,)))
+    for relative, silent_s, lands in (
+        (known(), 0.15, False), (known(), 0.16, True), (wrong, 0.0, False), (doubted, 0.0, True),
+    ):  # fmt: skip
         pressed = aim(p, GuidanceCycle(ns(NOW), relative, silent_s=silent_s), guided(), over_ground=False)[1]
         assert (pressed == Land(on_deck=False)) is lands, "held by its own hover it would stay behind a deck that falls"
 
@@ -208,6 +214,28 @@ def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_w
         climbed_m -= 0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
     crest_m, room_m = 0.8 * 8.0 / math.tau, max(0.0, o.tries.safe_height_m - seen_m)
     assert climbed_m == pytest.approx(min(crest_m, room_m), abs=0.05), "five crests are as high as one"
+
+
+@pytest.mark.parametrize("over_ground", [True, False])
+@pytest.mark.parametrize("known_at_rest", [True, False])
+@pytest.mark.parametrize("stuck", [True, False])
+def test_a_blind_hold_climbs_from_a_deck_that_a_range_sensor_finds_coming_up(stuck, known_at_rest, over_ground):
+    """A filter that begins anew takes the deck for one at rest. A sensor that lies low makes it climb only so far."""
+    o, p = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=1.9)
+    height_m = least_m = 1.9
+    climbed_m = 0.0
+    deck = DeckMotion(ns(NOW), np.zeros(3), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
+    for i in range(500):
+        at = NOW + 0.02 * i
+        knowledge = replace(known(consistent=False), deck=deck) if known_at_rest else Knowledge(ns(at), None)
+        s = GuidanceCycle(ns(at), knowledge, range_m=0.5 if stuck else height_m)
+        p, found = aim(account(p, s, o), s, o, over_ground=over_ground)
+        up_m = -0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
+        climbed_m += up_m
+        height_m += up_m - (0.02 * 0.45 if i < 300 else 0.0)
+        least_m = min(least_m, height_m)
+    assert least_m > 1.2 or stuck
+    assert climbed_m < 2.0 * o.tries.safe_height_m - 1.9 + 0.5
 
 
 @pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])
