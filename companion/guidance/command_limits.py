@@ -246,10 +246,12 @@ def _vertical(
         range_m = place.range.range_m
     above_pad_m = None if belief is None else belief.height_m
     above_start_m = None if place.baro_m is None or place.ground_baro_m is None else place.baro_m - place.ground_baro_m
-    # A barometer that lies would keep a drone low over a deck that comes up to it: the least height counts.
-    known = [height_m for height_m in (above_start_m, range_m, above_pad_m) if height_m is not None]
+    known = sorted(height_m for height_m in (above_start_m, range_m, above_pad_m) if height_m is not None)
     if down < 0.0 and known:
-        climb = min(-down, max(0.0, (options.height_max_m - min(known)) / _CLIMB_S))
+        # Of three the middle one is no lie. Of two, one that lies high would keep a drone low over a deck that comes up to it; a
+        # hand that flies sees the deck, and one that lies low would lift its limit.
+        height_m = known[1] if len(known) == 3 else known[-1 if manual else 0]
+        climb = min(-down, max(0.0, (options.height_max_m - height_m) / _CLIMB_S))
         return -climb, [Limit.HEIGHT_MAX] if climb < -down else []
     above_m = range_m if range_m is not None else above_pad_m
     if manual and down > 0.0 and above_m is not None:

@@ -158,6 +158,9 @@ def test_heights_and_battery() -> None:
     for near in (place(baro_m=400.0, range_m=0.3), place(baro_m=400.0)):
         up, hit = limited(flown((0.0, 0.0, -2.0)), options, near, pad_at((0.0, 0.0, 0.4)), NOW, manual=False)
         assert not hit, "a barometer that lies keeps no drone low over a deck"
+    for manual, hits in ((True, (Limit.HEIGHT_MAX,)), (False, ())):
+        _, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=30.0, range_m=0.3), None, NOW, manual=manual)
+        assert hit == hits, "a range sensor that lies lifts no limit from a hand"
     for manual, down_m_s in ((True, 0.1), (False, 0.5)):
         down, _ = limited(flown((0.0, 0.0, 0.5)), options, place(range_m=0.6), None, NOW, manual=manual)
         assert isinstance(down, Velocity)
