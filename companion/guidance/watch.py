@@ -373,16 +373,18 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
-                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, o):
+                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, s, o):
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
 
-def _reaches_deck(estimate: RelativeState | None, o: GuidanceOptions) -> bool:
-    """Return whether a drone without sight is at the deck before a climb would begin. Whose deck it is does not matter then."""
+def _reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether a drone without sight may be at the deck before a climb begins. Whose deck it is does not matter then."""
     if estimate is None:
         return False
-    return estimate.height_m - o.cone.feet_below_m < -estimate.v_pad_level.item(2) * _TURNS_S
+    height_m = estimate.height_m - math.sqrt(estimate.cov.item(2, 2))
+    rises_m_s = math.sqrt(estimate.cov.item(5, 5)) - estimate.v_pad_level.item(2)
+    return min(height_m, s.range_m or math.inf) - o.cone.feet_below_m < rises_m_s * _TURNS_S
 
 
 def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

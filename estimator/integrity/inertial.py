@@ -27,6 +27,8 @@ _AXIS, _ALL_ALIVE = 2.0, 0b111111
 """Factor on the time limit for one axis alone, which repeats itself more often than three."""
 _SHOWN_RAD_S = math.radians(2.0)
 """Difference up to which the attitude's turn confirms an axis of the gyro: its own noise between two messages."""
+_STILL_AIR_M_S2 = 0.2
+"""Specific force across the thrust up to which an axis of coarse steps may repeat itself: what little speed drags by."""
 _IMUS = 127
 _GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
@@ -203,11 +205,13 @@ def _six(imu: Imu | None) -> list[float]:
 
 
 def _shown(state: Inertial, now: list[float], t: int) -> list[bool]:
-    """Return of each axis whether another witness shows what it reads: of a gyro's axis, the turn of the attitude."""
+    """Return of each axis whether there is reason for what it reads.
+
+    Of a gyro's axis it is the turn of the attitude; of an accelerometer's across the thrust still air, which does not drag.
+    """
     turn = state.turn.rate(t)
-    if turn is None:
-        return [False] * 6
-    return [abs(a - b) < _SHOWN_RAD_S for a, b in zip(turn.tolist(), now[:3], strict=True)] + [False] * 3
+    turns = [False] * 3 if turn is None else [abs(a - b) < _SHOWN_RAD_S for a, b in zip(turn.tolist(), now[:3], strict=True)]
+    return [*turns, *(abs(f) < _STILL_AIR_M_S2 for f in now[3:5]), False]
 
 
 def _repeated(

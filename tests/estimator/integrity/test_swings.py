@@ -110,11 +110,11 @@ def test_an_axis_of_coarse_steps_that_repeats_itself_is_frozen_only_while_the_at
 
 
 def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second_and_one_that_never_changed_is_none() -> None:
-    def flies(of_z: Callable[[float], float]) -> list[bool]:
+    def flies(of_z: Callable[[float], float], turned: int = 0) -> list[bool]:
         rng, state, out = np.random.default_rng(1), Inertial(), list[bool]()
         for n in range(200):
             stamp = Stamp(MonoNs(n * 5_000_000), MonoNs(n * 5_000_000), 0.001, "sim")
-            f = np.array([*rng.standard_normal(2), of_z(n)])
+            f = np.roll([*rng.standard_normal(2), of_z(n)], turned)
             state, _ = inertial.felt(state, Imu(stamp, rng.standard_normal(3), f), OPTIONS, True)
             out.append(state.accel_lost)
         return out
@@ -122,6 +122,9 @@ def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second_and_one_that_ne
     found = flies(lambda n: -9.8 + 0.1 * math.sin(n) if n < 100 else -9.8)
     assert found.index(True) in range(159, 163), "0.3 s after it first read what it repeats"
     assert not any(flies(lambda n: 0.0)), "a sensor that does not have this axis"
+    for across in (1, 2):
+        assert any(flies(lambda n: 0.01 * (n % 7) if n < 100 else 0.21, across))
+        assert not any(flies(lambda n: 0.01 * (n % 7) if n < 100 else 0.0, across)), "steps of a hundredth of g in still air"
 
 
 def test_a_clean_flight_over_a_deck_that_rolls_names_nobody() -> None:
