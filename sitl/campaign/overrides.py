@@ -78,8 +78,9 @@ class Overridable:
             put(tables[0], path, value)
         scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
         settings = self.settings
-        if placed[0] and following(self.scenario, settings) == settings:
-            settings = following(scenario, settings)
+        left = settings.guidance.follow_deck.response_by_vehicle
+        if placed[0] and following(self.scenario, settings, by_autopilot=left) == settings:
+            settings = following(scenario, settings, by_autopilot=left)
             tables = tables[0], plain(settings)
         else:
             placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]

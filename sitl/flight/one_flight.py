@@ -67,21 +67,26 @@ def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool =
     settings = load("sim" if config is None else config, by_autopilot=by_autopilot)
     if config is not None:
         return msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="automatic"))
-    return following(scenario, settings)
+    return following(scenario, settings, by_autopilot=by_autopilot)
 
 
-def following(scenario: Scenario, settings: Settings) -> Settings:
+def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> Settings:
     """Return the settings with what a scenario says of camera, pad, vehicle and the ship's reports.
 
     Where the scenario's ship reports her place, they fly to it. They fly by the response that the vehicle's file names, on its
-    feet.
+    feet; it is that of the vehicle's own loops, which an autopilot replaces by its own.
+
+    Args:
+        by_autopilot: as of `settings_for`.
 
     Raises:
         BadInput: as `sitl.scenario.scenario.vehicle_model`.
     """
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     vehicle = vehicle_model(scenario)
-    follow = msgspec.structs.replace(settings.guidance.follow_deck, response=vehicle.response)
+    follow = settings.guidance.follow_deck
+    if not by_autopilot:
+        follow = msgspec.structs.replace(follow, response=vehicle.response)
     cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=vehicle.feet.below_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
     return msgspec.structs.replace(

@@ -44,6 +44,7 @@ RENAMED = {
     "PSC_VELZ_P": LaterName("PSC_D_VEL_P", 1.0, _47),
     "PSC_VELZ_FLTE": LaterName("PSC_D_VEL_FLTE", 1.0, _47),
     "PSC_ACCZ_P": LaterName("PSC_D_ACC_P", 0.1, _47),
+    "PSC_ACCZ_FF": LaterName("PSC_D_ACC_FF", 0.1, _47),
     "PSC_ACCZ_FLTE": LaterName("PSC_D_ACC_FLTE", 1.0, _47),
 }
 
@@ -104,9 +105,10 @@ _ARDUPILOT: dict[str, float] = {
     "EK3_VELD_M_NSE": 0.5, "EK3_POSNE_M_NSE": 0.5,
     # loops
     "SCHED_LOOP_RATE": 400, "PSC_POSXY_P": 1, "PSC_VELXY_P": 2, "PSC_VELXY_I": 1, "PSC_POSZ_P": 1, "PSC_VELZ_P": 5,
-    "PSC_ACCZ_P": 0.5, "PSC_ACCZ_I": 1, "PSC_JERK_XY": 5, "PSC_JERK_Z": 5, "ATC_INPUT_TC": 0.15, "ATC_ANG_RLL_P": 4.5,
-    "ATC_ANG_PIT_P": 4.5, "ATC_RAT_RLL_P": 0.135, "ATC_RAT_PIT_P": 0.135, "ATC_RATE_R_MAX": 0, "ATC_RATE_P_MAX": 0,
-    "INS_ACCEL_FILTER": 20, "INS_GYRO_FILTER": 20, "MOT_SPIN_MIN": 0.15, "MOT_SPOOL_TIME": 0.5, "MOT_SLEW_UP_TIME": 0,
+    "PSC_ACCZ_P": 0.5, "PSC_ACCZ_I": 1, "PSC_ACCZ_FF": 0, "PSC_JERK_XY": 5, "PSC_JERK_Z": 5, "ATC_INPUT_TC": 0.15,
+    "ATC_ANG_RLL_P": 4.5, "ATC_ANG_PIT_P": 4.5, "ATC_RAT_RLL_P": 0.135, "ATC_RAT_PIT_P": 0.135, "ATC_RATE_R_MAX": 0,
+    "ATC_RATE_P_MAX": 0, "INS_ACCEL_FILTER": 20, "INS_GYRO_FILTER": 20, "MOT_SPIN_MIN": 0.15, "MOT_SPOOL_TIME": 0.5,
+    "MOT_SLEW_UP_TIME": 0,
 }  # fmt: skip
 _PX4: dict[str, float] = {
     # modes and what takes the vehicle

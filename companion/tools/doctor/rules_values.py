@@ -195,6 +195,8 @@ class ValueRule:
     """Least excess of a speed limit over the ship's speed, m/s; None if her speed does not matter."""
     per_m_s: float = 1.0
     """Value of the parameter for 1 m/s."""
+    like: str = ""
+    """Parameter whose value is the good one, where it is known: two thirds of it to 1.5 times it pass."""
     severity: Severity = _WARNING
     on_ship: bool = True
     """True if it only matters where the pad moves."""
@@ -207,15 +209,17 @@ class ValueRule:
         named = named_value(autopilot.parameters, self.parameter)
         if named is None:
             return None
-        value, low = named.value, self._low(snapshot)
-        inside = low <= value <= self.high and value not in self.wrong
+        value, low, high, good = named.value, self._low(snapshot), self.high, self.good
+        if (alike := autopilot.parameters.get(self.like, 0.0)) > 0.0:
+            low, high, good = alike / 1.5, alike * 1.5, alike
+        inside = low <= value <= high and value not in self.wrong
         if value in self.right or (inside and not int(value) & self.bits and int(value) & self.needed == self.needed):
             return None
         masked = self.bits or self.needed
-        to = float(int(value) & ~self.bits | self.needed) if masked else max(self.good, low) if low > self.low else self.good
+        to = float(int(value) & ~self.bits | self.needed) if masked else good if self.over_ship is None else max(good, low)
         to = named.there(to)
         what = f"{named.name} is {named.there(value):g}: {self.why}"
-        if low > self.low:
+        if self.over_ship is not None and low > self.low:
             what += f" (she makes {snapshot.ship_speed_m_s:g} m/s)"
         fix = f"set {named.name} {to:g}"
         return Finding(self.rule, self.severity, what, fix, (ParameterChange(named.name, to),))
@@ -242,10 +246,13 @@ _ARDUPILOT = (
     # Their quotient is the gain with which GUIDED follows its own velocity: that of PSC_VELXY_P.
     ValueRule("guided-accel", _A, "WPNAV_ACCEL", 500, "in a fresh wind it stands decimetres off", 400, severity=_ADVICE),
     ValueRule("jerk", _A, "PSC_JERK_XY", 10, "in a fresh wind it stands decimetres off", 8, severity=_ADVICE),
-    ValueRule("guided-accel-z", _A, "WPNAV_ACCEL_Z", 100, "it cannot follow the deck's heave", 80),
+    # Their quotient is the lag of a climb in the response file: 0.2 s.
+    ValueRule("guided-accel-z", _A, "WPNAV_ACCEL_Z", 300, "it comes up late before a deck that rises", 200, severity=_ADVICE),
     ValueRule("descent-limit", _A, "WPNAV_SPEED_DN", 150, "a deck that falls away is not reached", 100),
     ValueRule("climb-limit", _A, "WPNAV_SPEED_UP", 250, "a deck that rises strikes it from below", 150),
-    ValueRule("jerk-z", _A, "PSC_JERK_Z", 5, "its climb follows too late for a deck", 3),
+    ValueRule("jerk-z", _A, "PSC_JERK_Z", 15, "it comes up late before a deck that rises", 10, severity=_ADVICE),
+    ValueRule("thrust-late", _A, "PSC_ACCZ_FF", 0.3, "half of what accelerates it up or down comes a second late", 0.1,
+              like="MOT_THST_HOVER", severity=_ADVICE),
     ValueRule("velocity-integral", _A, "PSC_VELXY_I", 1, "wind is not cancelled", 0.2),
     ValueRule("lean-slow", _A, "ATC_INPUT_TC", 0.15, "its lean follows too late for a deck", -1, 0.3),
     ValueRule("lean-loose", _A, "ATC_ANG_RLL_P", 4.5, "its lean follows too late for a deck", 3),
@@ -373,5 +380,8 @@ _PX4 = (
               "it strikes the deck where its own mode lands", 0.2, 0.9, on_ship=False),
 )  # fmt: skip
 RULES: tuple[ValueRule, ...] = (*_ARDUPILOT, *_PX4)
-PARAMETERS = {stack: tuple(rule.parameter for rule in RULES if rule.stack == stack) for stack in (_A, _P)}
+PARAMETERS = {
+    stack: tuple(name for rule in RULES if rule.stack == stack for name in (rule.parameter, rule.like) if name)
+    for stack in (_A, _P)
+}
 """The parameters that the rules read, by stack."""

@@ -60,6 +60,9 @@ PARAMETERS: dict[str, float] = {
     "GUID_TIMEOUT": 1,
     "PSC_JERK_XY": 10,
     "WPNAV_ACCEL": 500,
+    "PSC_ACCZ_FF": 0.48,
+    "PSC_JERK_Z": 15,
+    "WPNAV_ACCEL_Z": 300,
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""

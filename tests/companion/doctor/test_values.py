@@ -56,12 +56,14 @@ CASES = [(rule, value) for rule in RULES for value in wrong_values(rule)]
 
 @pytest.mark.parametrize(("rule", "value"), CASES, ids=[f"{rule.parameter}={value:g}" for rule, value in CASES])
 def test_a_value_that_spoils_a_landing_is_named_with_its_fix_and_nothing_else(rule: ValueRule, value: float) -> None:
-    found = diagnose(stand_in(rule.stack, **{rule.parameter: value}))
+    snapshot = stand_in(rule.stack, **{rule.parameter: value})
+    found = diagnose(snapshot)
     assert [f.rule for f in found] == [rule.rule]
     assert rule.parameter in found[0].what
     (change,) = found[0].changes
     assert found[0].fix == f"set {rule.parameter} {change.value:g}"
-    assert change.value == rule.good
+    assert snapshot.autopilot is not None
+    assert change.value == snapshot.autopilot.parameters.get(rule.like, rule.good)
     assert diagnose(stand_in(rule.stack, **{rule.parameter: change.value})) == ()
     assert rule.parameter in PARAMETERS[rule.stack], "and it is asked for"
 

@@ -11,6 +11,7 @@ import pytest
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.guidance import contact
+from companion.settings.load import response_model, shipped_response
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import ServiceKilled
@@ -28,6 +29,19 @@ def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Pat
         _, settings = given.with_values([given.parse(text, "--set") for text in output], "--set")
         flight = AutopilotFlight(scenario, 1, settings, AutopilotProgram("px4", None), tmp_path)
         assert flight.service_settings(14540).guidance.tries.heading == heading
+
+
+@pytest.mark.parametrize(("stack", "response"), [("arducopter", "autopilot"), ("px4", "px4")])
+def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simulated_loops(
+    stack: Literal["px4", "arducopter"], response: str, tmp_path: Path
+) -> None:
+    """WHY: ArduCopter was flown by a climb that answers after 58 ms, and swung up and down over the deck by 0.5 m/s."""
+    scenario = load("weather_4")
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
+    for changes in ([], ["wind.speed_m_s=4"]):
+        _, settings = given.with_values([given.parse(text, "--set") for text in changes], "--set")
+        flown_by = AutopilotFlight(scenario, 1, settings, AutopilotProgram(stack, None), tmp_path).service_settings(14540)
+        assert response_model(flown_by) == shipped_response(response)
 
 
 def flight_of(
