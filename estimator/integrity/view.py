@@ -41,7 +41,7 @@ _LAG_TURNED_RAD = 0.03
 _LAG_FROM_M = 1.0
 """Least distance to the pad: nearer, a drone's way aside moves the pad more than its lean does, and later."""
 _LAG_ASIDE_RAD_S = 0.5
-"""Rate of the pad's way through the level view from which on nothing is compared: a drone left by a ship that stops leans after it."""
+"""Rate of the pad's way through the level view from which on nothing is compared: a drone that a ship left leans after it."""
 _LAG_LASTS = 15
 """Number of sightings in a row that show it."""
 
