@@ -41,7 +41,8 @@ _LAG_TURNED_RAD = 0.03
 _LAG_FROM_M = 1.0
 """Least distance to the pad: nearer, a drone's way aside moves the pad more than its lean does, and later."""
 _LAG_ASIDE_RAD_S = 0.5
-"""Rate of the pad's way through the level view from which on nothing is compared: a drone that a ship left leans after it."""
+"""Rate of the pad's way through the level view after which nothing is compared for `_LAG_FORGET_S`: after a ship that stops or
+turns a drone leans."""
 _LAG_LASTS = 15
 """Number of sightings in a row that show it."""
 
@@ -65,6 +66,8 @@ class ViewWatch(NamedTuple):
     """Number of sightings in a row that show a delay."""
     late_s: float = 0.0
     """Delay of the attitude against the image, s; 0 while nothing shows that it is."""
+    aside_s: float = -math.inf
+    """Instant of the newest way of the pad that is too fast to show a delay, s."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
@@ -115,6 +118,8 @@ def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64, levels: F64) -
         return state
     along = (at - mean) / float((at - mean).dot(at - mean))
     if math.hypot(*along.dot(levels[:, :2])) > _LAG_ASIDE_RAD_S:
+        return state._replace(lags=None, lags_shown=0, late_s=0.0, aside_s=float(at[-1]))
+    if 0.0 <= at[-1] - state.aside_s < _LAG_FORGET_S:
         return state
     seen = found[middle, :2] - np.add.reduce(found[:, :2]) / len(at) - (at[middle] - mean) * along.dot(found[:, :2])
     line = np.add.reduce(expected[:, :2]) / len(at) + np.outer(there - mean, along.dot(expected[:, :2]))
