@@ -5,7 +5,7 @@
 The ship stops from 1.5 m/s within 1 s, or turns by 60 degrees within 1 s with the pad 3.2 m aft, some time before the contact
 would come. The observer knows of it by the first frame that shows the deck three standard deviations beside where it would
 be, and lifts an AR.Drone at once, as its climb's response says. Where that is too late, it touches at the speed that the deck
-has gained by then.
+has gained by then. One that stands already, with its whole weight, is dragged by friction alone.
 """
 
 import math
@@ -15,12 +15,15 @@ import numpy as np
 
 from companion.settings.load import load, shipped_response
 from companion.settings.response import Response
+from estimator.contracts.motion import G_M_S2
 from sitl.flight.flight import Timing
 from sitl.flight.safety import SLIDE_MAX_M_S
+from sitl.vehicle.airframe import Feet
 from sitl.vessel.seakeeping import smooth_step
 
 FRAME_S, SIGMA_M, SIGMAS = 1.0 / 30.0, 0.001, 3.0
 STEP_S, WINDOW_S = 0.001, (0.05, 0.95)
+AFT_M, TURN_RAD_S, OVER_S = 3.2, math.radians(120.0), 0.5
 
 
 def lift_s(response: Response, rate_m_s: float) -> float:
@@ -49,12 +52,26 @@ def table(name: str, speed_m_s: float, over_s: float, lift: float) -> None:
     )
 
 
+def left_m(friction: float) -> float:
+    """Return how far from the pad's centre a drone comes to stand that stood on it before the turn, m."""
+    pad = drone = np.array([-AFT_M, 0.0])
+    v, dragged = np.zeros(2), friction * G_M_S2 * STEP_S
+    for t in np.arange(0.0, 4.0, STEP_S).tolist():
+        turning = TURN_RAD_S * float(smooth_step(np.array(t / OVER_S))[0] - smooth_step(np.array(t / OVER_S - 1.0))[0])
+        slips = turning * np.array([-drone[1], drone[0]]) - v
+        v = v + slips * min(1.0, dragged / max(1e-9, math.hypot(*slips)))
+        pad, drone = pad + STEP_S * turning * np.array([-pad[1], pad[0]]), drone + STEP_S * v
+    return math.dist(pad, drone)
+
+
 def main() -> None:
     """Print both manoeuvres."""
     settings = load("sim")
     lift = lift_s(shipped_response("ardrone2"), settings.guidance.cone.commit_rate_m_s)
     table("stops", 1.5, 1.0, lift)
-    table("turns", 3.2 * math.radians(120.0), 0.5, lift)
+    table("turns", AFT_M * TURN_RAD_S, OVER_S, lift)
+    mu = Feet().friction
+    sys.stdout.write(f"turns: a drone that stands, with friction {mu:g}, is left {left_m(mu):.2f} m from the pad's centre\n")
 
 
 if __name__ == "__main__":

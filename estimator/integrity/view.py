@@ -40,6 +40,9 @@ _LAG_TURNED_RAD = 0.03
 """Root of the sum of squares of the rotations that show a delay."""
 _LAG_FROM_M = 1.0
 """Least distance to the pad: nearer, a drone's way aside moves the pad more than its lean does, and later."""
+_LAG_ASIDE_RAD_S = 0.5
+"""Rate of the pad's way through the level view after which nothing is compared for `_LAG_FORGET_S`: after a ship that stops or
+turns a drone leans."""
 _LAG_LASTS = 15
 """Number of sightings in a row that show it."""
 
@@ -63,6 +66,8 @@ class ViewWatch(NamedTuple):
     """Number of sightings in a row that show a delay."""
     late_s: float = 0.0
     """Delay of the attitude against the image, s; 0 while nothing shows that it is."""
+    aside_s: float = -math.inf
+    """Instant of the newest way of the pad that is too fast to show a delay, s."""
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
@@ -89,13 +94,13 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
         moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
         if distance_m > _LAG_FROM_M:
-            state = _lagged(state, np.array(at, float) * 1e-9, expected, found)
+            state = _lagged(state, np.array(at, float) * 1e-9, expected, found, np.array(levels))
     return state._replace(
         bearings=bearings, frozen=still, moments=moments, reversed=moments is not None and _is_reversed(moments)
     )
 
 
-def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64) -> ViewWatch:
+def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64, levels: F64) -> ViewWatch:
     """Compare the view in the middle of half a second with the rotation at instants before and after.
 
     The delay is where both agree best (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE
@@ -105,12 +110,17 @@ def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64) -> ViewWatch:
         at: instants (n,), s.
         expected: bearings (n, 3) that the rotation alone makes.
         found: bearings (n, 3) in the image.
+        levels: bearings (n, 3) in `level`.
     """
     middle, mean = len(at) // 2, np.add.reduce(at) / len(at)
     there = at[middle] + _LAGS_S
     if there[0] < at[0] or there[-1] > at[-1]:
         return state
     along = (at - mean) / float((at - mean).dot(at - mean))
+    if math.hypot(*along.dot(levels[:, :2])) > _LAG_ASIDE_RAD_S:
+        return state._replace(lags=None, lags_shown=0, late_s=0.0, aside_s=float(at[-1]))
+    if 0.0 <= at[-1] - state.aside_s < _LAG_FORGET_S:
+        return state
     seen = found[middle, :2] - np.add.reduce(found[:, :2]) / len(at) - (at[middle] - mean) * along.dot(found[:, :2])
     line = np.add.reduce(expected[:, :2]) / len(at) + np.outer(there - mean, along.dot(expected[:, :2]))
     turned = np.stack([np.interp(there, at, expected[:, k]) for k in range(2)], axis=1) - line

@@ -26,6 +26,8 @@ static const double ACTED_S = 0.3, STEERED_S = 0.15;
 enum { TOGETHER = 3 };
 static const double DEVIATE_MOST[STEERINGS] = {5.0, 5.0, 9.0};
 static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, LEFT_MOST = 12.0;
+/* One of whose innovation so small a share is left is not, nor so much while she steers. */
+static const double LEFT_SHARE = 0.05, LEFT_SHARE_ON = 0.25;
 /* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
  * the deviations that are usual are its root, with this as the least mean. */
 static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
@@ -112,10 +114,39 @@ static double moved_by(const double *M, int row, const double way[2], int accele
     }
 }
 
+/* What accelerations across the way and in heading leave of a whitened innovation's square nis, and what they leave with those along
+ * it. Rows of `by`, of these squares, lose what those before explain. */
+static void unexplained(int m, double by[STEERINGS][ROWS_MAX], const double *y, const double *square, double nis, double *by_turn,
+                        double *by_all)
+{
+    static const int order[STEERINGS] = {ACROSS, TURNING, ALONG};
+    for (int n = 0; n < STEERINGS; n++) {
+        double *row = by[order[n]], own = 0.0, of_y = 0.0;
+        for (int i = 0; i < m; i++) {
+            own += row[i] * row[i];
+            of_y += row[i] * y[i];
+        }
+        if (own > 1e-9 * square[order[n]]) {
+            nis -= of_y * of_y / own;
+            for (int later = n + 1; later < STEERINGS; later++) {
+                double shared = 0.0;
+                for (int i = 0; i < m; i++) {
+                    shared += row[i] * by[order[later]][i];
+                }
+                for (int i = 0; i < m; i++) {
+                    by[order[later]][i] -= shared / own * row[i];
+                }
+            }
+        }
+        *by_turn = order[n] == TURNING ? nis : *by_turn;
+    }
+    *by_all = nis;
+}
+
 void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out)
 {
     double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[STEERINGS][ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
-    double nis = 0.0, both = 0.0;
+    double nis = 0.0, by_turn = 0.0, by_all = 0.0, explained[STEERINGS];
     const double *v = b->x + DL_VESSEL_VEL, speed = hypot(v[0], v[1]), moves = speed > UNDER_WAY_M_S;
     const double usual = fmin(1.0, fmax(CLAIMED_LEAST, b->nis_claimed));
     memset(out, 0, sizeof *out);
@@ -141,22 +172,20 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
     }
     for (int i = 0; i < m; i++) {
         nis += y[i] * y[i];
-        both += by[ACROSS][i] * by[TURNING][i];
     }
     b->nis_claimed += CLAIMED_RENEWED * (fmin(CLAIMED_MOST, nis / m) - b->nis_claimed);
-    /* A ship that turns moves her pad aside: the two explain an innovation together. */
-    const double det = square[ACROSS] * square[TURNING] - both * both;
-    const double by_turn = det > 1e-9 * square[ACROSS] * square[TURNING]
-                               ? (square[TURNING] * along[ACROSS] * along[ACROSS] - 2.0 * both * along[ACROSS] * along[TURNING] +
-                                  square[ACROSS] * along[TURNING] * along[TURNING]) /
-                                     det
-                               : square[ACROSS] > 0.0 ? along[ACROSS] * along[ACROSS] / square[ACROSS] : 0.0;
+    unexplained(m, by, y, square, nis, &by_turn, &by_all);
+    for (int k = 0; k < STEERINGS; k++) {
+        explained[k] = square[k] > 0.0 ? along[k] * along[k] / square[k] : 0.0;
+    }
+    /* A ship that turns hard swings her pad aside, and along her way as she comes round; a sighting of few features errs in heading. */
+    const int aside = fmax(explained[ALONG], explained[ACROSS]) > explained[TURNING];
+    const int wholly = aside && by_all < nis * (steers(b, b->t) ? LEFT_SHARE_ON : LEFT_SHARE);
     for (int k = 0; k < STEERINGS; k++) {
         if (square[k] > 0.0 && fabs(along[k]) < STEERED_MOST * square[k]) {
-            const double explained = along[k] * along[k] / square[k];
-            if (nis - (k == ALONG ? explained : by_turn) < LEFT_MOST) {
+            if (wholly || (k == ALONG ? nis - explained[ALONG] : by_turn) < LEFT_MOST) {
                 out->deviate[k] = along[k] / sqrt(square[k] * usual);
-                out->var[k] = fmax(explained - usual, 0.0) / square[k];
+                out->var[k] = fmax(explained[k] - usual, 0.0) / square[k];
             }
         }
     }

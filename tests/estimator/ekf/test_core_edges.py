@@ -138,6 +138,29 @@ def test_two_sightings_that_show_a_manoeuvre_to_one_side_loosen_the_ships_veloci
 
 
 @pytest.mark.parametrize(
+    ("off", "turned_rad", "steered_ms", "shows"),
+    [
+        ((0.15, 0.0, 0.06), 0.0, None, False),  # of another height, it is wrong
+        ((0.15, 0.0, 0.03), 0.0, None, True),
+        ((0.15, 0.0, 0.06), 0.0, 300, True),  # a turn that was shown goes on
+        ((0.15, 0.0, 0.09), 0.0, 300, False),
+        ((0.02, 0.0, 0.01), 0.2, None, False),  # few features err in heading
+    ],
+)
+def test_a_hard_manoeuvre_shows_though_it_leaves_more_than_a_chi_square(
+    off: tuple[float, float, float], turned_rad: float, steered_ms: int | None, shows: bool
+) -> None:
+    P = diagonal(d=1e-5, head=1e-5)
+    P[VESSEL_VEL, VESSEL_VEL] = 1e-5 * np.eye(2)
+    steered = -1 if steered_ms is None else T - steered_ms * MS
+    b = belief(x=under(), P=P, excesses=InnovationExcesses((T - 33 * MS,), ((-1.0, -1.0, -1.0, 4.0, 0.0, 0.0),)), steered=steered)
+    place = (off[0], off[1], 2.0 + off[2])
+    pose = whole(place, rpy_matrix(0.0, 0.0, turned_rad), np.diag([1e-5] * 3 + [1e-4] * 3))
+    after, _ = agrees(b, sighting(place, -turned_rad, var=1e-5, yaw_var=1e-4, pose6=pose), TOOLS)
+    assert (after.steered == T) is shows
+
+
+@pytest.mark.parametrize(
     ("seen_ms", "of", "shown_ms", "adrift"),
     [
         (301, "swung", 301, True),

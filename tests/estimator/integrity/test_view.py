@@ -22,9 +22,14 @@ def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.
 
 
 def watched(
-    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0, late_s: float = 0.0
-) -> Iterator[ViewWatch]:
-    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`, and the attitude is late."""
+    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0, late_s: float = 0.0,
+    round_m_s: float = 0.0,
+) -> Iterator[ViewWatch]:  # fmt: skip
+    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`, and the attitude is late.
+
+    Args:
+        round_m_s: speed of the pad on a circle of 2 m about the drone.
+    """
     rng = np.random.default_rng(seed)
     state = ViewWatch()
     phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)
@@ -39,6 +44,8 @@ def watched(
         # A body that tilts one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the tilt moves it.
         drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
         true = np.array([0.1 - drift_m * sways[1], drift_m * sways[0], height_m])
+        if round_m_s:
+            true[:2] += 2.0 * np.array([math.cos(0.5 * round_m_s * t), math.sin(0.5 * round_m_s * t)])
         if frozen:
             true = R.without_heading() @ np.array([0.1, 0.05, height_m])
         level = R.without_heading()
@@ -92,7 +99,7 @@ def test_an_attitude_a_tenth_of_a_second_late_against_the_image_is_known_within_
 
 
 def test_close_to_the_pad_a_way_aside_is_no_delay() -> None:
-    """The pad's bearing is the vehicle's way aside there, which follows its lean late."""
-    for height_m, known in ((0.9, False), (1.1, True)):
-        found = [one.late_s for one in watched(1, False, math.radians(3.0), np.eye(3), height_m, 6.0, 0.1)]
+    """The pad's bearing is the vehicle's way aside there, which follows its lean late; and so it is after a ship that stops."""
+    for height_m, round_m_s, known in ((0.9, 0.0, False), (1.1, 0.0, True), (3.0, 1.0, True), (3.0, 2.5, False)):
+        found = [one.late_s for one in watched(1, False, math.radians(3.0), np.eye(3), height_m, 6.0, 0.1, round_m_s)]
         assert any(found[90:]) is known

@@ -48,6 +48,8 @@ _TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, np.array([5.0, 5.0, 9.
 """Two or three sightings in that time make a manoeuvre where their sum is off by so many deviations, each of so many at most."""
 _LEFT_MOST = 12.0
 """Chi-square that a manoeuvre may leave of an innovation."""
+_LEFT_SHARE, _LEFT_SHARE_ON, _STEERS_S = 0.05, 0.25, 0.4
+"""Share of an innovation that a hard one may leave, and one that goes on for so long after it was shown, s."""
 _STEERED_MOST = 0.25
 """A place, m, or heading, rad, that is further off is not that of a ship that steers."""
 _UNDER_WAY_M_S = 0.3
@@ -89,14 +91,17 @@ def steering(innov: F64, S: F64, H: F64, b: Belief) -> tuple[Steering, float]:
     nis = float(innov @ inverse @ innov)
     turn = np.ix_([1, 2], [1, 2])
     by_turn = float(along[1:] @ np.linalg.pinv(information[turn]) @ along[1:])
+    by_all = float(along @ np.linalg.pinv(information, hermitian=True) @ along)
+    shares = [float(along[k]) ** 2 / information[k, k] if information[k, k] > 0.0 else 0.0 for k in range(3)]
+    steers = b.steered >= 0 and (b.t - b.steered) * 1e-9 < _STEERS_S
+    wholly = nis - by_all < nis * (_LEFT_SHARE_ON if steers else _LEFT_SHARE) and max(shares[:2]) > shares[2]
     deviate, var = [0.0] * 3, [0.0] * 3
     for k, square in enumerate(np.diagonal(information).tolist()):
         if square <= 0.0 or abs(along[k]) >= _STEERED_MOST * square:
             continue
-        explained = float(along[k]) ** 2 / square
-        if nis - (explained if k == 0 else by_turn) < _LEFT_MOST:
+        if wholly or nis - (shares[0] if k == 0 else by_turn) < _LEFT_MOST:
             deviate[k] = float(along[k]) / (square * usual) ** 0.5
-            var[k] = max(explained - usual, 0.0) / square
+            var[k] = max(shares[k] - usual, 0.0) / square
     return Steering(tuple(deviate), tuple(var)), b.nis_claimed + 0.1 * (min(5.0, nis / innov.size) - b.nis_claimed)
 
 
