@@ -65,20 +65,19 @@ class RestVelocity:
     """The mean velocity over the ground of a vehicle that stands: that of the deck under it."""
 
     def __init__(self) -> None:
-        self.v_ned = np.zeros(3)
-        """(3,) m/s, level."""
-        self._at: MonoNs | None = None
+        self._stood = False
         self.newest: tuple[MonoNs, F64] | None = None
-        """Time when the vehicle last stood, and the mean then; None if it never did."""
+        """Time when the vehicle last stood, and the mean then, (3,) m/s, level; None if it never did."""
 
     def on_velocity(self, v_ned: F64, now: MonoNs, *, stands: bool) -> None:
         """Take the autopilot's velocity, (3,) m/s."""
-        if not stands:
-            self._at = None
-            return
-        weight = 1.0 if self._at is None else 1.0 - math.exp(-max(seconds_between(self._at, now), 0.0) / REST_S)
-        self.v_ned, self._at = self.v_ned + weight * (v_ned * (1.0, 1.0, 0.0) - self.v_ned), now
-        self.newest = now, self.v_ned
+        if stands:
+            level = v_ned * (1.0, 1.0, 0.0)
+            if self._stood and self.newest is not None:
+                at, mean = self.newest
+                level = mean + (1.0 - math.exp(-max(seconds_between(at, now), 0.0) / REST_S)) * (level - mean)
+            self.newest = now, level
+        self._stood = stands
 
 
 class TakingOff:

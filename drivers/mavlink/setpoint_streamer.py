@@ -500,7 +500,8 @@ class SetpointStreamer:
         if self._attitude is None:
             return None
         yaw_rad = self._attitude.R_ned_body.rpy_rad[2]
-        return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ self._rest.v_ned)
+        mean = np.zeros(3) if self.rested is None else self.rested[1]
+        return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ mean)
 
     def _cut(self, now: MonoNs) -> list[Message]:
         """Stop the motors by force until the autopilot reports that it is disarmed; the forced form works in flight."""
