@@ -160,8 +160,9 @@ class Ending:
             )
         elif judged is not None and standing is not None and not standing.on_pad and judged.grade == "on pad":
             judged = replace(judged, grade="failed", because=standing.in_words())
-        elif judged is not None and aftermath is not None and standing is None and judged.grade == "on pad":
-            judged = replace(judged, grade="failed", because=f"it does not stand: {aftermath.in_words()}")
+        elif judged is not None and standing is None and judged.grade == "on pad":
+            why = "it left the deck" if aftermath is None else f"it does not stand: {aftermath.in_words()}"
+            judged = replace(judged, grade="failed", because=why)
         return replace(self, standing=standing, aftermath=aftermath, judged=judged)
 
     @property

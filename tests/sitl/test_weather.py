@@ -190,9 +190,10 @@ def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
     world = World(CALM, seed=1)
     flies = AftermathWatch(world.truth(), "landed", MotionWatch(7.0, 0.1)).result(world.truth(), "landed", None)
     assert flies.unsafe == ()
-    again = ending.followed(None, flies, 0.0)
-    assert again.judged is not None
-    assert (again.judged.grade, again.judged.because[:16]) == ("failed", "it does not stan")
+    for flown, why in ((flies, "it does not stan"), (None, "it left the deck")):
+        again = ending.followed(None, flown, 0.0)
+        assert again.judged is not None
+        assert (again.judged.grade, again.judged.because[:16]) == ("failed", why)
 
 
 def test_a_refused_vehicle_that_falls_is_unsafe() -> None:
