@@ -49,6 +49,8 @@ _STAY = frozenset({IntegrityAlert.UNFELT, IntegrityAlert.ATTITUDE})
 """Alerts that stay for seconds at least: nothing is won by waiting low over the deck."""
 _TURNS_S = 1.0
 """Time that a drone takes until an order to climb has ended its way down, and a rising deck's way up to it, s."""
+_ENDS_S, _SANK_M = 0.4, 0.1
+"""Time that it takes at a height that is kept, and the least that it has sunk below that."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 BOUNCES_MOST = 2
@@ -369,22 +371,31 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s, o)
             if p.state in (State.DESCEND, State.GATE) and (bars := wind or s.thing) is not None:
                 return bars
+            if p.state is State.INTERCEPT and o.mission != "thesis" and _reaches_deck(estimate, s, o, _ENDS_S):
+                return _sank(p, s)
             low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
-                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, s, o):
+                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, s, o, _TURNS_S):
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
 
-def _reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether a drone without sight may be at the deck before a climb begins. Whose deck it is does not matter then."""
+def _sank(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return that a drone which keeps its height has sunk; None while it has not."""
+    if p.since is None or s.estimate is None or (sank_m := p.entered_height_m - s.estimate.height_m) < _SANK_M:
+        return None
+    return Reason(ReasonCause.SANK_AGAINST, sank_m, round(seconds_between(p.since, s.at), 1))
+
+
+def _reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOptions, within_s: float) -> bool:
+    """Return whether a drone may be at the deck before a climb begins. Whose deck it is does not matter then."""
     if estimate is None:
         return False
     height_m = estimate.height_m - math.sqrt(estimate.cov.item(2, 2))
     rises_m_s = math.sqrt(estimate.cov.item(5, 5)) - estimate.v_pad_level.item(2)
-    return min(height_m, s.range_m or math.inf) - o.cone.feet_below_m < rises_m_s * _TURNS_S
+    return min(height_m, s.range_m or math.inf) - o.cone.feet_below_m < rises_m_s * within_s
 
 
 def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

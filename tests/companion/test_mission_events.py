@@ -369,6 +369,16 @@ def test_a_drone_that_sinks_without_sight_climbs_while_that_still_helps(height_m
     assert (found is not None and found.cause is ReasonCause.LOST_LOW) is climbs
 
 
+@pytest.mark.parametrize(
+    ("height_m", "sinks_m_s", "ends"), [(0.25, 0.5, True), (0.25, 0.4, False), (0.31, 0.8, False), (1.0, 0.5, False)]
+)
+def test_an_intercept_that_sinks_onto_the_deck_climbs(height_m: float, sinks_m_s: float, ends: bool) -> None:
+    """An accelerometer that lies made the law follow a deck down that rose (random fault): 0.205 m of room, in 0.4 s."""
+    p = memory(State.INTERCEPT, since=ns(NOW - 0.2), entered_height_m=0.4)
+    found = of(Event.LIMIT, p, cycle(seen((0.0, 0.0, height_m), v=(0.0, 0.0, -sinks_m_s))))
+    assert (found is not None and found.cause is ReasonCause.SANK_AGAINST) is ends
+
+
 @pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
 def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(state: State) -> None:
     """0.12 m under the feet by two standard deviations, and 1.4 of the commit's limit aside at 0.4 m/s down."""

@@ -118,7 +118,7 @@ def test_a_pad_lost_low_is_sought_from_higher_up_and_found() -> None:
         return not state["blind"]
 
     flight = PointFlight([0.0, 0.0, 3.0], sight=sight).run(60)
-    assert {State.HOLD_BLIND, State.GO_AROUND} <= set(flight.states)
+    assert {State.HOLD_BLIND, State.GO_AROUND} <= {change.target for change in flight.changes}
     assert flight.progress.state is State.LANDED
     (why,) = [change.reason for change in flight.changes if change.target is State.GO_AROUND]
     assert why.cause is ReasonCause.LOST_LOW

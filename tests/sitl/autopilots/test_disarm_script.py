@@ -121,7 +121,7 @@ def on_deck(name: str, silent_at_m: float, seconds: float, **parameters: float) 
 
 
 def test_a_copter_that_was_left_on_deck_disarms_there() -> None:
-    deck, script = on_deck("moderate", 0.3, 20.0)
+    deck, script = on_deck("moderate", 0.2, 20.0)
     assert not deck.pilot.armed
     assert "Decklander: companion silent, on deck: disarming" in script.texts
     assert deck.body.upright
@@ -130,7 +130,7 @@ def test_a_copter_that_was_left_on_deck_disarms_there() -> None:
 
 @pytest.mark.parametrize("parameters", [{"DKL_ENABLE": 0.0}, {"DKL_SILENT_S": 1000.0}])
 def test_without_it_the_copter_stays_armed_on_deck(parameters: dict[str, float]) -> None:
-    deck, _ = on_deck("moderate", 0.3, 20.0, **parameters)
+    deck, _ = on_deck("moderate", 0.2, 20.0, **parameters)
     assert deck.pilot.armed
 
 
