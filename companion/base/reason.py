@@ -66,7 +66,7 @@ class ReasonCause(Enum):
     PAST_DECK = "it came down {measured:.2f} m past the deck"
     NOT_CLIMBING = "it did not climb within {limit:.0f} s"
     ROSE_AGAINST = "ordered down it rose by {measured:.1f} m within {limit:g} s"
-    SANK_AGAINST = "ordered to keep its height or climb, it sank by {measured:.1f} m within {limit:g} s"
+    SANK_AGAINST = "against its order it sank by {measured:.1f} m within {limit:g} s"
     ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
