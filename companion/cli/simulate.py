@@ -180,7 +180,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     scenario = load_scenario(args.scenario, args.base)
     refuse_faults(args.scenario, scenario, CARRIED)
     settings = settings_for(scenario, args.config, by_autopilot=True)
-    given = Overridable(scenario, settings)
+    given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]

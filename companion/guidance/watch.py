@@ -51,6 +51,8 @@ _TURNS_S = 1.0
 """Time that a drone takes until an order to climb has ended its way down, and a rising deck's way up to it, s."""
 _ENDS_S, _SANK_M = 0.4, 0.1
 """Time that it takes at a height that is kept, and the least that it has sunk below that."""
+_DEVIATES_MOST = 0.12
+"""Standard deviation of a height, m, or its rate, m/s, that counts at most: a path without the IMU hardly knows them."""
 _TELLING = frozenset({ReasonCause.ALERT, ReasonCause.INCONSISTENT})
 """Causes of a hold without sight that say more than its length."""
 BOUNCES_MOST = 2
@@ -393,8 +395,8 @@ def _reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceO
     """Return whether a drone may be at the deck before a climb begins. Whose deck it is does not matter then."""
     if estimate is None:
         return False
-    height_m = estimate.height_m - math.sqrt(estimate.cov.item(2, 2))
-    rises_m_s = math.sqrt(estimate.cov.item(5, 5)) - estimate.v_pad_level.item(2)
+    height_m = estimate.height_m - min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(2, 2)))
+    rises_m_s = min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(5, 5))) - estimate.v_pad_level.item(2)
     return min(height_m, s.range_m or math.inf) - o.cone.feet_below_m < rises_m_s * within_s
 
 

@@ -28,10 +28,13 @@ class Overridable:
     `settings.camera.file` or `settings.pad.file` is given too; and settings that follow the scenario in all that
     `sitl.flight.one_flight.following` names go on following it. The methods' argument `where` begins their errors, as in
     `--vary`.
+
+    Args:
+        by_autopilot: as of `settings_for`, which made the settings.
     """
 
-    def __init__(self, scenario: Scenario, settings: Settings) -> None:
-        self.scenario, self.settings = scenario, settings
+    def __init__(self, scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> None:
+        self.scenario, self.settings, self._by_autopilot = scenario, settings, by_autopilot
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 
     def holds_whole_number(self, key: str, where: str) -> bool:
@@ -78,9 +81,8 @@ class Overridable:
             put(tables[0], path, value)
         scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
         settings = self.settings
-        left = settings.guidance.follow_deck.response_by_vehicle
-        if placed[0] and following(self.scenario, settings, by_autopilot=left) == settings:
-            settings = following(scenario, settings, by_autopilot=left)
+        if placed[0] and following(self.scenario, settings, by_autopilot=self._by_autopilot) == settings:
+            settings = following(scenario, settings, by_autopilot=self._by_autopilot)
             tables = tables[0], plain(settings)
         else:
             placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]

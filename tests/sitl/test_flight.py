@@ -150,7 +150,7 @@ def test_it_lands_after_the_lens_was_covered_for_a_while_in_which_it_never_sank_
     assert decisions_blind(diary) > 50
     assert result.landed_on_pad
     phases = {d.phase for d in diary.decisions}
-    assert {"hold blind", "go around"} <= phases
+    assert "go around" in phases
 
 
 def test_the_truth_and_the_belief_agree_in_flight() -> None:

@@ -24,7 +24,7 @@ from sitl.scenario.scenario import load
 def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has(tmp_path: Path) -> None:
     """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
     scenario = load("calm")
-    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True), by_autopilot=True)
     for output, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
         _, settings = given.with_values([given.parse(text, "--set") for text in output], "--set")
         flight = AutopilotFlight(scenario, 1, settings, AutopilotProgram("px4", None), tmp_path)
@@ -37,7 +37,7 @@ def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simula
 ) -> None:
     """WHY: ArduCopter was flown by a climb that answers after 58 ms, and swung up and down over the deck by 0.5 m/s."""
     scenario = load("weather_4")
-    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True), by_autopilot=True)
     for changes in ([], ["wind.speed_m_s=4"]):
         _, settings = given.with_values([given.parse(text, "--set") for text in changes], "--set")
         flown_by = AutopilotFlight(scenario, 1, settings, AutopilotProgram(stack, None), tmp_path).service_settings(14540)
