@@ -111,7 +111,8 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
     end = await flight_of("px4", tmp_path, "sea_state_5", 3, "model").fly()
     assert end.outcome is FlightOutcome.LANDED
     assert end.failsafes == ()
-    assert [c.surface for c in end.contacts] == ["pad"]
+    assert {c.surface for c in end.contacts} == {"pad"}
+    assert len(end.contacts) <= 2, "a bounce, or one touch in a gust: not felt, each contact ends in a go-around"
     assert end.armed_after_contact_s is not None
     assert end.armed_after_contact_s < 1.0
 
