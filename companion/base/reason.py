@@ -68,6 +68,7 @@ class ReasonCause(Enum):
     ROSE_AGAINST = "ordered down it rose by {measured:.1f} m within {limit:g} s"
     SANK_AGAINST = "against its order it sank by {measured:.1f} m within {limit:g} s"
     ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
+    OFF_ORDERS = "the vehicle flies {measured:.1f} m {detail} than ordered (limit {limit:g} m): something else steers it"
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ON_PAD = "something {measured:.0f} cm wide lies {detail} from the pad's centre"

@@ -47,6 +47,7 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.ROSE_AGAINST: "A sensor lies or the wind lifts it: take over by hand, and look at accelerometer and range sensor.",
     _C.SANK_AGAINST: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
     _C.ANSWERS_LATE: "Look at the link to the vehicle and at the load of the computer (decklander doctor).",
+    _C.OFF_ORDERS: "Take over by hand: look at trim, load and battery, and for another sender of commands.",
     _C.STARVED: "End other programs on the drone's computer; see that it is cool and has power.",
     _C.NOT_CLIMBING: "Take over by hand: the vehicle does not climb. Look at battery, propellers and load.",
     _C.ON_PAD: "Clear the pad; if nothing lies there, order clear and begin again.",

@@ -7,11 +7,12 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChange
+from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.clearance import SwellWatch, watched_swell
+from companion.guidance.climb_watch import OFF_M, ClimbWatch
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_up import HeldUp
@@ -22,7 +23,7 @@ from companion.guidance.progress import Progress, entered
 from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.response_course import reported_lean
 from companion.guidance.response_watch import ResponseIdentifier
-from companion.guidance.situation import GuidanceCycle, VesselPosition
+from companion.guidance.situation import GuidanceCycle, VesselPosition, unfit
 from companion.guidance.steer import Aim, aim
 from companion.guidance.view import FieldOfView
 from companion.guidance.watch import account, events
@@ -38,6 +39,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
+    Baro,
     BodyVelocity,
     GeoFix,
     GimbalAttitude,
@@ -205,14 +207,18 @@ class LandingGuidance:
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
+        """Time when the deck's estimated motion was last impossible."""
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
-        """Time when the deck's estimated motion was last impossible."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
         self._impact: Impact | None = None
         self._touch: Impact | None = None
         self._forecast: Forecast | None = None
+        self._climb_watch = ClimbWatch()
+        self._climbs_m_s: float | None = None
+        """Rate of climb of the newest command; None of one without."""
+        self._baro_m: float | None = None
         self._wind, self._tilt, self._climb, self._view = WindWatch(), tilt, climb, view
         self._air: WindOverDrone | None = None
         self._swell = SwellWatch()
@@ -259,6 +265,7 @@ class LandingGuidance:
         """Take an order of the operator."""
         if event is Event.BEGIN:
             self._vessel_track = rendezvous.restarted(self._vessel_track)
+            self._climb_watch = ClimbWatch()
         self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
@@ -297,6 +304,8 @@ class LandingGuidance:
                 self._on_status(sample)
             elif type(sample) is Range:
                 self._range = sample
+            elif type(sample) is Baro:
+                self._baro_m = sample.height_m
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
@@ -325,6 +334,7 @@ class LandingGuidance:
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
+            self._climb_watch = ClimbWatch()
             self._law_memory = self._law.start()
             self._response.on_take_off()
             self._overruled, self._on_pad = False, None
@@ -420,7 +430,7 @@ class LandingGuidance:
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
             now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
-            self._response.late_s, self._touch, range_m, self._thing, unseen,
+            self._response.late_s, self._touch, range_m, self._thing, unseen, self._off_orders(knowledge),
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
@@ -433,12 +443,25 @@ class LandingGuidance:
     def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
         response = self._response.on_command(now, command, self.state)
+        down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
+        self._climbs_m_s = None if down_m_s is None else -down_m_s
         if self._over_ground:
-            down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
             self._held = held_up.commanded(self._held, now, down_m_s)
             to_deck_m_s = held_up.to_deck(self._held, now, self._deck_down_m_s)
             self._held_by_deck = held_up.commanded(self._held_by_deck, now, to_deck_m_s)
         return response
+
+    def _off_orders(self, knowledge: Knowledge) -> Reason | None:
+        """Return that the vehicle flies another course in height than the ordered one; None while it does not."""
+        if self._climb is None or self.state in GROUND or self.state in CONTACT_INTENDED:
+            return None
+        since_last_s = 0.0 if self.mission.last is None else max(0.0, seconds_between(self.mission.last, knowledge.at))
+        estimate = knowledge.relative
+        seen_m = None if unfit(estimate, knowledge.at, self._guidance.stale_after_s) or estimate is None else estimate.height_m
+        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, self._baro_m, seen_m, self._climb, since_last_s)
+        if (off_m := self._climb_watch.off_m) is None:
+            return None
+        return Reason(ReasonCause.OFF_ORDERS, abs(off_m), OFF_M, "higher" if off_m > 0.0 else "lower")
 
     def forecast_made(self, now: MonoNs) -> Forecast | None:
         """Return the deck's forecast if it was made in the cycle of this instant."""

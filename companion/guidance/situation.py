@@ -67,6 +67,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
     unseen: Reason | None = None
     """Glare that hides a part of the pad; None if there is none, or if the operator says that it is clear."""
+    off_orders: Reason | None = None
+    """Height to which the vehicle went against what is ordered; None while it flies as ordered."""
 
     @property
     def place(self) -> VesselPosition | None:

@@ -127,6 +127,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         return p, Hover()
     estimate = s.estimate
     match p.state:
+        case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:
+            return p, Hover()
         case State.COMMIT if not asks_to_descend(p, s, o):
             # So low that a climb would come too late: it awaits the contact without going lower.
             return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
@@ -173,8 +175,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
         return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
     height_m, error_m, fast = estimate.height_m, limits.beside_m(estimate, s.knowledge), o.cone.intercept_speed_m_s
     x_m, y_m = s.knowledge.aim_level
-    # A forecast of more than any swell that was watched is one of which nothing is known: no reason to climb without end.
-    least_m = min(_waits_m(s, o), max(o.cone.gate_m, _clear_m(s, o)))
+    least_m = _waits_m(s, o)
     match p.state:
         case State.INTERCEPT:
             # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
@@ -293,7 +294,7 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     if estimate is None:
         return command
     if p.state is State.INTERCEPT and o.mission != "thesis":
-        needs_m = max(_clear_m(s, o), _waits_m(s, o))
+        needs_m = _clear_m(s, o)
     elif p.held is None or p.state in _CLIMBS_WHERE_HELD:
         return command
     else:
@@ -306,7 +307,8 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
 
 def _waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the deck at which it may wait for the forecast waves, m."""
-    return o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS)
+    # A forecast of more than any swell that was watched is one of which nothing is known: no reason to climb without end.
+    return min(o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS), max(o.cone.gate_m, _clear_m(s, o)))
 
 
 def _clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:

@@ -28,6 +28,8 @@ SILENT_S = 0.3
 """Time without a sample of the vehicle after which it counts as silent, seconds."""
 _PRESS_IN_WIND = 0.5
 """Share of the time for which it presses on that is left in wind."""
+_RISES_M_S = 0.1
+"""Speed from the deck at which a drone has left it, m/s; one that stands is estimated to move by half of that."""
 _TOUCH_S = 0.3
 """Time for which the push of one foot counts, s."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
@@ -278,8 +280,14 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         yield Event.CONTACT, _of_contact(felt)
     # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
     press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
-    if p.state is State.PRESS and in_state_s >= press_s:
+    if p.state is State.PRESS and in_state_s >= (o.cone.press_s + press_s if _rises(s) else press_s):
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
+
+
+def _rises(s: GuidanceCycle) -> bool:
+    """Return whether the drone goes up from the deck: its own landing would have to begin in the air."""
+    estimate = s.estimate
+    return estimate is not None and not estimate.alerts and estimate.v_pad_level.item(2) > _RISES_M_S
 
 
 def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
@@ -332,6 +340,8 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
+    if p.state is State.GO_AROUND and s.off_orders is not None:
+        yield Event.NO_CONDITIONS, s.off_orders
     if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
     if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
@@ -368,8 +378,9 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:
             if o.tries.heading == "align" and p.turned is not None:
                 return p.turned
-            if (used_up := _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or _against(p, s)) is not None:
-                return used_up
+            ends = _landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or s.off_orders or _against(p, s)
+            if ends is not None:
+                return ends
             wind = _windy(p, s) if p.state is State.GATE else _bars_descent(p, s, o)
             if p.state in (State.DESCEND, State.GATE) and (bars := wind or s.thing) is not None:
                 return bars
@@ -397,7 +408,7 @@ def _reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceO
         return False
     height_m = estimate.height_m - min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(2, 2)))
     rises_m_s = min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(5, 5))) - estimate.v_pad_level.item(2)
-    return min(height_m, s.range_m or math.inf) - o.cone.feet_below_m < rises_m_s * within_s
+    return min(height_m, math.inf if s.range_m is None else s.range_m) - o.cone.feet_below_m < rises_m_s * within_s
 
 
 def _landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

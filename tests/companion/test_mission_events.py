@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from companion.base.mission import FLOWN, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
+from companion.guidance.climb_watch import OFF_M, ClimbWatch
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.held_course import HeldCourse
 from companion.guidance.mission import TABLES
@@ -461,6 +462,45 @@ def test_two_seconds_against_the_order_end_an_attempt() -> None:
     up = memory(State.GO_AROUND, course=replace(down, sign=-1), fault=WHY, go_arounds=1)
     assert figures(of(Event.TIMEOUT, up, cycle(seen((0.0, 0.0, 0.6))))) == (ReasonCause.SANK_AGAINST, pytest.approx(0.4), 2.0)
     assert of(Event.TIMEOUT, up, cycle(seen((0.0, 0.0, 1.4)))) is None
+
+
+def test_a_vehicle_that_flies_another_course_than_ordered_is_not_landed() -> None:
+    off = Reason(ReasonCause.OFF_ORDERS, 1.3, OFF_M, "higher")
+    for state in DESCENT:
+        assert of(Event.LIMIT, memory(state), cycle(seen(), off_orders=off)) == off
+    around = memory(State.GO_AROUND, seen_height_m=OPTIONS.tries.safe_height_m, fault=off, go_arounds=1)
+    assert of(Event.NO_CONDITIONS, around, cycle(seen(), off_orders=off)) == off, "as long as it does"
+    assert of(Event.NO_CONDITIONS, around, cycle(seen())) is None, "or the drone tries again"
+
+
+def flown_against(orders: float, lifts: float, waves_m: float, weather_m: float, seconds: float) -> float | None:
+    """Return how far off a late vehicle is found that something lifts, m/s; waves move the pad, gusts the barometer."""
+    watch = ClimbWatch()
+    for k in range(round(25 * seconds)):
+        t = k / 25.0
+        own_m = orders * max(0.0, t - 0.5) + lifts * t
+        baro_m, pad_m = own_m + weather_m * math.sin(math.tau * t / 7.0 + 1.0), own_m - waves_m * math.sin(math.tau * t / 9.0)
+        watch = watch.flown(orders, baro_m, pad_m, ClimbResponse(0.06, 0.3), 0.04)
+    return watch.off_m
+
+
+@pytest.mark.parametrize("orders", [-0.8, 0.0, 0.5])
+def test_neither_waves_nor_gusts_nor_a_late_answer_is_another_course(orders: float) -> None:
+    assert {flown_against(orders, 0.0, 1.1, 0.8, seconds) for seconds in range(1, 30)} == {None}
+    for lifts in (-0.9, 0.9):
+        assert flown_against(orders, lifts, 0.5, 0.3, 1.0) is None
+        for seconds in (5.0, 10.0, 20.0):
+            assert math.copysign(1.0, lifts) * (flown_against(orders, lifts, 0.5, 0.3, seconds) or 0.0) >= OFF_M
+
+
+def test_a_hover_keeps_what_is_known_of_the_orders() -> None:
+    response, out_of_sight = ClimbResponse(0.06, 0.3), ClimbWatch()
+    for k in range(250):
+        out_of_sight = out_of_sight.flown(0.0, 0.036 * k, None, response, 0.04)
+    assert (out_of_sight.off_m or 0.0) >= 2.5 * OFF_M
+    for _ in range(250):
+        out_of_sight = out_of_sight.flown(None, 20.0, 3.0, response, 0.04)
+    assert (out_of_sight.off_m or 0.0) >= 2.5 * OFF_M
 
 
 def test_a_vehicle_that_answers_too_late_ends_the_flight() -> None:
