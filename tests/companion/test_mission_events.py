@@ -142,6 +142,9 @@ def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(heigh
 def test_it_presses_on_for_its_time(since_s: float, pressed: bool) -> None:
     found = figures(of(Event.PRESSED, memory(State.PRESS, since_s), cycle(seen())))
     assert found == ((ReasonCause.PRESSED, pytest.approx(since_s), 0.4) if pressed else None)
+    # Where it goes up its own landing would begin in the air.
+    rises = cycle(seen(v=(0.0, 0.0, 0.11)))
+    assert (of(Event.PRESSED, memory(State.PRESS, 0.4 + since_s), rises) is not None) is pressed
     assert of(Event.PRESSED, memory(State.COMMIT, 2.0), cycle(seen())) is None
     assert of(Event.PRESSED, memory(State.PRESS, since=None), cycle(seen())) is None
 
