@@ -1,14 +1,24 @@
-"""The height against what is ordered: a drone that is ordered down and rises for two seconds flies by a wrong sensor.
+"""The height against what is ordered, over the pad and over the ground.
 
-An accelerometer that reads 30 % too much makes the filter estimate a deck that rises ever faster, and the law follows that deck
-up while the machine says "descend". Time and sight do not show it; the height over the pad does, whatever the cause.
+A drone that is ordered down and rises for two seconds flies by a wrong sensor (`HeldCourse`): an accelerometer that reads 30 %
+too much makes the filter estimate a deck that rises ever faster, and the law follows that deck up while the machine says
+"descend". Time and sight do not show it; the height over the pad does, whatever the cause.
+
+A vehicle that flies another course than ordered takes its orders from somebody else (`ClimbWatch`). A trim that drifts, a second
+sender of commands or a load that it cannot lift change the vertical speed and leave the sensors right. No test of sensors names
+them, and the law asks for more until it asks for all there is. Two heights witness it: the barometer's, which a gust changes, and
+the one over the pad, which waves change. What is ordered then says nothing of what the vehicle will do; its own hover takes no
+orders.
 """
 
 from __future__ import annotations
 
+import math
+
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.settings.response import ClimbResponse
 from estimator.contracts.time import MonoNs, seconds_between
 
 LASTS_S = 2.0
@@ -17,10 +27,18 @@ LEAST_M = 0.3
 """Least distance flown by then, m: ground effect and gusts make less."""
 _ORDERED_M_S = 0.1
 """Rate against the deck that is an order to change the height, m/s."""
+OFF_M = 1.2
+"""Difference from the ordered course that two heights in agreement do not have in flights as ordered, m."""
+_ALONE = 2.5
+"""Factor on it for a barometer alone."""
+_FORGETS_S = 5.0
+"""Time constant with which a difference is forgotten, s: it goes by the last seconds, and no swell or weather adds up."""
+_BARO_S = 0.5
+"""Time constant of the barometer's mean, s: its noise is half a metre."""
 
 
 class HeldCourse(Struct, frozen=True):
-    """The memory: the height that has come nearest to what is ordered, and when."""
+    """The height over the pad against the order: the height that has come nearest to what is ordered, and when."""
 
     sign: int = 0
     """1 ordered down, -1 ordered up, 0 neither."""
@@ -50,3 +68,59 @@ class HeldCourse(Struct, frozen=True):
             return None
         moved_m = self.sign * (height_m - self.best_m)
         return moved_m if moved_m >= LEAST_M else None
+
+
+class HeightCourse(Struct, frozen=True):
+    """A height against the ordered course."""
+
+    height_m: float | None = None
+    """The newest; None while it is not known."""
+    off_m: float = 0.0
+    """Height over the ordered course of the last seconds, m."""
+
+    def to(self, height_m: float | None, ordered_m: float, keeps: float) -> HeightCourse:
+        """Return the course at the next height, after so much of an ordered climb, m; a gap tells nothing."""
+        if height_m is None or self.height_m is None:
+            return HeightCourse(height_m, keeps * self.off_m)
+        return HeightCourse(height_m, keeps * self.off_m + height_m - self.height_m - ordered_m)
+
+
+class ClimbWatch(Struct, frozen=True):
+    """Barometer and pad against the ordered climb."""
+
+    climbs_m_s: float | None = None
+    """Rate of climb by the orders; None where nothing was ordered in the cycle before."""
+    baro: HeightCourse = HeightCourse()
+    pad: HeightCourse = HeightCourse()
+
+    def flown(
+        self, ordered_m_s: float | None, baro_m: float | None, pad_m: float | None, climb: ClimbResponse, since_last_s: float
+    ) -> ClimbWatch:
+        """Return the memory after a cycle; without an order it keeps what it knows, for a hover says nothing of orders.
+
+        Args:
+            ordered_m_s: ordered rate of climb over the ground, m/s; None if none was.
+            baro_m: height by the barometer, m; None if it is not known.
+            pad_m: height over the pad, m; None while it is not seen.
+            climb: the vehicle's response.
+            since_last_s: time since the cycle before, s.
+        """
+        if ordered_m_s is None:
+            return ClimbWatch(None, HeightCourse(None, self.baro.off_m), HeightCourse(None, self.pad.off_m))
+        if baro_m is not None and self.baro.height_m is not None:
+            baro_m = self.baro.height_m - math.expm1(-since_last_s / _BARO_S) * (baro_m - self.baro.height_m)
+        before_m_s = ordered_m_s if self.climbs_m_s is None else self.climbs_m_s
+        answered = -math.expm1(-since_last_s / (climb.delay_s + climb.lag_s))
+        climbs_m_s = before_m_s + answered * (ordered_m_s - before_m_s)
+        keeps = math.exp(-since_last_s / _FORGETS_S)
+        by_orders_m = climbs_m_s * since_last_s
+        return ClimbWatch(climbs_m_s, self.baro.to(baro_m, by_orders_m, keeps), self.pad.to(pad_m, by_orders_m, keeps))
+
+    @property
+    def off_m(self) -> float | None:
+        """Height over the ordered course, m, negative below it; None while the vehicle flies as ordered."""
+        baro_m, pad_m = self.baro.off_m, self.pad.off_m
+        agree = math.copysign(min(abs(baro_m), abs(pad_m)), baro_m) if baro_m * pad_m > 0.0 else 0.0
+        if abs(baro_m) >= _ALONE * OFF_M:
+            return baro_m
+        return agree if abs(agree) >= OFF_M else None

@@ -12,9 +12,9 @@ from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.clearance import SwellWatch, watched_swell
-from companion.guidance.climb_watch import OFF_M, ClimbWatch
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
+from companion.guidance.held_course import OFF_M, ClimbWatch
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.margins import expected_error_m

@@ -10,9 +10,8 @@ from msgspec.structs import replace
 from companion.base.mission import FLOWN, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
-from companion.guidance.climb_watch import OFF_M, ClimbWatch
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.held_course import HeldCourse
+from companion.guidance.held_course import OFF_M, ClimbWatch, HeldCourse
 from companion.guidance.mission import TABLES
 from companion.guidance.progress import Progress, entered
 from companion.guidance.situation import GuidanceCycle
