@@ -30,7 +30,7 @@ _ORDERED_M_S = 0.1
 OFF_M = 1.2
 """Difference from the ordered course that two heights in agreement do not have in flights as ordered, m."""
 _ALONE = 2.5
-"""Factor on it for a barometer alone."""
+"""Factor on it for a barometer alone, out of sight of the pad."""
 _FORGETS_S = 5.0
 """Time constant with which a difference is forgotten, s: it goes by the last seconds, and no swell or weather adds up."""
 _BARO_S = 0.5
@@ -120,7 +120,7 @@ class ClimbWatch(Struct, frozen=True):
     def off_m(self) -> float | None:
         """Height over the ordered course, m, negative below it; None while the vehicle flies as ordered."""
         baro_m, pad_m = self.baro.off_m, self.pad.off_m
-        agree = math.copysign(min(abs(baro_m), abs(pad_m)), baro_m) if baro_m * pad_m > 0.0 else 0.0
-        if abs(baro_m) >= _ALONE * OFF_M:
+        if self.pad.height_m is None and abs(baro_m) >= _ALONE * OFF_M:
             return baro_m
-        return agree if abs(agree) >= OFF_M else None
+        least_m = min(abs(baro_m), abs(pad_m))
+        return math.copysign(least_m, baro_m) if baro_m * pad_m > 0.0 and least_m >= OFF_M else None

@@ -140,6 +140,8 @@ _UNFELT_S = 1.0
 about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
+_BARO_S = 1.0
+"""Age up to which a barometer counts against the orders, s."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -218,7 +220,7 @@ class LandingGuidance:
         self._climb_watch = ClimbWatch()
         self._climbs_m_s: float | None = None
         """Rate of climb of the newest command; None of one without."""
-        self._baro_m: float | None = None
+        self._baro: Baro | None = None
         self._wind, self._tilt, self._climb, self._view = WindWatch(), tilt, climb, view
         self._air: WindOverDrone | None = None
         self._swell = SwellWatch()
@@ -305,7 +307,7 @@ class LandingGuidance:
             elif type(sample) is Range:
                 self._range = sample
             elif type(sample) is Baro:
-                self._baro_m = sample.height_m
+                self._baro = sample
             elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
                 self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
@@ -457,8 +459,10 @@ class LandingGuidance:
             return None
         since_last_s = 0.0 if self.mission.last is None else max(0.0, seconds_between(self.mission.last, knowledge.at))
         estimate = knowledge.relative
+        baro = self._baro
+        baro_m = None if baro is None or seconds_between(baro.stamp.measured_at, knowledge.at) > _BARO_S else baro.height_m
         seen_m = None if unfit(estimate, knowledge.at, self._guidance.stale_after_s) or estimate is None else estimate.height_m
-        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, self._baro_m, seen_m, self._climb, since_last_s)
+        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, baro_m, seen_m, self._climb, since_last_s)
         if (off_m := self._climb_watch.off_m) is None:
             return None
         return Reason(ReasonCause.OFF_ORDERS, abs(off_m), OFF_M, "higher" if off_m > 0.0 else "lower")

@@ -486,6 +486,14 @@ def flown_against(orders: float, lifts: float, waves_m: float, weather_m: float,
     return watch.off_m
 
 
+def test_a_barometer_that_repeats_itself_contradicts_no_order_while_the_pad_is_seen() -> None:
+    """WHY: a frozen one would refuse a drone that descends by 0.8 m/s as ordered."""
+    watch = ClimbWatch()
+    for k in range(250):
+        watch = watch.flown(-0.8, 7.0, 9.0 - 0.032 * k, ClimbResponse(0.06, 0.3), 0.04)
+        assert watch.off_m is None
+
+
 @pytest.mark.parametrize("orders", [-0.8, 0.0, 0.5])
 def test_neither_waves_nor_gusts_nor_a_late_answer_is_another_course(orders: float) -> None:
     assert {flown_against(orders, 0.0, 1.1, 0.8, seconds) for seconds in range(1, 30)} == {None}
