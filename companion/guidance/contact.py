@@ -3,9 +3,9 @@
 A deck that is met at v m/s takes away v m/s of velocity within some hundredths of a second; rotors need tenths. So the specific
 force upward beyond its own recent mean is summed over short times, and the sum is the velocity that something took away.
 An accelerometer that repeats itself feels nothing, and one with spikes feels decks in the air. So a push is one witness among
-several (`votes`): being held up, the vertical speed, the range, and the height that sight and deck forecast lead to. A healthy
-witness decides alone unless another contradicts it; one in doubt needs a second. Height alone never makes a contact while a
-healthy accelerometer is silent: blind on the deck a filter's height drifts.
+several (`votes`): being held up, the vertical speed, the range, a push along the deck, and the height that sight and deck
+forecast lead to. A healthy witness decides alone unless another contradicts it; one in doubt needs a second. Height alone never
+makes a contact while a healthy accelerometer is silent: blind on the deck a filter's height drifts.
 """
 
 import math
@@ -45,8 +45,8 @@ ENOUGH = 1.0
 """Votes that are a contact."""
 NEAR_M = 0.12
 """Height of the feet up to which a push may be the deck, m; doubtful above."""
-_REACHED_M, _BENEATH_M, _WRONG_M = 0.05, -0.08, -0.3
-"""Heights of the feet at which the deck is reached, beneath which nothing can be, and beneath which the height is wrong, m."""
+_BENEATH_M, _WRONG_M = -0.08, -0.3
+"""Heights of the feet beneath which nothing can be, and beneath which the height is wrong, m."""
 SIGMA_MOST_M = 0.15
 """Standard deviation of the height beyond which it is not used, m."""
 _FRESH_S = 0.3
@@ -137,8 +137,9 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
     if feet is not None and estimate is not None:
         if feet <= _BENEATH_M:
             count += 1.0
-        elif feet <= _REACHED_M + limits.lower_foot_m(s.knowledge, cone):
-            count += 0.5
+        elif limits.reached(estimate, s.knowledge, cone):
+            # A tilted vehicle that does not move as it tilts: at the deck that is no gust, feet that stand make it.
+            count += 1.0 if s.wind is not None and s.wind.begins else 0.5
         elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= _FRESH_S:
             count -= 0.5
         moved_s = math.inf if felt is None else seconds_between(felt.at, s.at)

@@ -37,6 +37,8 @@ SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
 _LATER_TRY, _LATER_MOST = 0.25, 1.5
 """Growth of the limits of place and tilt with each go-around, and the largest growth."""
+_REACHED_M = 0.05
+"""Height of the feet at which the deck is reached, m."""
 _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
@@ -160,6 +162,11 @@ def lower_foot_m(knowledge: Knowledge, cone: ConeOptions) -> float:
     return 0.0 if body is None else cone.feet_below_m * math.hypot(*body.lean_m_s2) / G_M_S2
 
 
+def reached(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> bool:
+    """Return whether the lowest foot is at the deck, as far as its height is known."""
+    return estimate.height_m - cone.feet_below_m <= _REACHED_M + lower_foot_m(knowledge, cone)
+
+
 def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> float:
     """Return the height of the body from which a climb that is ordered now still keeps every foot off the deck, m.
 
@@ -190,7 +197,8 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     over_m = estimate.height_m - lift
     lifts = over_m > 0.0
     speed = math.hypot(v[0], v[1]) if lifts else None
-    ahead = _at_contact(knowledge, limits, _COMMIT_SPEED)
+    # Feet that the deck holds make a tilt without a motion: a gust, or a speed to come, that is not there.
+    ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, _COMMIT_SPEED)
     if speed is not None and knowledge.deck is not None:
         speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.

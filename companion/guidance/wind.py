@@ -84,6 +84,11 @@ class WindOverDrone(NamedTuple):
         return max(self.lean_rad, self.push_rad) > _FAR_RAD
 
     @property
+    def begins(self) -> bool:
+        """True if a push has just begun that the gusts before do not explain."""
+        return self.begins_m_s > self.begins_most_m_s
+
+    @property
     def too_strong(self) -> bool:
         return self.known and self.speed_m_s > self.limit_m_s
 

@@ -8,6 +8,7 @@ import pytest
 from companion.guidance.contact import ENOUGH, ContactWatch, votes, watched
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.situation import GuidanceCycle
+from companion.guidance.wind import WindOverDrone
 from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
@@ -167,6 +168,7 @@ def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
     assert again.doubtful
 
 
+GUST = WindOverDrone(3.0, 0.5, 12.0, (1.0, 0.0), 0.1, False, begins_m_s=3.9, begins_most_m_s=3.4)
 FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerometer", 300.0, doubtful=True)
 
 
@@ -182,6 +184,8 @@ FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerome
         (0.02, 0.0, None, {"feels": False}, True), (0.02, 0.4, None, {"feels": False, "range_m": 0.1}, True),
         (0.1, 0.4, FIRM, {"range_m": 0.5}, False), (0.02, 0.4, FIRM, {"range_m": 0.5}, True),
         (0.2, 0.4, Impact(ns(9.9), "velocity", held_m_s=0.5), {"range_m": 0.1}, True),
+        (0.02, 0.0, None, {"wind": GUST}, True), (0.02, 0.4, None, {"wind": GUST}, False),
+        (0.2, 0.0, None, {"wind": GUST}, False), (0.02, 0.0, None, {"wind": GUST._replace(begins_most_m_s=4.0)}, False),
     ],
 )  # fmt: skip
 def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(feet_m, down_m_s, felt_by, more, contact):

@@ -176,6 +176,16 @@ def test_a_commit_ends_on_the_error_to_come_while_a_climb_comes_before_the_conta
         assert commit(ns(NOW), one, calm, LIMITS, CONE) is None
 
 
+@pytest.mark.hazard("H4")
+def test_a_vehicle_whose_feet_the_deck_holds_does_not_go_around_for_a_gust_or_a_speed_to_come() -> None:
+    """WHY: on a falling deck that nothing felt, its tilt without a motion was a gust of 3.9 m/s."""
+    for feet_m, ends in ((0.06, True), (0.04, False)):
+        one = estimate(NOW, (0.0, 0.0, CONE.feet_below_m + feet_m))
+        for contact in (AtContact(0.0, 0.31, 0.0), AtContact(0.0, 0.0, 0.0, 3.1, 3.0)):
+            knowledge = Knowledge(ns(NOW), one, at_contact=contact, climb=ClimbResponse(0.14, 0.12))
+            assert (commit(ns(NOW), one, knowledge, LIMITS, CONE) is not None) is ends
+
+
 @pytest.mark.parametrize(("longer_s", "more_m"), [(None, 0.0), (-0.1, 0.0), (0.1, 0.1 * CONE.commit_rate_m_s)])
 def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: float | None, more_m: float) -> None:
     height_m = CONE.feet_below_m + CONE.no_return_s * CONE.commit_rate_m_s + more_m

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.guidance.response_course import course_of, reported_lean, track
+from companion.guidance.response_fit import fit_tilt
 from companion.settings.load import shipped_response
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
-from estimator.contracts.commands import Velocity
+from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geodesy import moved
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.ardupilot_json import CURVE
@@ -256,6 +258,27 @@ def test_a_climb_follows_a_velocity_as_late_as_the_shipped_response_says(stack: 
     two_thirds_s = 0.04 * (1 + int(np.argmax(np.array(speeds) > 0.5 * (1.0 - math.exp(-1.0)))))
     assert two_thirds_s + link_s == pytest.approx(climb.delay_s + climb.lag_s, abs=0.16)
     assert 0.45 < speeds[-1] < 0.56
+
+
+def test_a_tilt_of_px4_follows_an_acceleration_as_its_response_file_says() -> None:
+    """WHY: it answered at 11.4 rad/s, and each flight was told that the vehicle is slower (docs/decisions/135)."""
+    deck = Deck("calm", Stack.PX4, QUICK)
+    deck.up(1.5)
+    rng, a, asked, flown = np.random.default_rng(1), np.zeros(2), [], []
+    for k in range(7 * 25):
+        a = 0.85 * a + 0.35 * rng.standard_normal(2)
+        command = Lean(a, np.zeros(2), deck.body.state().v_ned * (1.0, 1.0, 0.0), 0.0)
+        deck.tell(velocity_setpoint(0, (1, 1), command, 0.0))
+        asked.append((0.04 * k, *a))
+        for n in range(10):
+            flown.append((0.04 * k + STEP_S * n, *reported_lean(deck.body.state().R_ned_body)))
+            deck.fly(STEP_S)
+    course, given = course_of(track(asked), track(flown)), shipped_response("px4").tilt
+    assert course is not None
+    fit = fit_tilt(course, given)
+    assert fit is not None
+    assert fit.response.frequency_rad_s == pytest.approx(given.frequency_rad_s, rel=0.12)
+    assert fit.response.damping == pytest.approx(given.damping, rel=0.2)
 
 
 def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> None:

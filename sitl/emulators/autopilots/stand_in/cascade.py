@@ -11,11 +11,10 @@ from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.motors import Motors
 from sitl.vehicle.airframe import Airframe
 
-_RATE_P_1_S = 15.0
 _TORQUE_MAX_N_M = 1.0
 _YAW_MAX_N_M = 0.15
-_WOUND_MAX_N_M = 0.6
-_LEAST_LIFT = 0.5
+_VELOCITY_S = 0.032
+"""Time constant of the filter of the velocity's derivative, 5 Hz (MPC_VELD_LP, PSC_VELXY_FLTE)."""
 _LIFT_FILTER_S = 0.016
 """Time constant of the filter of the vertical acceleration's error, 10 Hz (PSC_ACCZ_FLTE)."""
 _LIFT_MAX_M_S2 = 6.0
@@ -30,6 +29,19 @@ def command_of(fraction: float, curve: float) -> float:
     return (-b + math.sqrt(b * b + 4.0 * curve * s)) / (2.0 * curve)
 
 
+@dataclass(slots=True)
+class Filtered:
+    """A vector behind a filter of the first order, and its rate."""
+
+    value: F64
+    rate: F64 | float = 0.0
+
+    def step(self, x: F64, step_s: float, time_s: float) -> None:
+        """Take one more vector."""
+        self.rate = (x - self.value) / time_s
+        self.value = x - math.exp(-step_s / time_s) * (x - self.value)
+
+
 @dataclass(frozen=True, slots=True)
 class LoopGains:
     """The gains of one stack's loops; each names the parameter that it stands for."""
@@ -42,13 +54,28 @@ class LoopGains:
     """1/s: MPC_Z_VEL_P_ACC, PSC_VELZ_P."""
     climb_i: float
     """1/s^2: MPC_Z_VEL_I_ACC, PSC_VELZ_I."""
+    velocity_d: float
+    """MPC_XY_VEL_D_ACC, PSC_VELXY_D."""
+    of_errors: bool
+    """True if the filters and derivatives of velocity and rate act on their errors, so that what is wanted is fed forward once
+    more; false if on what is measured alone."""
     angle_p: float
     """1/s: MC_ROLL_P, ATC_ANG_RLL_P."""
     angle_lag_s: float
     """Lag of the wanted tilt before the attitude loop, whose rate is fed forward: ATC_INPUT_TC."""
     lean_max_rad: float
+    rate_p: float
+    """Torque, in units of the mixer, that a missing rad/s gives: MC_ROLLRATE_P, ATC_RAT_RLL_P."""
     rate_i: float
-    """Torque that an angle which does not follow winds up, N m per rad and s: MC_ROLLRATE_I, ATC_RAT_RLL_I."""
+    """1/s times that: MC_ROLLRATE_I, ATC_RAT_RLL_I."""
+    rate_i_max: float
+    """MC_RR_INT_LIM, ATC_RAT_RLL_IMAX."""
+    rate_d: float
+    """s times that: MC_ROLLRATE_D, ATC_RAT_RLL_D."""
+    gyro_s: float
+    """Time constant that stands for the filters of rate and derivative: IMU_GYRO_CUTOFF, INS_GYRO_FILTER."""
+    unit: float
+    """Share of its largest thrust by which a unit of torque changes each motor's."""
     lift_p: float = 0.0
     """Lift over weight that one m/s^2 of missing vertical acceleration gives, times g: PSC_ACCZ_P over MOT_THST_HOVER. At 1 half
     of a wanted acceleration is flown at once. 0 for a stack that takes thrust for acceleration."""
@@ -56,10 +83,20 @@ class LoopGains:
     """1/s: integral gain, PSC_ACCZ_I over MOT_THST_HOVER."""
 
 
-PX4_GAINS = LoopGains(1.8, 0.4, 4.0, 2.0, 6.5, 0.0, math.radians(45.0), 1.0)
-"""PX4's defaults. Source: parameter reference of PX4 1.16."""
-COPTER_GAINS = LoopGains(2.0, 1.0, 5.0, 0.0, 4.5, 0.15, math.radians(30.0), 0.5, 1.0, 2.0)
-"""ArduCopter's defaults. Source: parameter reference of ArduCopter 4.5."""
+PX4_GAINS = LoopGains(
+    velocity_p=1.8, velocity_i=0.4, climb_p=4.0, climb_i=2.0, velocity_d=0.2, of_errors=False,
+    angle_p=6.5, angle_lag_s=0.0, lean_max_rad=math.radians(45.0),
+    rate_p=0.15, rate_i=0.2, rate_i_max=0.3, rate_d=0.003, gyro_s=0.006, unit=math.sqrt(0.5),
+)  # fmt: skip
+"""PX4's defaults. Source: parameter reference of PX4 1.16; the unit: its allocation scales roll and pitch so that the squares of
+their shares add up to half the number of motors (ControlAllocationPseudoInverse)."""
+COPTER_GAINS = LoopGains(
+    velocity_p=2.0, velocity_i=1.0, climb_p=5.0, climb_i=0.0, velocity_d=0.5, of_errors=True,
+    angle_p=4.5, angle_lag_s=0.15, lean_max_rad=math.radians(30.0),
+    rate_p=0.135, rate_i=0.135, rate_i_max=0.5, rate_d=0.0036, gyro_s=0.011, unit=0.41, lift_p=1.0, lift_i=2.0,
+)  # fmt: skip
+"""ArduCopter's defaults. Source: parameter reference of ArduCopter 4.5; the unit: a factor of a half in the mixer, and 0.8 of a
+motor's range between MOT_SPIN_MIN and MOT_SPIN_MAX."""
 
 
 @dataclass(slots=True)
@@ -77,21 +114,27 @@ class Cascade:
     _a_down: float = 0.0
     _lift: float = 0.0
     _lean: tuple[float, float] = (0.0, 0.0)
-    _wound: tuple[float, float] = (0.0, 0.0)
+    _wound: F64 = field(default_factory=lambda: np.zeros(2))
+    _v: Filtered = field(default_factory=lambda: Filtered(np.zeros(2)))
+    _w: Filtered = field(default_factory=lambda: Filtered(np.zeros(2)))
 
     def reset(self) -> None:
         """Forget everything that was wound up, as autopilots do on the ground."""
-        self.wind_ned, self._lean, self._wound = np.zeros(3), (0.0, 0.0), (0.0, 0.0)
+        self.wind_ned, self._lean, self._wound = np.zeros(3), (0.0, 0.0), np.zeros(2)
         self.thrust_fraction = self._a_down = self._lift = 0.0
 
     def accelerations(self, s: BodyState, v_wanted: F64, a_wanted: F64) -> F64:
         """Return the acceleration that follows a velocity with an acceleration fed forward, (3,) m/s^2 ned."""
         g, error = self.gains, v_wanted - s.v_ned
+        self._v.step((error if g.of_errors else -s.v_ned)[:2], self.step_s, _VELOCITY_S)
+        if g.of_errors:
+            error = np.append(self._v.value, error[2])
         rate = np.array([g.velocity_i, g.velocity_i, g.climb_i])
         most = np.array([3.0, 3.0, 6.0])
         self.wind_ned = np.clip(self.wind_ned + self.step_s * rate * error, -most, most)
         p = np.array([g.velocity_p, g.velocity_p, g.climb_p])
         a = np.asarray(a_wanted + p * error + self.wind_ned)
+        a[:2] += g.velocity_d * self._v.rate
         if g.lift_p > 0.0:
             a_down = float((s.R_ned_body @ s.f_body)[2]) + G_M_S2
             self._a_down += (1.0 - math.exp(-self.step_s / _LIFT_FILTER_S)) * (a_down - self._a_down)
@@ -112,9 +155,8 @@ class Cascade:
         f, g = self.airframe, self.gains
         roll, pitch, yaw = s.R_ned_body.rpy_rad
         c, sn = math.cos(yaw), math.sin(yaw)
-        lift = max(G_M_S2 - float(a[2]), _LEAST_LIFT * G_M_S2)
         most = math.tan(g.lean_max_rad if lean_max_rad is None else lean_max_rad)
-        forward, right = (c * a[0] + sn * a[1]) / lift, (-sn * a[0] + c * a[1]) / lift
+        forward, right = (c * a[0] + sn * a[1]) / G_M_S2, (-sn * a[0] + c * a[1]) / G_M_S2
         size = math.hypot(forward, right)
         cut = most / size if size > most else 1.0
         keep = math.exp(-self.step_s / g.angle_lag_s) if g.angle_lag_s > 0.0 else 0.0
@@ -127,21 +169,24 @@ class Cascade:
         thrust_n = f.mass_kg * (G_M_S2 - float(a[2])) / max(math.cos(roll) * math.cos(pitch), 0.5)
         self.thrust_fraction = min(max(thrust_n / f.thrust_max_n, thrust_min), thrust_max)
         off = (self._lean[0] - roll, self._lean[1] - pitch)
-        self._wound = (
-            _within(self._wound[0] + self.step_s * g.rate_i * off[0], _WOUND_MAX_N_M),
-            _within(self._wound[1] + self.step_s * g.rate_i * off[1], _WOUND_MAX_N_M),
-        )
-        ix, iy, iz = f.inertia_kg_m2
-        w = s.w_body
-        tx = _within(ix * _RATE_P_1_S * (g.angle_p * off[0] + rate[0] - w[0]) + self._wound[0], _TORQUE_MAX_N_M)
-        ty = _within(iy * _RATE_P_1_S * (g.angle_p * off[1] + rate[1] - w[1]) + self._wound[1], _TORQUE_MAX_N_M)
-        tz = _within(iz * 6.0 * (yaw_rate_rad_s - w[2]), _YAW_MAX_N_M)
+        tx, ty = self._torque(g.angle_p * np.array(off) + rate, s.w_body[:2])
+        iz = f.inertia_kg_m2[2]
+        tz = _within(iz * 6.0 * (yaw_rate_rad_s - s.w_body[2]), _YAW_MAX_N_M)
         t, x, y = 0.25 * self.thrust_fraction * f.thrust_max_n, tx / (4 * f.arm_m), ty / (4 * f.arm_m)
         z = tz / (4 * f.yaw_torque_per_thrust_m)
         # front right, rear left, front left, rear right
         each = (t - x + y + z, t + x - y + z, t + x + y - z, t - x - y - z)
         one, two, three, four = (command_of(n / (f.thrust_max_n / 4), self.curve) for n in each)
         return (one, two, three, four)
+
+    def _torque(self, wanted_rad_s: F64, w_rad_s: F64) -> F64:
+        """Return the torque about roll and pitch of the rate loop, (2,) N m."""
+        g, unit_n_m = self.gains, self.gains.unit * self.airframe.arm_m * self.airframe.thrust_max_n
+        self._w.step(wanted_rad_s - w_rad_s if g.of_errors else -w_rad_s, self.step_s, g.gyro_s)
+        missing = self._w.value if g.of_errors else wanted_rad_s + self._w.value
+        self._wound = np.clip(self._wound + self.step_s * g.rate_i * missing, -g.rate_i_max, g.rate_i_max)
+        asked = unit_n_m * (g.rate_p * missing + self._wound + g.rate_d * self._w.rate)
+        return np.asarray(np.clip(asked, -_TORQUE_MAX_N_M, _TORQUE_MAX_N_M))
 
 
 def _within(value: float, most: float) -> float:
