@@ -403,7 +403,7 @@ def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> t
     tilt = structs.replace(response.tilt, jerk_max_m_s3=None)
     law = FollowDeck(structs.replace(response, tilt=tilt), T, over_ground=True)
     memory, places, jerks = law.start(), list[float](), list[float]()
-    p, v, lean, rate, lag, shaped, before = beside_m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    p, v, lean, rate, shaped, before = beside_m, 0.0, 0.0, 0.0, 0.0, 0.0
     waiting = [0.0] * round(tilt.delay_s / T)
     in_use = ResponseInUse(ResponseState.KNOWN, tilt.delay_s, 0.005, 0.0)
     for k in range(400):
@@ -420,8 +420,7 @@ def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> t
         arrived = waiting.pop(0)
         for _ in range(10):
             dt = 0.1 * T
-            lag += dt / tilt.lag_s * (arrived - lag)
-            rate += dt * (tilt.frequency_rad_s**2 * (lag - lean) - 2.0 * tilt.damping * tilt.frequency_rad_s * rate)
+            rate += dt * (tilt.frequency_rad_s**2 * (arrived - lean) - 2.0 * tilt.damping * tilt.frequency_rad_s * rate)
             lean += dt * rate
             v -= dt * lean
             p += dt * v

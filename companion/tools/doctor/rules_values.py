@@ -243,9 +243,8 @@ _ARDUPILOT = (
     ValueRule("plnd-distance", _A, "PLND_XY_DIST_MAX", 2.5, "farther off it never descends, and 0 allows it beside the pad", 0.5),
     ValueRule("plnd-timeout", _A, "PLND_TIMEOUT", 4, "so long it descends without a target before it tries again", 2, 8),
     ValueRule("plnd-low", _A, "PLND_ALT_MIN", 0.75, "below it it lands where it is, with the pad or without", -1, 1.5),
-    # Their quotient is the gain with which GUIDED follows its own velocity: that of PSC_VELXY_P.
     ValueRule("guided-accel", _A, "WPNAV_ACCEL", 500, "in a fresh wind it stands decimetres off", 400, severity=_ADVICE),
-    ValueRule("jerk", _A, "PSC_JERK_XY", 10, "in a fresh wind it stands decimetres off", 8, severity=_ADVICE),
+    ValueRule("jerk", _A, "PSC_JERK_XY", 20, "in a fresh wind it stands decimetres off", 15, severity=_ADVICE),
     # Their quotient is the lag of a climb in the response file: 0.2 s.
     ValueRule("guided-accel-z", _A, "WPNAV_ACCEL_Z", 300, "it comes up late before a deck that rises", 200, severity=_ADVICE),
     ValueRule("descent-limit", _A, "WPNAV_SPEED_DN", 150, "a deck that falls away is not reached", 100),
@@ -262,8 +261,10 @@ _ARDUPILOT = (
     ValueRule("notch-low", _A, "INS_HNTCH_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
     ValueRule("disarm-delay", _A, "DISARM_DELAY", 10, "it disarms before it has climbed, or stays armed on deck", 5, 30),
     ValueRule("spin-min", _A, "MOT_SPIN_MIN", 0.15, "it cannot descend on a deck that falls away", -1, 0.3, on_ship=False),
-    ValueRule("guided-unstabilized", _A, "GUID_OPTIONS", 0, "it holds neither place nor velocity in GUIDED",
-              bits=0b110000, severity=_ERROR, on_ship=False),
+    ValueRule("guided-unstabilized", _A, "GUID_OPTIONS", 16, "it holds no velocity in GUIDED",
+              bits=0b100000, severity=_ERROR, on_ship=False),
+    ValueRule("guided-place", _A, "GUID_OPTIONS", 16, "GUIDED pulls it back to where it has drifted from, against the law",
+              needed=0b010000, severity=_ADVICE),
     ValueRule("slow-too-late", _A, "LAND_ALT_LOW", 1000, "LAND slows down only so high over the ground", 500, on_ship=False),
     ValueRule("cruise-speed", _A, "WPNAV_SPEED", 1000, "it cannot overtake the ship on its way to her", 300,
               over_ship=3, per_m_s=100),

@@ -35,7 +35,7 @@ def test_the_tables_say_what_the_set_ups_of_the_programs_have(stack: str) -> Non
     """The good set-ups were read from the programs; what differs there is what the documentation of each stack requests."""
     snapshot: Snapshot = set_up(stack, "defaults")
     assert snapshot.autopilot is not None
-    ardupilot = {"FS_THR_ENABLE", "PSC_ACCZ_FF", "PSC_JERK_XY", "PSC_JERK_Z", "WPNAV_ACCEL", "WPNAV_ACCEL_Z"}
+    ardupilot = {"FS_THR_ENABLE", "GUID_OPTIONS", "PSC_ACCZ_FF", "PSC_JERK_XY", "PSC_JERK_Z", "WPNAV_ACCEL", "WPNAV_ACCEL_Z"}
     asked_for = {"ArduPilot": ardupilot, "PX4": {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "EKF2_GPS_CHECK"}}
     found = differing(snapshot.autopilot.parameters, defaults_of(stack, (4, 5, 7) if stack == "ArduPilot" else (1, 16, 2)))
     assert set(found) == asked_for[stack]
