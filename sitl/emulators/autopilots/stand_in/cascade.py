@@ -30,7 +30,7 @@ def command_of(fraction: float, curve: float) -> float:
 
 
 @dataclass(slots=True)
-class Filtered:
+class FirstOrder:
     """A vector behind a filter of the first order, and its rate."""
 
     value: F64
@@ -115,8 +115,8 @@ class Cascade:
     _lift: float = 0.0
     _lean: tuple[float, float] = (0.0, 0.0)
     _wound: F64 = field(default_factory=lambda: np.zeros(2))
-    _v: Filtered = field(default_factory=lambda: Filtered(np.zeros(2)))
-    _w: Filtered = field(default_factory=lambda: Filtered(np.zeros(2)))
+    _v: FirstOrder = field(default_factory=lambda: FirstOrder(np.zeros(2)))
+    _w: FirstOrder = field(default_factory=lambda: FirstOrder(np.zeros(2)))
 
     def reset(self) -> None:
         """Forget everything that was wound up, as autopilots do on the ground."""
