@@ -48,6 +48,7 @@ def wrong_values(rule: ValueRule) -> list[float]:
     if math.isfinite(rule.high):
         out.append(rule.high + max(0.1, 0.2 * abs(rule.high)))
     out += [float(int(rule.good) | 1 << k) for k in range(12) if rule.bits >> k & 1]
+    out += [float(int(rule.good) & ~(1 << k)) for k in range(12) if rule.needed >> k & 1]
     return out
 
 
@@ -60,6 +61,8 @@ def test_a_value_that_spoils_a_landing_is_named_with_its_fix_and_nothing_else(ru
     found = diagnose(snapshot)
     assert [f.rule for f in found] == [rule.rule]
     assert rule.parameter in found[0].what
+    lacks = rule.lacking is not None and not int(value) & rule.bits
+    assert found[0].severity is (rule.lacking if lacks else rule.severity)
     (change,) = found[0].changes
     assert found[0].fix == f"set {rule.parameter} {change.value:g}"
     assert snapshot.autopilot is not None
