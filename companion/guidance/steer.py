@@ -91,6 +91,16 @@ def climbing(command: Command, climb_m_s: float) -> Command:
     return replace(command, v_level=v)
 
 
+def pressing(command: Command, knowledge: Knowledge, rate_m_s: float) -> Command:
+    """Return the command with at least this rate against the deck: an estimate that sinks into it is no reason to press less."""
+    if not isinstance(command, Lean):
+        return command
+    deck_m_s = 0.0 if knowledge.deck is None else knowledge.deck.v_level.item(2)
+    v = np.array(command.v_level)
+    v[2] = max(v[2], rate_m_s + deck_m_s)
+    return replace(command, v_level=v)
+
+
 Aim = Target | Command | None
 """Target, finished command, or None: guidance leaves the vehicle alone."""
 
@@ -286,6 +296,8 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     """
     if p.state is State.GO_AROUND and not p.in_sight:
         return climbing(command, o.tries.climb_m_s)
+    if p.state is State.PRESS:
+        return pressing(command, s.knowledge, o.cone.commit_rate_m_s)
     if asks_to_descend(p, s, o):
         return command
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and _agreed(s, o)

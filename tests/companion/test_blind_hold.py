@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import climbing, never_lower, usable, without_estimate
+from companion.guidance.steer import climbing, never_lower, pressing, usable, without_estimate
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.motion import DeckMotion
@@ -72,6 +72,17 @@ def test_a_climb_without_sight_is_as_fast_as_it_is_counted_to_be(asked_m_s: floa
         assert (climbs.v_level.tolist(), climbs.yaw_rate_rad_s) == ([0.4, -0.3, given_m_s], 0.1)
     hover = Hover()
     assert climbing(hover, 0.5) is hover
+
+
+@pytest.mark.parametrize(("asked_m_s", "given_m_s"), [(0.1, 0.55), (0.55, 0.55), (1.0, 1.0)])
+def test_a_press_is_never_less_than_its_rate_against_the_deck(asked_m_s: float, given_m_s: float) -> None:
+    """WHY: an accelerometer that was wrong at the contact made the estimate sink into the deck, and the drone floated off."""
+    lean = Lean(np.ones(2), np.zeros(2), np.array([0.4, -0.3, asked_m_s]), 0.1)
+    pressed = pressing(lean, falling(0.2), 0.35)
+    assert isinstance(pressed, Lean)
+    assert pressed.v_level.tolist() == [0.4, -0.3, pytest.approx(given_m_s)]
+    land = Land(on_deck=True)
+    assert pressing(land, falling(0.2), 0.35) is land
 
 
 def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough() -> None:
