@@ -35,6 +35,11 @@ _FORGETS_S = 5.0
 """Time constant with which a difference is forgotten, s: it goes by the last seconds, and no swell or weather adds up."""
 _BARO_S = 0.5
 """Time constant of the barometer's mean, s: its noise is half a metre."""
+_LEAST_S = 3.0
+"""Time of orders before which nothing is concluded, s: the mean and the estimate begin with errors of half a metre."""
+_FASTEST_M_S, _JUMP_M = 2.0, 4.0
+"""Largest difference from the ordered rate that counts, m/s, and a step of a height that no vehicle flies within a cycle, m: what
+changes faster is the sensor's."""
 
 
 class HeldCourse(Struct, frozen=True):
@@ -78,11 +83,13 @@ class HeightCourse(Struct, frozen=True):
     off_m: float = 0.0
     """Height over the ordered course of the last seconds, m."""
 
-    def to(self, height_m: float | None, ordered_m: float, keeps: float) -> HeightCourse:
-        """Return the course at the next height, after so much of an ordered climb, m; a gap tells nothing."""
-        if height_m is None or self.height_m is None:
-            return HeightCourse(height_m, keeps * self.off_m)
-        return HeightCourse(height_m, keeps * self.off_m + height_m - self.height_m - ordered_m)
+    def to(self, height_m: float | None, ordered_m: float, since_last_s: float) -> HeightCourse:
+        """Return the course at the next height, after so much of an ordered climb, m; a gap and a jump tell nothing."""
+        off_m = math.exp(-since_last_s / _FORGETS_S) * self.off_m
+        if height_m is None or self.height_m is None or abs(height_m - self.height_m) > _JUMP_M:
+            return HeightCourse(height_m, off_m)
+        most_m = _FASTEST_M_S * since_last_s
+        return HeightCourse(height_m, off_m + min(most_m, max(-most_m, height_m - self.height_m - ordered_m)))
 
 
 class ClimbWatch(Struct, frozen=True):
@@ -92,6 +99,8 @@ class ClimbWatch(Struct, frozen=True):
     """Rate of climb by the orders; None where nothing was ordered in the cycle before."""
     baro: HeightCourse = HeightCourse()
     pad: HeightCourse = HeightCourse()
+    ordered_s: float = 0.0
+    """Time for which orders were given, s."""
 
     def flown(
         self, ordered_m_s: float | None, baro_m: float | None, pad_m: float | None, climb: ClimbResponse, since_last_s: float
@@ -106,19 +115,21 @@ class ClimbWatch(Struct, frozen=True):
             since_last_s: time since the cycle before, s.
         """
         if ordered_m_s is None:
-            return ClimbWatch(None, HeightCourse(None, self.baro.off_m), HeightCourse(None, self.pad.off_m))
-        if baro_m is not None and self.baro.height_m is not None:
+            return ClimbWatch(None, HeightCourse(None, self.baro.off_m), HeightCourse(None, self.pad.off_m), self.ordered_s)
+        if baro_m is not None and self.baro.height_m is not None and abs(baro_m - self.baro.height_m) <= _JUMP_M:
             baro_m = self.baro.height_m - math.expm1(-since_last_s / _BARO_S) * (baro_m - self.baro.height_m)
         before_m_s = ordered_m_s if self.climbs_m_s is None else self.climbs_m_s
         answered = -math.expm1(-since_last_s / (climb.delay_s + climb.lag_s))
         climbs_m_s = before_m_s + answered * (ordered_m_s - before_m_s)
-        keeps = math.exp(-since_last_s / _FORGETS_S)
         by_orders_m = climbs_m_s * since_last_s
-        return ClimbWatch(climbs_m_s, self.baro.to(baro_m, by_orders_m, keeps), self.pad.to(pad_m, by_orders_m, keeps))
+        baro, pad = self.baro.to(baro_m, by_orders_m, since_last_s), self.pad.to(pad_m, by_orders_m, since_last_s)
+        return ClimbWatch(climbs_m_s, baro, pad, self.ordered_s + since_last_s)
 
     @property
     def off_m(self) -> float | None:
         """Height over the ordered course, m, negative below it; None while the vehicle flies as ordered."""
+        if self.ordered_s < _LEAST_S:
+            return None
         baro_m, pad_m = self.baro.off_m, self.pad.off_m
         if self.pad.height_m is None and abs(baro_m) >= _ALONE * OFF_M:
             return baro_m

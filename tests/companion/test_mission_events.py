@@ -486,6 +486,15 @@ def flown_against(orders: float, lifts: float, waves_m: float, weather_m: float,
     return watch.off_m
 
 
+@pytest.mark.parametrize("step_m", [-300.0, -8.0, -3.5, 3.5, 8.0, 300.0])
+def test_a_barometer_that_jumps_contradicts_no_order(step_m: float) -> None:
+    """WHY: one that read 98 Pa more from an instant on refused a drone that climbed as ordered, out of sight of the pad."""
+    watch = ClimbWatch()
+    for k in range(500):
+        watch = watch.flown(0.5, 0.02 * k + (step_m if k > 200 else 0.0), None, ClimbResponse(0.06, 0.3), 0.04)
+        assert watch.off_m is None
+
+
 def test_a_barometer_that_repeats_itself_contradicts_no_order_while_the_pad_is_seen() -> None:
     """WHY: a frozen one would refuse a drone that descends by 0.8 m/s as ordered."""
     watch = ClimbWatch()
