@@ -138,7 +138,9 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     estimate = s.estimate
     match p.state:
         case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:
-            return p, Hover()
+            # Its own hover holds over the ground's level, and a deck may come up to that.
+            climb_m_s = _out_of_reach_m_s(p, s, o) if p.state in _REFUSED else 0.0
+            return p, without_estimate(climb_m_s, over_ground=over_ground) if climb_m_s > 0.0 else Hover()
         case State.COMMIT if not asks_to_descend(p, s, o):
             # So low that a climb would come too late: it awaits the contact without going lower.
             return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)

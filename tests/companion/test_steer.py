@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import GROUND, Event, State
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.limits import InputQuality
 from companion.guidance.mission import TABLES
@@ -385,6 +386,19 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         assert (isinstance(found, Velocity) and bool(found.v_level[1])) is searches, (
             "low, feet would drag over a deck that comes up"
         )
+
+
+def test_a_drone_that_flies_otherwise_than_ordered_goes_out_of_reach_as_far_as_it_may_and_hovers_by_itself() -> None:
+    """WHY: its own hover holds over the ground; 1.8 m over a deck in waves the deck came up to it."""
+    off = Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, "higher")
+    for state, since_s, height_m, climbs in (
+        (State.REFUSED, 1.0, 1.8, True), (State.REFUSED, 30.0, 1.8, False), (State.GAVE_UP, 1.0, 9.0, False),
+        (State.PAUSED, 1.0, 1.8, False), (State.ABORTED, 1.0, 1.8, False),
+    ):  # fmt: skip
+        p = Progress(state, automatic=True, begun=True, since=ns(NOW - since_s), entered_height_m=height_m)
+        _, found = aim(p, GuidanceCycle(ns(NOW), known(), off_orders=off), guided(), over_ground=False)
+        assert isinstance(found, Velocity) is climbs
+        assert climbs or found == Hover()
 
 
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
