@@ -454,7 +454,7 @@ class LandingGuidance:
         return response
 
     def _off_orders(self, knowledge: Knowledge) -> Reason | None:
-        """Return that the vehicle flies another course in height than the ordered one; None while it does not."""
+        """Note the heights of this cycle; return that they are not on the ordered course, None while they are."""
         if self._climb is None or self.state in GROUND or self.state in CONTACT_INTENDED:
             return None
         since_last_s = 0.0 if self.mission.last is None else max(0.0, seconds_between(self.mission.last, knowledge.at))

@@ -106,7 +106,7 @@ async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_fo
 
 @pytest.mark.timeout(400)
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(tmp_path, monkeypatch):
-    """WHY: levelled by the deck under its feet it went around from standing, for a gust of 3.9 m/s that was not there."""
+    """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
     end = await flight_of("px4", tmp_path, "sea_state_5", 4, "model").fly()
     assert end.outcome is FlightOutcome.LANDED
@@ -115,7 +115,7 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
     assert end.standing is not None
     assert end.standing.lateral_m < 0.1
     assert end.armed_after_contact_s is not None
-    assert end.armed_after_contact_s < 4.0
+    assert end.armed_after_contact_s < 1.0
 
 
 @pytest.mark.hazard("H3", "H4", "H5")
