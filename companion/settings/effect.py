@@ -16,7 +16,11 @@ from estimator.contracts.errors import BadInput
 
 log = logging.getLogger(__name__)
 
-RETIRED = {"guidance.pid.heading.kd": (0.0, "the estimate tells no rate of the heading")}
+RETIRED = {
+    "guidance.pid.heading.kd": (0.0, "the estimate tells no rate of the heading"),
+    "estimator.ekf.sigma_sway_per_heave": (0.2, "sway is estimated without the heave"),
+    "estimator.ekf.asd_sway_per_heave": (5e-3, "sway is estimated without the heave"),
+}
 """Retired keys that older files and recordings have: their default, and the reason. They are read and ignored."""
 
 MOVED = {

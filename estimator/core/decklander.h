@@ -42,8 +42,7 @@ int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture
 enum filter_state {
     DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
     DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,
-    DL_BARO_OFFSET = 46, DL_ATT_BIAS = 47, DL_RANGE_OFFSET = 49, DL_WAVE_YAW = 50, DL_TURN_RATE = 51, DL_SWAY_PER_HEAVE = 52,
-    DL_N = 54,
+    DL_BARO_OFFSET = 46, DL_ATT_BIAS = 47, DL_RANGE_OFFSET = 49, DL_WAVE_YAW = 50, DL_TURN_RATE = 51, DL_N = 52,
 };
 
 enum {
@@ -52,7 +51,7 @@ enum {
     /* The largest number of measured numbers that a linear-algebra function takes. */
     ROWS_MAX = 9,
     /* The largest number of states on which one kind of aiding depends. */
-    COLUMNS_MAX = 14,
+    COLUMNS_MAX = 12,
     /* Number of kinds of aiding. */
     KINDS = 4,
     /* Directions in which a deck moves on waves: north, east, down, roll, pitch. */
@@ -135,8 +134,8 @@ typedef struct {
     double tick_s, forget_s, aiding_period_s, accel_step_m_s2, gyro_step_rad_s, deck_radius_m, not_measured_var,
         correlation_s[KINDS], nis_max[ROWS_MAX], psd[DL_N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
         sigma_wave_yaw_rate_rad_s, carrying_psd_accel[DIRECTIONS], carrying_psd_drift[DIRECTIONS],
-        carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_sway_per_heave,
-        sigma_turn_rate_rad_s, pad_yaw_in_vessel_rad;
+        carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_turn_rate_rad_s,
+        pad_yaw_in_vessel_rad;
     dl_bank_members members;
 } dl_filter_params;
 

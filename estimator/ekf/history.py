@@ -31,7 +31,6 @@ from estimator.ekf.state import (
     ATT_ERR,
     PAD_YAW,
     POS_REL,
-    SWAY_PER_HEAVE,
     VEL,
     VESSEL_VEL,
     WAVES,
@@ -118,7 +117,7 @@ def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
     T[POS_REL, POS_REL] = T[VEL, VEL] = Z
     for part in WAVES[:3].T:
         T[np.ix_(part, part)] = Z
-    T[VESSEL_VEL, VESSEL_VEL] = T[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = Z[:2, :2]
+    T[VESSEL_VEL, VESSEL_VEL] = Z[:2, :2]
     x = T.dot(b.x)
     x[PAD_YAW] = wrap_pi(float(x[PAD_YAW]) + angle)
     P = T.dot(b.P).dot(T.T)

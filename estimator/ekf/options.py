@@ -166,13 +166,6 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
         number("standard deviation of the rate at which waves make the vessel yaw about its course", "rad/s", 1e-5, 1.0),
     ] = math.radians(2.5)
     wave_yaw_period_s: Annotated[float, number("period of the yaw motion in waves", "s", 0.5, 60.0)] = 6.0
-    sigma_sway_per_heave: Annotated[
-        float,
-        number("standard deviation of the pad's sway in phase with its heave, per unit of heave", "1", 1e-4, 10.0),
-    ] = 0.2
-    asd_sway_per_heave: Annotated[float, number("random walk of that ratio: its change within 1 s", "1/sqrt(s)", 1e-7, 1.0)] = (
-        5e-3
-    )
     sigma_list_rad: Annotated[float, number("standard deviation of the deck's constant list and trim", "rad", 1e-5, 0.5)] = (
         math.radians(1.0)
     )

@@ -24,7 +24,6 @@ from estimator.ekf.state import (
     CAMERA_MOUNT,
     GYRO_BIAS,
     RANGE_OFFSET,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL_SCALE,
     VESSEL_VEL,
@@ -47,7 +46,6 @@ class FilterParams:
         q[VEL_SCALE] = o.asd_velocity_scale**2
         q[VESSEL_VEL] = o.asd_vessel_velocity_m_s2**2
         q[TURN_RATE] = o.asd_turn_rate_rad_s2**2
-        q[SWAY_PER_HEAVE] = o.asd_sway_per_heave**2
         q[CAMERA_DELAY] = o.delay_drift_s_sqrt_s**2
         q[CAMERA_MOUNT] = o.mount_drift_rad_sqrt_s**2
         q[BARO_OFFSET] = o.asd_baro_offset_m**2
@@ -66,8 +64,8 @@ class FilterParams:
 _SURFACES = {"auto": abi.DL_OVER_EITHER, "either": abi.DL_OVER_EITHER, "pad": abi.DL_OVER_PAD, "ground": abi.DL_OVER_GROUND}
 _FROM_OPTIONS = (
     "reopen_count", "sighting_has_attitude_error", "tick_s", "forget_s", "aiding_period_s", "accel_step_m_s2", "gyro_step_rad_s",
-    "deck_radius_m", "sigma_wave_yaw_rate_rad_s", "min_confidence", "reopen_s", "heading_memory_s", "sigma_sway_per_heave",
-    "sigma_turn_rate_rad_s", "pad_yaw_in_vessel_rad",
+    "deck_radius_m", "sigma_wave_yaw_rate_rad_s", "min_confidence", "reopen_s", "heading_memory_s", "sigma_turn_rate_rad_s",
+    "pad_yaw_in_vessel_rad",
 )  # fmt: skip
 _FROM_NOISE = ("psd", "psd_accel", "psd_coast", "psd_coast_turn", "not_measured_var")
 

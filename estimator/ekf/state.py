@@ -76,11 +76,6 @@ WAVE_YAW = abi.DL_WAVE_YAW
 """The vessel's yaw on waves, rad; it is a part of `PAD_YAW`."""
 TURN_RATE = abi.DL_TURN_RATE
 """Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
-SWAY_PER_HEAVE = _part("SWAY_PER_HEAVE")
-"""Metres that the pad moves north and east in phase with each metre that it moves down. A pad away from the centre of motion
-moves so when the deck rolls or pitches."""
-SWAY_NORTH, SWAY_EAST = range(N)[SWAY_PER_HEAVE]
-"""Indices of the components of `SWAY_PER_HEAVE`."""
 LOST_VAR_M2 = 1e4
 """Variance of the pad's relative position before the first sighting, per axis."""
 
@@ -88,7 +83,7 @@ ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
 """Kinds of aiding that are averaged before they are fused."""
 SAMPLE_COLUMNS = (
     [*ATT_AXES, *ATT_BIAS],
-    [*ATT_AXES, *VEL_AXES, *range(N)[VESSEL_VEL], *DECK_RATE[:3], *range(N)[SWAY_PER_HEAVE], VEL_SCALE],
+    [*ATT_AXES, *VEL_AXES, *range(N)[VESSEL_VEL], *DECK_RATE[:3], VEL_SCALE],
     [*ATT_AXES, *POS_AXES, DECK_DISP[3], DECK_TRIM[0], DECK_DISP[4], DECK_TRIM[1], PAD_YAW, RANGE_OFFSET],
     [POS_DOWN, DECK_DISP[2], BARO_OFFSET],
 )
@@ -264,7 +259,6 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     var[YAW_RATE] = options.sigma_wave_yaw_rate_rad_s**2
     var[WAVE_YAW] = (options.sigma_wave_yaw_rate_rad_s * options.wave_yaw_period_s / math.tau) ** 2
     var[TURN_RATE] = options.sigma_turn_rate_rad_s**2
-    var[SWAY_PER_HEAVE] = options.sigma_sway_per_heave**2
     var[DECK_TRIM] = options.sigma_list_rad**2
     var[CAMERA_DELAY] = options.sigma_delay_s**2
     var[CAMERA_MOUNT] = options.sigma_mount_rad**2

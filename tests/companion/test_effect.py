@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from companion.cli.main import main
-from companion.settings.effect import MOVED, without_effect
+from companion.settings.effect import MOVED, RETIRED, without_effect
 from companion.settings.expert import in_file
 from companion.settings.load import from_mapping, load, shipped
 from companion.settings.model import Settings
@@ -92,14 +92,18 @@ def test_what_does_not_go_together_about_the_ship_s_place_is_reported(lines, sai
     assert len(reported) == (0 if said is None else 1)
 
 
-@pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])
-def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(kd, told, caplog):
-    data = ARDRONE | {"guidance": {"pid": {"heading": {"kp": 0.5, "kd": kd}}}}
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [(path, value, told) for path, (default, _) in RETIRED.items() for value, told in ((default, 0), (0.3, 1))],
+)
+def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(path, value, told, caplog):
+    data = with_key(path, value)
+    as_given = copy.deepcopy(data)
     with caplog.at_level(logging.WARNING):
         settings = from_mapping(data, "old.toml")
-    assert settings.guidance.pid.heading.kp == 0.5
-    assert len([r for r in caplog.messages if "guidance.pid.heading.kd is retired" in r]) == told
-    assert data["guidance"]["pid"]["heading"]["kd"] == kd
+    assert settings == from_mapping(AUTOPILOT, "new.toml")
+    assert len([r for r in caplog.messages if f"{path} is retired" in r]) == told
+    assert data == as_given
 
 
 def with_key(path: str, value: object) -> dict[str, Any]:

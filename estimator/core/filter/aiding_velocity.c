@@ -22,7 +22,7 @@ static const double KNOWN_VAR = 0.25;
 static const double REFUTED = 6.0;
 
 /* The derivatives by the states of a velocity, in their order in a row of its Jacobian. */
-enum { BY_ATT = 0, BY_VEL = 3, BY_VESSEL = 6, BY_DECK = 8, BY_SWAY = 11, BY_SCALE = 13 };
+enum { BY_ATT = 0, BY_VEL = 3, BY_VESSEL = 6, BY_DECK = 8, BY_SCALE = 11 };
 
 /* What a sensor with that scale measures of a velocity, m/s in `level`. */
 static void measured_velocity(const double v[3], const double R[9], double scale, double out[3])
@@ -54,8 +54,6 @@ static void by_velocity(const double x[DL_N], const double R[9], double body_wei
         }
         for (int j = 0; j < 2; j++) {
             row[BY_VESSEL + j] = deck_weight * to_level[i][j];
-            row[BY_SWAY + j] = deck_weight * to_level[i][j] * x[HEAVING];
-            row[BY_DECK + 2] += deck_weight * to_level[i][j] * x[DL_SWAY_PER_HEAVE + j];
         }
         row[BY_SCALE] = i < 2 ? level[i] / scale : 0.0;
     }

@@ -9,7 +9,7 @@
 #include "base/rotation.h"
 
 /* Each direction of the deck has displacement, rate, force and its rate. */
-enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, FORCE_RATE = DL_WAVES + 3, ALONG_DOWN = 2, IN_ROLL = 3 };
+enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, FORCE_RATE = DL_WAVES + 3, IN_ROLL = 3 };
 
 /* Rate at which a noise density is the noise of one sample, Hz. */
 static const double IMU_HZ = 200.0;
@@ -33,7 +33,7 @@ static void answer_pad(const settled *now, const double *F, const double *Q, dl_
     }
     memcpy(out->d, now->x + DL_POS_REL, sizeof out->d);
     pad_velocity(now->x, out->v);
-    add_pad_velocity(now->x, J + 3 * DL_N);
+    add_pad_velocity(J + 3 * DL_N);
     for (int i = 0; i < 3; i++) {
         out->v[i] -= now->x[DL_VEL + i];
     }
@@ -94,14 +94,10 @@ static void pad_acceleration(const dl_belief *b, const double x[DL_N], double a[
     /* A vector that turns at r has the rate r (-east, north). */
     const double quarter[2] = {-1.0, 1.0};
     for (int i = 0; i < 2; i++) {
-        const double sway = x[DL_SWAY_PER_HEAVE + i], across = quarter[i] * x[DL_VESSEL_VEL + 1 - i];
-        for (int k = 0; k < PER_DIRECTION; k++) {
-            AT(J, i, DISP + PER_DIRECTION * ALONG_DOWN + k) += sway * AT(J, ALONG_DOWN, DISP + PER_DIRECTION * ALONG_DOWN + k);
-        }
-        AT(J, i, DL_SWAY_PER_HEAVE + i) = a[ALONG_DOWN];
+        const double across = quarter[i] * x[DL_VESSEL_VEL + 1 - i];
         AT(J, i, DL_VESSEL_VEL + 1 - i) = quarter[i] * rate;
         AT(J, i, DL_TURN_RATE) = across;
-        a[i] += sway * a[ALONG_DOWN] + rate * across;
+        a[i] += rate * across;
     }
 }
 
@@ -110,7 +106,7 @@ static void answer_deck(const settled *now, dl_answer *out)
 {
     double J[6 * DL_N] = {0.0}, tilt[4 * DL_N] = {0.0};
     pad_velocity(now->x, out->v_deck);
-    add_pad_velocity(now->x, J);
+    add_pad_velocity(J);
     pad_acceleration(now->b, now->x, out->a_deck, J + 3 * DL_N);
     for (int i = 0; i < 6; i += 3) {
         turn_rows(&now->level, J + i * DL_N);

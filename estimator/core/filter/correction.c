@@ -9,8 +9,8 @@
 
 void pad_velocity(const double x[DL_N], double v[3])
 {
-    v[0] = x[SURGING] + x[DL_VESSEL_VEL] + x[DL_SWAY_PER_HEAVE] * x[HEAVING];
-    v[1] = x[SWAYING] + x[DL_VESSEL_VEL + 1] + x[DL_SWAY_PER_HEAVE + 1] * x[HEAVING];
+    v[0] = x[SURGING] + x[DL_VESSEL_VEL];
+    v[1] = x[SWAYING] + x[DL_VESSEL_VEL + 1];
     v[2] = x[HEAVING];
 }
 

@@ -234,20 +234,18 @@ void jolt_steer(const steering *shown, double *P)
     AT(P, DL_TURN_RATE, DL_PAD_YAW) += across * turn;
 }
 
-void jolt_widen(const double x[DL_N], const double missing[3], double *P)
+void jolt_widen(const double missing[3], double *P)
 {
     /* White acceleration for T seconds: displacement T^3 / 3, rate T, both together T^2 / 2. */
     const double across = 1.5 / ACTED_S, rate = 3.0 / (ACTED_S * ACTED_S);
     for (int axis = 0; axis < 3; axis++) {
-        const int wave = DL_WAVES + 4 * axis, states[5] = {DL_POS_REL + axis, wave, wave + 1, DL_POS_REL, DL_POS_REL + 1};
-        const double displaced[5] = {1.0, 1.0, 0.0, x[DL_SWAY_PER_HEAVE], x[DL_SWAY_PER_HEAVE + 1]};
-        const double hastened[5] = {0.0, 0.0, 1.0, 0.0, 0.0};
-        const int n = axis == 2 ? 5 : 3;
+        const int wave = DL_WAVES + 4 * axis, states[3] = {DL_POS_REL + axis, wave, wave + 1};
+        const double displaced[3] = {1.0, 1.0, 0.0}, hastened[3] = {0.0, 0.0, 1.0};
         if (missing[axis] <= 0.0) {
             continue;
         }
-        for (int i = 0; i < n; i++) {
-            for (int j = 0; j < n; j++) {
+        for (int i = 0; i < 3; i++) {
+            for (int j = 0; j < 3; j++) {
                 const double both = displaced[i] * hastened[j] + hastened[i] * displaced[j];
                 const double added = displaced[i] * displaced[j] + across * both + rate * hastened[i] * hastened[j];
                 AT(P, states[i], states[j]) += missing[axis] * added;

@@ -38,6 +38,6 @@ void jolt_steer(const steering *shown, double *P);
 /* The variance, m^2, by which the claimed one falls short along north, east, down; returns whether it does anywhere. */
 int jolt_missing(const dl_innovation_excesses *excesses, double missing[3]);
 /* Widen P for unknown accelerations that add so much variance, m^2, to the pad's displacement along north, east, down. */
-void jolt_widen(const double x[DL_N], const double missing[3], double *P);
+void jolt_widen(const double missing[3], double *P);
 
 #endif

@@ -26,8 +26,6 @@ typedef struct {
 /* What the vessel's turn and way, and the waves, add to the pad's place in ned by a horizon: covariance in level. */
 static void noise_of(const present *now, double T, const double curving[2], const waves_then *waves, double noise[9])
 {
-    const double *sway = now->x + DL_SWAY_PER_HEAVE;
-    const double phase[3] = {sway[0], sway[1], 1.0};
     const double way = now->o->psd[DL_VESSEL_VEL] * T * T * T / 3.0;
     /* The rate of turn wanders by asd sqrt(t): integrated three times against the velocity. */
     const double turn = 0.2 * now->o->psd[DL_TURN_RATE] * T;
@@ -36,11 +34,10 @@ static void noise_of(const present *now, double T, const double curving[2], cons
     double ned[9], half[9];
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) {
-            double sum = phase[i] * phase[j] * waves[ALONG_DOWN].var_change;
+            ned[3 * i + j] = i == j ? waves[i].var_change : 0.0;
             if (i < 2 && j < 2) {
-                sum += curving[i] * curving[j] * turn + (i == j ? way + waves[i].var_change : 0.0);
+                ned[3 * i + j] += curving[i] * curving[j] * turn + (i == j ? way : 0.0);
             }
-            ned[3 * i + j] = sum;
         }
     }
     product(Z, ned, half);
@@ -50,8 +47,8 @@ static void noise_of(const present *now, double T, const double curving[2], cons
 /* Place and velocity of the pad at a horizon if the body keeps its velocity. */
 static void forecast_place(const present *now, double T, const waves_then *waves, dl_deck_ahead *out)
 {
-    const double *x = now->x, *sway = x + DL_SWAY_PER_HEAVE, *u = x + DL_VESSEL_VEL, half = 0.5 * T * T;
-    const double curving[2] = {-half * u[1], half * u[0]}, heaved = waves[ALONG_DOWN].change;
+    const double *x = now->x, *u = x + DL_VESSEL_VEL, half = 0.5 * T * T;
+    const double curving[2] = {-half * u[1], half * u[0]};
     double J[3 * DL_N] = {0.0}, by[2][2], reach[2][2], d[3];
     steady_turn(x[DL_TURN_RATE], T, by, reach);
     for (int i = 0; i < 3; i++) {
@@ -67,11 +64,7 @@ static void forecast_place(const present *now, double T, const waves_then *waves
             out->d[i] += reach[i][j] * u[j];
             out->v_pad[i] += by[i][j] * u[j];
         }
-        AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += sway[i] * waves[ALONG_DOWN].by_rate[0];
-        AT(J, i, DL_SWAY_PER_HEAVE + i) = heaved;
         AT(J, i, DL_TURN_RATE) = curving[i];
-        out->d[i] += sway[i] * heaved;
-        out->v_pad[i] += sway[i] * waves[ALONG_DOWN].mean[1];
     }
     turn_rows(&now->level, J);
     turn_vector(&now->level, out->d);

@@ -17,9 +17,8 @@ enum { HORIZONTAL = 3 };
 
 /* The states on which each kind of aiding depends; a row of a Jacobian holds their derivatives in this order. */
 static const int ATTITUDE_BY[] = {DL_ATT_ERR, DL_ATT_ERR + 1, DL_ATT_ERR + 2, DL_ATT_BIAS, DL_ATT_BIAS + 1};
-static const int VELOCITY_BY[] = {DL_ATT_ERR,        DL_ATT_ERR + 1,        DL_ATT_ERR + 2,   DL_VEL,  DL_VEL + 1,
-                                  DL_VEL + 2,        DL_VESSEL_VEL,         DL_VESSEL_VEL + 1, SURGING, SWAYING,
-                                  HEAVING,           DL_SWAY_PER_HEAVE,     DL_SWAY_PER_HEAVE + 1, DL_VEL_SCALE};
+static const int VELOCITY_BY[] = {DL_ATT_ERR,    DL_ATT_ERR + 1,    DL_ATT_ERR + 2, DL_VEL,  DL_VEL + 1, DL_VEL + 2,
+                                  DL_VESSEL_VEL, DL_VESSEL_VEL + 1, SURGING,        SWAYING, HEAVING,    DL_VEL_SCALE};
 static const int RANGE_BY[] = {DL_ATT_ERR,     DL_ATT_ERR + 1, DL_ATT_ERR + 2, DL_POS_REL,        DL_POS_REL + 1, DL_POS_REL + 2,
                                ROLL,           DL_DECK_TRIM,   PITCH,          DL_DECK_TRIM + 1,  DL_PAD_YAW,     DL_RANGE_OFFSET};
 static const int HEIGHT_BY[] = {DL_POS_REL + 2, HEAVE, DL_BARO_OFFSET};
@@ -123,11 +122,11 @@ static void inflate(const dl_belief *b, covariance *c, int kind, const double *i
     const double *x = b->x;
     if (kind == DL_ATTITUDE) {
         /* All directions turn together about the vertical, as they do when the attitude source redefines north. */
-        const int turning[] = {DL_POS_REL, DL_VEL, DL_VESSEL_VEL, DL_SWAY_PER_HEAVE};
+        const int turning[] = {DL_POS_REL, DL_VEL, DL_VESSEL_VEL};
         const double down[3] = {b->R[6], b->R[7], b->R[8]}, angle = dot(innov, down), size = fmin(dot(innov, innov), 0.1);
         memcpy(g + DL_ATT_ERR, down, sizeof down);
         g[DL_PAD_YAW] = 1.0;
-        for (int i = 0; i < 4; i++) {
+        for (int i = 0; i < 3; i++) {
             g[turning[i]] = -x[turning[i] + 1];
             g[turning[i] + 1] = x[turning[i]];
         }

@@ -8,7 +8,7 @@
 #include "base/rotation.h"
 
 /* Each direction of the deck has displacement, rate, force and its rate. */
-enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1, ALONG_DOWN = 2 };
+enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1 };
 
 void rows_times(int m, const double *J, const double *F, double *JF)
 {
@@ -101,12 +101,6 @@ static double rate_of(const double x[DL_N], int direction)
     return x[RATE + PER_DIRECTION * direction];
 }
 
-/* The rate of the pad's displacement on waves along an axis of ned, with the sway in phase with the heave. */
-static double wave_rate(const double x[DL_N], int axis)
-{
-    return rate_of(x, axis) + (axis < 2 ? x[DL_SWAY_PER_HEAVE + axis] * rate_of(x, ALONG_DOWN) : 0.0);
-}
-
 void align(const double before[DL_N], double x[DL_N])
 {
     const double late = before[DL_CAMERA_DELAY];
@@ -115,13 +109,13 @@ void align(const double before[DL_N], double x[DL_N])
         x[DISP + PER_DIRECTION * k] -= late * rate_of(before, k);
     }
     for (int i = 0; i < 3; i++) {
-        x[DL_POS_REL + i] -= late * wave_rate(before, i);
+        x[DL_POS_REL + i] -= late * rate_of(before, i);
     }
 }
 
 void through_alignment(int m, const double before[DL_N], double *J)
 {
-    const double late = before[DL_CAMERA_DELAY], heaving = rate_of(before, ALONG_DOWN);
+    const double late = before[DL_CAMERA_DELAY];
     for (int i = 0; i < m; i++) {
         double *row = J + i * DL_N;
         for (int k = 0; k < DIRECTIONS; k++) {
@@ -132,24 +126,17 @@ void through_alignment(int m, const double before[DL_N], double *J)
         for (int k = 0; k < 3; k++) {
             const double by = row[DL_POS_REL + k];
             row[RATE + PER_DIRECTION * k] -= late * by;
-            row[DL_CAMERA_DELAY] -= wave_rate(before, k) * by;
-        }
-        for (int k = 0; k < 2; k++) {
-            const double by = row[DL_POS_REL + k];
-            row[RATE + PER_DIRECTION * ALONG_DOWN] -= late * before[DL_SWAY_PER_HEAVE + k] * by;
-            row[DL_SWAY_PER_HEAVE + k] -= late * heaving * by;
+            row[DL_CAMERA_DELAY] -= rate_of(before, k) * by;
         }
     }
 }
 
-void add_pad_velocity(const double x[DL_N], double *J)
+void add_pad_velocity(double *J)
 {
     for (int i = 0; i < 3; i++) {
         AT(J, i, RATE + PER_DIRECTION * i) += 1.0;
     }
     for (int i = 0; i < 2; i++) {
         AT(J, i, DL_VESSEL_VEL + i) += 1.0;
-        AT(J, i, RATE + PER_DIRECTION * ALONG_DOWN) += x[DL_SWAY_PER_HEAVE + i];
-        AT(J, i, DL_SWAY_PER_HEAVE + i) += rate_of(x, ALONG_DOWN);
     }
 }

@@ -26,6 +26,6 @@ void align(const double before[DL_N], double x[DL_N]);
 /* J <- J T, (m, N), with the Jacobian T of `align` at the state before. */
 void through_alignment(int m, const double before[DL_N], double *J);
 /* J += the three rows of `pad_velocity`. */
-void add_pad_velocity(const double x[DL_N], double *J);
+void add_pad_velocity(double *J);
 
 #endif

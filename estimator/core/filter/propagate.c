@@ -166,42 +166,25 @@ static void move_deck(const dl_filter_params *o, dl_belief *b, double T, double 
     set_symmetric(Q, DL_PAD_YAW, DL_TURN_RATE, 0.5 * T * turning);
 }
 
-/* The vessel's turn and the sway in phase with its heave, after the sea was moved on by `moved`. */
-static void move_vessel(dl_belief *b, double T, double moved[3], double *F, double *Q)
+/* The vessel's way and turn, which move the pad by more than the sea did. */
+static void move_vessel(dl_belief *b, double T, double moved[3], double *F)
 {
-    const int heave = DL_WAVES + 8;
-    const double *heave_noise = &AT(Q, heave, heave);
-    const double heaved = moved[2], rate = b->x[DL_TURN_RATE];
     const double u[2] = {b->x[DL_VESSEL_VEL], b->x[DL_VESSEL_VEL + 1]};
-    const double sway[2] = {b->x[DL_SWAY_PER_HEAVE], b->x[DL_SWAY_PER_HEAVE + 1]};
     double by[2][2], reach[2][2];
-    steady_turn(rate, T, by, reach);
+    steady_turn(b->x[DL_TURN_RATE], T, by, reach);
     for (int i = 0; i < 2; i++) {
         b->x[DL_VESSEL_VEL + i] = by[i][0] * u[0] + by[i][1] * u[1];
-        b->x[DL_SWAY_PER_HEAVE + i] = by[i][0] * sway[0] + by[i][1] * sway[1];
-        moved[i] += reach[i][0] * u[0] + reach[i][1] * u[1] + sway[i] * heaved;
+        moved[i] += reach[i][0] * u[0] + reach[i][1] * u[1];
         for (int j = 0; j < 2; j++) {
             AT(F, DL_POS_REL + i, DL_VESSEL_VEL + j) = reach[i][j];
-            AT(F, DL_VESSEL_VEL + i, DL_VESSEL_VEL + j) = AT(F, DL_SWAY_PER_HEAVE + i, DL_SWAY_PER_HEAVE + j) = by[i][j];
+            AT(F, DL_VESSEL_VEL + i, DL_VESSEL_VEL + j) = by[i][j];
         }
-        AT(F, DL_POS_REL + i, DL_SWAY_PER_HEAVE + i) = heaved;
     }
     /* A vector that turns at r has the rate r (-east, north). */
     const double quarter[2] = {-1.0, 1.0};
     for (int i = 0; i < 2; i++) {
         AT(F, DL_VESSEL_VEL + i, DL_TURN_RATE) = T * quarter[i] * b->x[DL_VESSEL_VEL + 1 - i];
-        AT(F, DL_SWAY_PER_HEAVE + i, DL_TURN_RATE) = T * quarter[i] * b->x[DL_SWAY_PER_HEAVE + 1 - i];
         AT(F, DL_POS_REL + i, DL_TURN_RATE) = 0.5 * T * T * quarter[i] * u[1 - i];
-        for (int j = 0; j < 4; j++) {
-            AT(F, DL_POS_REL + i, heave + j) += sway[i] * (AT(F, heave, heave + j) - (j == 0));
-            AT(Q, DL_POS_REL + i, heave + j) += sway[i] * heave_noise[j];
-            AT(Q, heave + j, DL_POS_REL + i) = AT(Q, DL_POS_REL + i, heave + j);
-        }
-        AT(Q, DL_POS_REL + i, DL_POS_REL + 2) += sway[i] * heave_noise[0];
-        AT(Q, DL_POS_REL + 2, DL_POS_REL + i) = AT(Q, DL_POS_REL + i, DL_POS_REL + 2);
-        for (int j = 0; j < 2; j++) {
-            AT(Q, DL_POS_REL + i, DL_POS_REL + j) += sway[i] * sway[j] * heave_noise[0];
-        }
     }
 }
 
@@ -314,7 +297,7 @@ void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, doubl
     move_body(b, T, F);
     move_dead_reckoning(o, b, T);
     move_deck(o, b, T, moved, F, Q);
-    move_vessel(b, T, moved, F, Q);
+    move_vessel(b, T, moved, F);
     if (is_adrift(b, b->t_cov)) {
         settle(b, T, F, Q);
     }
@@ -358,7 +341,7 @@ void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_
 
 void peek(const dl_belief *b, double x[DL_N])
 {
-    const double T = seconds(b->t_cov, b->t), heaving = b->x[DL_WAVES + 9];
+    const double T = seconds(b->t_cov, b->t);
     memcpy(x, b->x, sizeof b->x);
     if (T <= 0.0) {
         return;
@@ -370,7 +353,7 @@ void peek(const dl_belief *b, double x[DL_N])
     x[DL_POS_REL + 2] -= 0.5 * GRAVITY_M_S2 * T * T;
     x[DL_VEL + 2] += GRAVITY_M_S2 * T;
     for (int i = 0; i < 2; i++) {
-        x[DL_POS_REL + i] += (b->x[DL_VESSEL_VEL + i] + b->x[DL_SWAY_PER_HEAVE + i] * heaving) * T;
+        x[DL_POS_REL + i] += b->x[DL_VESSEL_VEL + i] * T;
     }
     for (int k = 0; k < 5; k++) {
         x[DL_WAVES + 4 * k] += b->x[DL_WAVES + 4 * k + 1] * T;

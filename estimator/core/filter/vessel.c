@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "filter/correction.h"
+#include "filter/jacobian.h"
 #include "base/kalman.h"
 #include "base/rotation.h"
 
@@ -16,13 +17,8 @@ static void compare_velocity(const double x[DL_N], const double v[3], double inn
     pad_velocity(x, v_pad);
     for (int i = 0; i < 3; i++) {
         innov[i] = v[i] - v_pad[i];
-        AT(H, i, SURGING + 4 * i) = 1.0;
     }
-    for (int i = 0; i < 2; i++) {
-        AT(H, i, DL_VESSEL_VEL + i) = 1.0;
-        AT(H, i, HEAVING) = x[DL_SWAY_PER_HEAVE + i];
-        AT(H, i, DL_SWAY_PER_HEAVE + i) = x[HEAVING];
-    }
+    add_pad_velocity(H);
 }
 
 void take_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out)

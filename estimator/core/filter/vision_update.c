@@ -112,8 +112,6 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
 {
     for (int i = 0; i < 2; i++) {
         forget_state(P, DL_VESSEL_VEL + i, RESET_VELOCITY_VAR);
-        forget_state(P, DL_SWAY_PER_HEAVE + i, o->sigma_sway_per_heave * o->sigma_sway_per_heave);
-        b->x[DL_SWAY_PER_HEAVE + i] = 0.0;
     }
     forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
     b->x[DL_TURN_RATE] = 0.0;
@@ -180,7 +178,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         const int horizontally = shown.var[0] > 0.0 || shown.var[1] > 0.0;
         missing[0] = horizontally ? 0.0 : missing[0];
         missing[1] = horizontally ? 0.0 : missing[1];
-        jolt_widen(b->x, missing, P);
+        jolt_widen(missing, P);
     }
     jolt_steer(&shown, P);
     compare(o, b, c->P, s, 0, second);

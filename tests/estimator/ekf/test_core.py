@@ -247,7 +247,7 @@ def test_a_snapshot_gives_back_its_belief() -> None:
 
 
 def test_the_states_of_a_sample_s_jacobian_are_those_of_the_core() -> None:
-    assert [len(columns) for columns in names.SAMPLE_COLUMNS] == [5, 14, 12, 3]
+    assert [len(columns) for columns in names.SAMPLE_COLUMNS] == [5, 12, 12, 3]
     assert max(map(len, names.SAMPLE_COLUMNS)) == abi.COLUMNS_MAX
     assert (abi.DL_ATTITUDE, abi.DL_VELOCITY, abi.DL_RANGE, abi.DL_HEIGHT) == (
         names.ATTITUDE,

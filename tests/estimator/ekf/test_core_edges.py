@@ -23,7 +23,6 @@ from estimator.ekf.state import (
     CAMERA_MOUNT,
     PAD_YAW,
     POS_REL,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VEL_SCALE,
@@ -71,9 +70,7 @@ def missed(ages_ns: tuple[int, ...], ratios: tuple[float, ...], off_sigmas: floa
     P = diagonal(d=0.01)
     P[WAVES[2, 0], WAVES[2, 0]] = 0.003
     values = tuple((*(0.0101 * (r - RATIO_MAX) for r in (0.1 * ratio, 0.3, ratio)), 0.0, 0.0, 0.0) for ratio in ratios)
-    x = under()
-    x[SWAY_PER_HEAVE] = 0.3, -0.2
-    b = belief(x=x, P=P, excesses=InnovationExcesses(tuple(T - age for age in ages_ns), values))
+    b = belief(x=under(), P=P, excesses=InnovationExcesses(tuple(T - age for age in ages_ns), values))
     after, _ = agrees(b, sighting((0.0, 0.0, 2.0 + off_sigmas * math.sqrt(0.0101))), TOOLS)
     return after
 
@@ -286,7 +283,7 @@ def test_a_reset_belief_keeps_nothing_of_the_other_pad_s_vessel(yaw: float | Non
     first, verdict = agrees(b, seen, TOOLS)
     assert verdict is Verdict.GATED
     streak = first.rejections._replace(n=6, since=T - 700 * MS)
-    for chosen in (TOOLS, params(sigma_sway_per_heave=0.2, sigma_turn_rate_rad_s=0.03)):
+    for chosen in (TOOLS, params(sigma_turn_rate_rad_s=0.03)):
         after, verdict = agrees(b._replace(rejections=streak), seen, chosen)
         assert verdict is Verdict.FUSED
         assert after.agreed == 1

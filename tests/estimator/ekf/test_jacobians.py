@@ -66,7 +66,6 @@ def random_belief(seed: int) -> Belief:
     x[CAMERA_DELAY] = 0.02 * rng.normal()
     x[CAMERA_MOUNT] = 0.05 * rng.normal(size=3)
     x[46:52] = 0.05 * rng.normal(size=6)
-    x[52:54] = 0.2 * rng.normal(size=2)
     return b._replace(x=x)
 
 

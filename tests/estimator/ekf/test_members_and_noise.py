@@ -79,7 +79,7 @@ def test_every_state_s_noise_is_its_option_squared() -> None:
         "asd_gyro_rad_s": (state.ATT_ERR, 0.011), "asd_gyro_bias_rad_s2": (state.GYRO_BIAS, 0.0012),
         "asd_accel_bias_m_s3": (state.ACCEL_BIAS, 0.0013), "asd_velocity_scale": (state.VEL_SCALE, 0.0014),
         "asd_vessel_velocity_m_s2": (state.VESSEL_VEL, 0.15), "asd_turn_rate_rad_s2": (state.TURN_RATE, 0.016),
-        "asd_sway_per_heave": (state.SWAY_PER_HEAVE, 0.017), "delay_drift_s_sqrt_s": (state.CAMERA_DELAY, 0.00018),
+        "delay_drift_s_sqrt_s": (state.CAMERA_DELAY, 0.00018),
         "mount_drift_rad_sqrt_s": (state.CAMERA_MOUNT, 0.00019), "asd_baro_offset_m": (state.BARO_OFFSET, 0.021),
         "asd_range_offset_m": (state.RANGE_OFFSET, 0.022), "asd_attitude_bias_rad_s": (state.ATT_BIAS, 0.0023),
     }  # fmt: skip

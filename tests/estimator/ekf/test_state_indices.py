@@ -77,4 +77,3 @@ def test_names_of_components_agree_with_their_slices() -> None:
     assert components[state.VEL] == state.VEL_AXES
     assert list(components[state.POS_HORIZONTAL]) == [state.POS_NORTH, state.POS_EAST]
     assert list(components[state.VESSEL_VEL]) == [state.VESSEL_NORTH, state.VESSEL_EAST]
-    assert list(components[state.SWAY_PER_HEAVE]) == [state.SWAY_NORTH, state.SWAY_EAST]

@@ -9,13 +9,17 @@ from msgspec.structs import replace
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.motion import G_M_S2
+from estimator.core.abi import DL_WITH_COVARIANCE
 from estimator.ekf.gate import nis_max
 from estimator.ekf.outcome import Outcome
+from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.so3 import about_down
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
     PAD_YAW,
+    POS_HORIZONTAL,
     POS_REL,
     TURN_RATE,
     VESSEL_VEL,
@@ -23,6 +27,7 @@ from estimator.ekf.state import (
     Belief,
     N,
     RejectionStreak,
+    waves_unknown,
 )  # fmt: skip
 from tests.estimator.ekf.flown import fuse_sighting
 from tests.estimator.ekf.hand import (
@@ -90,8 +95,22 @@ def test_the_first_sighting_is_the_place_whatever_was_accepted() -> None:
     assert (after.agreed, after.sighted, after.heading_known, after.rejections) == (1, T, True, RejectionStreak())
     assert after.nis_mean == 1.3, "it was compared with itself"
     assert after.P[VESSEL_VEL, VESSEL_VEL].max() < 0.01, "what a vessel told of itself before is kept"
-    kept = [52, 53, TURN_RATE, *WAVES[:3].ravel()]
+    kept = [TURN_RATE, *WAVES[:3].ravel()]
     np.testing.assert_allclose(after.x[kept], x[kept], atol=0.05)
+
+
+def test_a_sighting_that_is_off_along_the_deck_makes_no_heave() -> None:
+    """A sway in phase with the heave once let the filter explain a wrong place along the deck by a rising one (decision 139)."""
+    x, P, heave, t = under(), diagonal(d=0.01), WAVES[2], T + 50 * MS
+    x[PAD_YAW + 1 :] = state()[PAD_YAW + 1 :]
+    x[CAMERA_DELAY] = x[CAMERA_MOUNT] = 0.0
+    P[np.ix_(heave, heave)] = waves_unknown(learned(heave_m_s=0.4))[2]
+    b = belief(x=x, P=P, t_imu=T, f=(0.0, 0.0, -G_M_S2))
+    ahead = PackedBelief.of(b).propagated(t, TOOLS, DL_WITH_COVARIANCE).belief
+    after, outcome = fuse_sighting(b, sighting(ahead.x[POS_REL] + [0.1, -0.1, 0.0], t=t), TOOLS)
+    assert outcome.verdict is Verdict.FUSED
+    assert np.hypot(*(after.x - ahead.x)[POS_HORIZONTAL]) > 0.1
+    np.testing.assert_allclose(after.x[heave], ahead.x[heave], atol=1e-4)
 
 
 def test_a_pad_forgotten_for_half_a_minute_is_a_first_one_and_one_of_the_first_instant_is_not() -> None:

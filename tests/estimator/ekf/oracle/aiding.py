@@ -23,9 +23,6 @@ from estimator.ekf.state import (
     POS_NORTH,
     POS_REL,
     RANGE,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
     VEL,
     VEL_EAST,
     VEL_NORTH,
@@ -337,7 +334,6 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
             x, y, _ = b.x[part]
             g[part] = (-y, x, 0.0)
         g[VESSEL_VEL] = (-b.x[VESSEL_EAST], b.x[VESSEL_NORTH])
-        g[SWAY_PER_HEAVE] = (-b.x[SWAY_EAST], b.x[SWAY_NORTH])
         angle = float(innov.dot(b.R.T[:, 2]))
         P += np.outer(g, g) * angle**2
         size = min(float(innov.dot(innov)), 0.1)

@@ -18,13 +18,7 @@ from estimator.ekf.state import (
     G_NED,
     GYRO_BIAS,
     PAD_YAW,
-    POS_EAST,
-    POS_HORIZONTAL,
-    POS_NORTH,
     POS_REL,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VESSEL_VEL,
@@ -34,7 +28,7 @@ from estimator.ekf.state import (
 )
 from tests.estimator.ekf.oracle import motion, so3
 from tests.estimator.ekf.oracle.motion import QUARTER
-from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
+from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, v_pad_ned
 from tests.estimator.ekf.oracle.propagate import propagated
 
 _IMU_HZ = 200.0
@@ -81,19 +75,14 @@ class Deck(NamedTuple):
 def aligned(b: Belief) -> tuple[F64, F64]:
     """Return the (N,) state with the deck moved from the camera's time to the body's, and the (N, N) Jacobian of that."""
     late, rate = b.x[CAMERA_DELAY], b.x[DECK_RATE]
-    sway, heaving = b.x[SWAY_PER_HEAVE], b.x[DECK_RATE[2]]
-    rate_ned = rate[:3].copy()
-    rate_ned[:2] += sway * heaving
     x = b.x.copy()
     x[DECK_DISP] -= late * rate
-    x[POS_REL] -= late * rate_ned
+    x[POS_REL] -= late * rate[:3]
     T = np.eye(N)
     T[DECK_DISP, DECK_RATE] = -late
     T[np.arange(POS_REL.start, POS_REL.stop), DECK_RATE[:3]] = -late
-    T[POS_HORIZONTAL, DECK_RATE[2]] = -late * sway
-    T[POS_NORTH, SWAY_NORTH] = T[POS_EAST, SWAY_EAST] = -late * heaving
     T[DECK_DISP, CAMERA_DELAY] = -rate
-    T[POS_REL, CAMERA_DELAY] = -rate_ned
+    T[POS_REL, CAMERA_DELAY] = -rate[:3]
     return x, T
 
 
@@ -111,7 +100,7 @@ def pad(now: Settled) -> Pad:
     J = np.zeros((7, N))
     J[:3, POS_REL] = Z
     J[:3, ATT_ERR] = np.outer([d[1], -d[0], 0.0], turning)
-    J[3:6] = Z.dot(by_v_pad_ned(x))
+    J[3:6] = Z.dot(BY_V_PAD)
     J[3:6, VEL] = -Z
     J[3:6, ATT_ERR] = np.outer([v[1], -v[0], 0.0], turning)
     J[6, ATT_ERR] = turning
@@ -148,13 +137,9 @@ def deck(now: Settled) -> Deck:
     rows[channel, WAVES[:, 0]] = -w2
     rows[channel, WAVES[:, 1]] = -damp
     rows[channel, WAVES[:, 3]] = 1.0
-    by_wave = rows[:3].dot(x)
-    sway = x[SWAY_PER_HEAVE]
     J = np.zeros((10, N))
-    J[:3] = Z.dot(by_v_pad_ned(x))
+    J[:3] = Z.dot(BY_V_PAD)
     accelerate = rows[:3].copy()
-    accelerate[:2] += np.outer(sway, rows[2])
-    accelerate[[0, 1], [SWAY_NORTH, SWAY_EAST]] = by_wave[2]
     accelerate[:2, VESSEL_VEL] = float(x[TURN_RATE]) * QUARTER
     accelerate[:2, TURN_RATE] = QUARTER.dot(x[VESSEL_VEL])
     J[3:6] = Z.dot(accelerate)
@@ -162,6 +147,6 @@ def deck(now: Settled) -> Deck:
         J[6 + k, [DECK_DISP[3 + k], DECK_TRIM[k]]] = 1.0
         J[8 + k, DECK_RATE[3 + k]] = 1.0
     cov = J.dot(P).dot(J.T)
-    a = by_wave.copy()
-    a[:2] += sway * by_wave[2] + float(x[TURN_RATE]) * QUARTER.dot(x[VESSEL_VEL])
+    a = rows[:3].dot(x)
+    a[:2] += float(x[TURN_RATE]) * QUARTER.dot(x[VESSEL_VEL])
     return Deck(Z.dot(v_pad_ned(x)), Z.dot(a), cov[:6, :6], J[6:].dot(x), cov[6:, 6:])

@@ -23,7 +23,6 @@ from estimator.ekf.state import (
     POS_AXES,
     POS_EAST,
     POS_NORTH,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VESSEL_EAST,
     VESSEL_NORTH,
@@ -158,12 +157,11 @@ def _median(values: tuple[float, ...]) -> float:
     return ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
-def widened(P: F64, x: F64, var_ned: F64) -> F64:
+def widened(P: F64, var_ned: F64) -> F64:
     """Return the (N, N) covariance after unknown accelerations of the deck.
 
     Args:
         P: (N, N) covariance.
-        x: (N,) state.
         var_ned: (3,) variance, m^2, that the pad's displacement along north, east, down gains.
     """
     P = P.copy()
@@ -175,7 +173,5 @@ def widened(P: F64, x: F64, var_ned: F64) -> F64:
             continue
         by = np.zeros((N, 2))
         by[POS_AXES[axis], 0] = by[WAVES[axis, 0], 0] = by[WAVES[axis, 1], 1] = 1.0
-        if axis == 2:
-            by[[POS_NORTH, POS_EAST], 0] = x[SWAY_PER_HEAVE]
         P += var * (by @ noise @ by.T)
     return P

@@ -18,9 +18,6 @@ from estimator.ekf.state import (
     DECK_RATE,
     DECK_TRIM,
     POS_REL,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VESSEL_VEL,
@@ -116,7 +113,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     Z = about_down(-heading(b.R))
     d_now = Z.dot(x[POS_REL])
     by_heading = np.array([d_now[1], -d_now[0], 0.0])
-    u, sway = x[VESSEL_VEL], x[SWAY_PER_HEAVE]
+    u = x[VESSEL_VEL]
     d, cov_d, v_pad = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
     height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
     for k in range(n):
@@ -128,10 +125,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         turn = turned(float(x[TURN_RATE]), T)
         J[:2, VESSEL_VEL] = turn.reach
         ned = J.dot(x) + change[:3]
-        ned[:2] += sway * change[2]
         J[np.arange(3), DECK_RATE[:3]] = by_rate[:3, 0]
-        J[:2, DECK_RATE[2]] += sway * by_rate[2, 0]
-        J[[0, 1], [SWAY_NORTH, SWAY_EAST]] = change[2]
         curving = QUARTER.dot(u) * (0.5 * T * T)
         J[:2, TURN_RATE] = curving
         J = Z.dot(J)
@@ -140,11 +134,9 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         noise[:2, :2] += np.eye(2) * (o.asd_vessel_velocity_m_s2**2 * T**3 / 3.0)
         # The rate of turn wanders by asd sqrt(t): integrated three times against the velocity.
         noise[:2, :2] += np.outer(curving, curving) * (0.2 * o.asd_turn_rate_rad_s2**2 * T)
-        phase = np.append(sway, 1.0)
-        noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * var[2]
         d[k] = Z.dot(ned)
         v = waves.mean[k, :3, 1].copy()
-        v[:2] += turn.by.dot(u) + sway * v[2]
+        v[:2] += turn.by.dot(u)
         v_pad[k] = Z.dot(v)
         cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
         for out, channel in ((roll, 3), (pitch, 4)):

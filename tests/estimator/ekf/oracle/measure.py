@@ -26,7 +26,7 @@ from estimator.ekf.state import (
     N,
 )
 from tests.estimator.ekf.oracle import so3
-from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, pad_velocity, v_pad_ned
+from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, pad_velocity, v_pad_ned
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement, deck
 
 _I3 = np.eye(3)
@@ -87,13 +87,13 @@ def by_velocity(x: F64, R: F64, deck_weight: float) -> F64:
     """Return the (3, N) Jacobian of `velocity` for all three components."""
     if deck_weight == 0.0:
         return _by_measured(x[VEL], _BY_VEL, R, x.item(VEL_SCALE))
-    return _by_measured(x[VEL] - deck_weight * v_pad_ned(x), _BY_VEL - deck_weight * by_v_pad_ned(x), R, x.item(VEL_SCALE))
+    return _by_measured(x[VEL] - deck_weight * v_pad_ned(x), _BY_VEL - deck_weight * BY_V_PAD, R, x.item(VEL_SCALE))
 
 
 def by_deck_velocity(x: F64, R: F64) -> tuple[F64, F64]:
     """Return the deck's own velocity as the sensor of a body at rest would measure it, (3,) m/s, and its Jacobian (3, N)."""
     v, scale = pad_velocity(x), x.item(VEL_SCALE)
-    return np.array(measured_velocity(v, R, scale)), _by_measured(np.array(v), by_v_pad_ned(x), R, scale)
+    return np.array(measured_velocity(v, R, scale)), _by_measured(np.array(v), BY_V_PAD, R, scale)
 
 
 def _by_measured(v_ned: F64, by_v_ned: F64, R: F64, scale: float) -> F64:

@@ -19,13 +19,9 @@ from estimator.ekf.state import (
     PAD_YAW,
     POS_AXES,
     POS_DOWN,
-    POS_EAST,
     POS_HORIZONTAL,
     POS_NORTH,
     POS_REL,
-    SWAY_EAST,
-    SWAY_NORTH,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VEL_AXES,
@@ -64,7 +60,7 @@ _VEL_BY_POS = slice(VEL_NORTH * N + POS_NORTH, (VEL_DOWN + 1) * N, N + 1)
 _FIRST = np.array([1.0, 0.0, 0.0, 0.0])
 _ZERO33 = np.zeros((3, 3))
 _IMU_BIASES = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
-_HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
+_HEAVE = int(WAVES[2, 0])
 _YAW = np.array([WAVE_YAW, YAW_RATE])
 _YAW_DAMPING = 0.5
 
@@ -200,10 +196,9 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     moved = (after - waves)[:3, 0] - b.x[VEL] * T - b.dp
     moved[2] -= fall
     turn, rate = turned(float(b.x[TURN_RATE]), T), b.x[TURN_RATE]
-    u, coupling = b.x[VESSEL_VEL], b.x[SWAY_PER_HEAVE]
-    x[VESSEL_VEL], x[SWAY_PER_HEAVE] = turn.by.dot(u), turn.by.dot(coupling)
-    heaved = float(after[2, 0] - waves[2, 0])
-    moved[:2] += turn.reach.dot(u) + coupling * heaved
+    u = b.x[VESSEL_VEL]
+    x[VESSEL_VEL] = turn.by.dot(u)
+    moved[:2] += turn.reach.dot(u)
     x[POS_REL] += moved
     x[VEL] += b.dv
     x[VEL_DOWN] += G_M_S2 * T
@@ -231,19 +226,10 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     F[POS_REL, GYRO_BIAS] = (-T / 3.0) * dp_R
     F[POS_REL, ACCEL_BIAS] = (0.5 * T) * b.turned
     F[POS_HORIZONTAL, VESSEL_VEL] = turn.reach
-    F[VESSEL_VEL, VESSEL_VEL] = F[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = turn.by
+    F[VESSEL_VEL, VESSEL_VEL] = turn.by
     F[VESSEL_VEL, TURN_RATE] = T * QUARTER.dot(x[VESSEL_VEL])
-    F[SWAY_PER_HEAVE, TURN_RATE] = T * QUARTER.dot(x[SWAY_PER_HEAVE])
     F[POS_HORIZONTAL, TURN_RATE] = (0.5 * T * T) * QUARTER.dot(u)
-    F[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
-    F[POS_NORTH, SWAY_NORTH] = F[POS_EAST, SWAY_EAST] = heaved
     Q = same.Q.copy()
-    heave_noise = Q[_HEAVE, _HEAVE][0]
-    Q[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * heave_noise
-    Q[_HEAVE, POS_HORIZONTAL] = Q[POS_HORIZONTAL, _HEAVE].T
-    Q[POS_HORIZONTAL, POS_DOWN] += coupling * heave_noise[0]
-    Q[POS_DOWN, POS_HORIZONTAL] = Q[POS_HORIZONTAL, POS_DOWN]
-    Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * heave_noise[0]
 
     if b.steered >= 0 and (b.t_cov - b.steered) * 1e-9 < _STEERS_S:
         Q[VESSEL_VEL, VESSEL_VEL] += _STEERS_PSD * T * np.eye(2)
@@ -298,7 +284,7 @@ def peek(b: Belief) -> F64:
     rates = b.x[_RATES]
     drift = rates[:3] * T - b.x[VEL] * T - b.dp
     drift[2] -= 0.5 * G_M_S2 * T * T
-    drift[:2] += (b.x[VESSEL_VEL] + b.x[SWAY_PER_HEAVE] * rates[2]) * T
+    drift[:2] += b.x[VESSEL_VEL] * T
     x[POS_REL] += drift
     x[_DISPLACEMENTS] += rates * T
     x[VEL] += b.dv
@@ -317,7 +303,7 @@ def peek_height(b: Belief) -> float:
     """Return only the depth of the pad's mean level below the body, as `peek` has it, metres."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
-    return x.item(POS_DOWN) - x.item(_HEAVE.start) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * G_M_S2 * T * T
+    return x.item(POS_DOWN) - x.item(_HEAVE) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * G_M_S2 * T * T
 
 
 class Turned(NamedTuple):

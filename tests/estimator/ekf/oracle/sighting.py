@@ -31,7 +31,7 @@ from estimator.ekf.state import (
     N,
 )
 from tests.estimator.ekf.oracle import so3
-from tests.estimator.ekf.oracle.pad_velocity import by_v_pad_ned, v_pad_ned
+from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, v_pad_ned
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
@@ -231,7 +231,7 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
 
 def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> LinearizedMeasurement:
     """Return the measurement of the velocity that the ship's own navigation reports: steady and wave motion together."""
-    return LinearizedMeasurement(v_ned - v_pad_ned(x), by_v_pad_ned(x), cov_ned, _NONE)
+    return LinearizedMeasurement(v_ned - v_pad_ned(x), BY_V_PAD, cov_ned, _NONE)
 
 
 def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> LinearizedMeasurement:

@@ -18,7 +18,6 @@ from estimator.ekf.state import (
     PAD_YAW,
     POS_AXES,
     POS_REL,
-    SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VESSEL_VEL,
@@ -131,7 +130,7 @@ def _jolted(
     P = b.P
     if missing is not None:
         horizontally = steered is not None and bool((steered[:2] > 0.0).any())
-        P = deck_jolt.widened(P, b.x, missing * [0.0, 0.0, 1.0] if horizontally else missing)
+        P = deck_jolt.widened(P, missing * [0.0, 0.0, 1.0] if horizontally else missing)
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
@@ -210,12 +209,11 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
     P[POS_REL, :] = P[:, POS_REL] = 0.0
     P[POS_AXES, POS_AXES] = 1e2 + float(seen.dot(seen))
     if reset:
-        gone = np.r_[VESSEL_VEL, SWAY_PER_HEAVE, TURN_RATE, WAVES[:3].ravel()]
+        gone = np.r_[VESSEL_VEL, TURN_RATE, WAVES[:3].ravel()]
         P[gone, :] = P[:, gone] = 0.0
         P[VESSEL_VEL, VESSEL_VEL] = np.eye(2) * 4.0
-        P[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = np.eye(2) * o.sigma_sway_per_heave**2
         P[TURN_RATE, TURN_RATE] = o.sigma_turn_rate_rad_s**2
-        x[SWAY_PER_HEAVE] = x[TURN_RATE] = 0.0
+        x[TURN_RATE] = 0.0
         P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
         x[WAVES[:3]] = 0.0
     if (reset or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:
