@@ -20,8 +20,10 @@ _OLD_S = 0.5
 """A forecast older than this is not used, s."""
 WAITING_SIGMAS = 2.0
 """Standard deviations of the forecast rate that a waiting drone keeps clear of."""
-_MEAN_S, _KNOWN_S = 30.0, 5.0
-"""Time constant of the swell's deviations, and the time of watching from which on they count, s."""
+SWELL_MEAN_S = 30.0
+"""Time constant of the swell's deviations, s."""
+_KNOWN_S = 5.0
+"""Time of watching from which on they count, s."""
 _SLOWEST_RAD_S, _FASTEST_RAD_S = math.tau / 16.0, math.tau / 5.0
 _SWELL_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 """Times after the forecast's end at which it is."""
@@ -62,7 +64,7 @@ def watched_swell(watch: SwellWatch, now: MonoNs, deck: DeckMotion | None) -> Sw
     if not 0.0 < since_s <= _OLD_S:
         return SwellWatch(now, watch.known_s, watch.var_rate, watch.var_accel)
     known_s = watch.known_s + since_s
-    share, rate, accel = since_s / min(_MEAN_S, known_s), deck.v_level.item(2), deck.a_level.item(2)
+    share, rate, accel = since_s / min(SWELL_MEAN_S, known_s), deck.v_level.item(2), deck.a_level.item(2)
     var_rate = watch.var_rate + share * (rate * rate - watch.var_rate)
     return SwellWatch(now, known_s, var_rate, watch.var_accel + share * (accel * accel - watch.var_accel))
 

@@ -91,6 +91,8 @@ class Knowledge(Struct, frozen=True):
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S
     """Circular frequency of the deck's heave."""
+    swell_watched_s: float = 0.0
+    """Time for which the deck's heave has been watched."""
     outrun_m: float = 0.0
     """Height by which such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
     aim_level: tuple[float, float] = (0.0, 0.0)

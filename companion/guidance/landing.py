@@ -387,8 +387,9 @@ class LandingGuidance:
         swell_rad_s = round(self._swell.rad_s, 1)
         jerk_m_s3 = None if self.vehicle is None else self.vehicle.jerk_max_m_s3
         seen = Knowledge(
-            now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3
-        )
+            now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, swell_watched_s=self._swell.known_s,
+            outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3,
+        )  # fmt: skip
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = forecast(now, HORIZONS_S)

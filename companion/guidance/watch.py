@@ -10,6 +10,7 @@ from companion.base.mission import FLOWN, Event, State
 from companion.base.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance import cone, contact, heading, limits, rendezvous
 from companion.guidance.attempt import Attempt
+from companion.guidance.clearance import SWELL_MEAN_S
 from companion.guidance.controller import Impact
 from companion.guidance.held_course import LASTS_S, HeldCourse
 from companion.guidance.held_up import HELD_S
@@ -335,8 +336,9 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         if waited_s > o.limits.wind_wait_s or (s.wind.spent and blind_s > _SPENT_WAIT_S):
             yield Event.NO_CONDITIONS, windy
     outrun_m = s.knowledge.outrun_m
-    if p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
-        # It would wait as high as it goes around.
+    waits = p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and s.knowledge.swell_watched_s >= SWELL_MEAN_S
+    if waits and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
+        # It would wait as high as it goes around. One large wave alone is no such swell.
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)

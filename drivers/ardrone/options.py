@@ -88,10 +88,10 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "m/s",
             0.2,
             2.0,
-            "firmware default 700 mm/s; a deck at sea state 4 reaches it",
+            "the most that the firmware allows, its default is 700 mm/s; a deck of sea state 6 rises as fast",
             public=True,
         ),
-    ] = 1.0
+    ] = 2.0
     yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default", public=True)] = (
         100.0
     )

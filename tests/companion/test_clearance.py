@@ -149,8 +149,9 @@ def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(
 
 
 def test_a_deck_that_outruns_the_climb_by_more_than_the_safe_height_is_refused_before_the_descent() -> None:
-    for outrun_m, refused in ((1.6, False), (1.8, True)):
-        s = GuidanceCycle(ns(9.0), replace(knowledge(None, at_s=9.0), outrun_m=outrun_m))
+    """One wave says little of a swell: what was watched for less than its mean time refuses nothing."""
+    for outrun_m, watched_s, refused in ((1.6, 31.0, False), (1.8, 31.0, True), (1.8, 29.0, False)):
+        s = GuidanceCycle(ns(9.0), replace(knowledge(None, at_s=9.0), outrun_m=outrun_m, swell_watched_s=watched_s))
         p = Progress(State.INTERCEPT, automatic=True, begun=True, since=ns(8.0), seen=ns(9.0), in_sight=True, track=1)
         found = [reason.cause for event, reason in events(p, s, GuidanceOptions()) if event is Event.NO_CONDITIONS]
         assert found == ([ReasonCause.DECK_RISE] if refused else [])

@@ -123,7 +123,7 @@ def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> 
     assert isinstance(sticks, at.Pcmd)
     assert sticks.flags == at.PCMD_PROGRESSIVE
     assert sticks.pitch < 0 < sticks.roll < -sticks.pitch
-    assert sticks.gaz == pytest.approx(0.5)
+    assert sticks.gaz == pytest.approx(0.5 / cockpit.options.vz_max_m_s)
     assert sticks.yaw == pytest.approx(0.5 / cockpit.options.yaw_rate_max_rad_s)
     cockpit.streamer.take(Hover(), ms(2))
     assert cockpit.sends(3) == [FLY, HOVER]
@@ -149,7 +149,7 @@ def test_a_climb_is_flown_without_a_fresh_measurement_by_the_tilt_that_holds_aga
     cockpit.streamer.take(Velocity(np.array([0.0, 0.0, -0.5]), 0.0), ms(2300))
     climbs = _sticks(cockpit, 2301)
     assert climbs.flags == at.PCMD_PROGRESSIVE
-    assert climbs.gaz > 0.3, "a deck that rises comes up to a hover"
+    assert climbs.gaz * cockpit.options.vz_max_m_s > 0.3, "a deck that rises comes up to a hover"
     assert climbs.pitch < 0.0
     assert abs(climbs.roll) < 0.05
     assert cockpit.counters.hover_for_blindness == 1
@@ -277,7 +277,7 @@ def test_a_tilt_is_flown_without_a_measured_velocity_but_not_without_an_attitude
     cockpit.stands(2)
     flown = _sticks(cockpit, 3)
     assert flown.pitch < 0.0 < -flown.roll + 0.2
-    assert flown.gaz == pytest.approx(-0.5)
+    assert flown.gaz == pytest.approx(-0.5 / cockpit.options.vz_max_m_s)
     assert cockpit.counters.hover_for_blindness == 1
 
 

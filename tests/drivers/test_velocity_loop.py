@@ -43,7 +43,7 @@ def fly(target: float, *, lag_s: float = 0.15, delay_s: float = 0.05, reads: flo
 def test_signs() -> None:
     assert sticks(wanted(forward=0.5)).pitch < 0
     assert sticks(wanted(right=0.5)).roll > 0
-    assert sticks(wanted(down=0.5)).gaz == pytest.approx(-0.5)
+    assert sticks(wanted(down=0.5)).gaz == pytest.approx(-0.5 / OPTIONS.vz_max_m_s)
     assert sticks(wanted(yaw_rate_rad_s=OPTIONS.yaw_rate_max_rad_s / 4)).yaw == pytest.approx(0.25)
     back = sticks(wanted(), np.array([0.3, -0.3, 9.0]))
     assert back.pitch > 0

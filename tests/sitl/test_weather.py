@@ -171,7 +171,10 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = near(weather={"wind_m_s": 20.0}, expect="refuse")
     flown: list[Truth] = []
     options = FlyOptions(on_truth=flown.append)
-    ending = fly("near", scenario, 1, settings_for(scenario, None), "truth", options=options).as_json()
+    chosen = settings_for(scenario, None)
+    # A slow climb, which still goes on after the refusal.
+    slow = msgspec.structs.replace(chosen, vehicle=msgspec.structs.replace(chosen.vehicle, vz_max_m_s=0.5))
+    ending = fly("near", scenario, 1, slow, "truth", options=options).as_json()
     assert ending["refused"]
     later = ending["afterwards"]
     assert later["watched_s"] == pytest.approx(2.0, abs=0.01)
