@@ -35,8 +35,9 @@ _FORGETS_S = 5.0
 """Time constant with which a difference is forgotten, s: it goes by the last seconds, and no swell or weather adds up."""
 _BARO_S = 0.5
 """Time constant of the barometer's mean, s: its noise is half a metre."""
-_LEAST_S = 3.0
-"""Time of orders before which nothing is concluded, s: the mean and the estimate begin with errors of half a metre."""
+_SETTLES_S, _LEAST_S = 1.5, 3.0
+"""Time of orders since a gap before which nothing is counted, and of all orders before which nothing is concluded, s: the
+barometer's mean begins with one reading, which errs by a metre, and the estimate with half of that."""
 _FASTEST_M_S, _JUMP_M = 2.0, 4.0
 """Largest difference from the ordered rate that counts, m/s, and a step of a height that no vehicle flies within a cycle, m: what
 changes faster is the sensor's."""
@@ -101,6 +102,8 @@ class ClimbWatch(Struct, frozen=True):
     pad: HeightCourse = HeightCourse()
     ordered_s: float = 0.0
     """Time for which orders were given, s."""
+    since_gap_s: float = 0.0
+    """Time for which they were given since the last gap, s."""
 
     def flown(
         self, ordered_m_s: float | None, baro_m: float | None, pad_m: float | None, climb: ClimbResponse, since_last_s: float
@@ -122,8 +125,11 @@ class ClimbWatch(Struct, frozen=True):
         answered = -math.expm1(-since_last_s / (climb.delay_s + climb.lag_s))
         climbs_m_s = before_m_s + answered * (ordered_m_s - before_m_s)
         by_orders_m = climbs_m_s * since_last_s
-        baro, pad = self.baro.to(baro_m, by_orders_m, since_last_s), self.pad.to(pad_m, by_orders_m, since_last_s)
-        return ClimbWatch(climbs_m_s, baro, pad, self.ordered_s + since_last_s)
+        if self.since_gap_s < _SETTLES_S:
+            baro, pad = HeightCourse(baro_m, self.baro.off_m), HeightCourse(pad_m, self.pad.off_m)
+        else:
+            baro, pad = self.baro.to(baro_m, by_orders_m, since_last_s), self.pad.to(pad_m, by_orders_m, since_last_s)
+        return ClimbWatch(climbs_m_s, baro, pad, self.ordered_s + since_last_s, self.since_gap_s + since_last_s)
 
     @property
     def off_m(self) -> float | None:

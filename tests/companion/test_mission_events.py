@@ -503,6 +503,14 @@ def test_a_barometer_that_repeats_itself_contradicts_no_order_while_the_pad_is_s
         assert watch.off_m is None
 
 
+def test_a_barometer_s_first_reading_contradicts_no_order_over_a_deck_that_rises() -> None:
+    """WHY: its error, with a pad that came up as fast as the drone climbed, refused two of 200 landings in sea state 6."""
+    watch = ClimbWatch()
+    for k in range(250):
+        watch = watch.flown(0.5, 0.02 * k + (2.4 if k == 0 else 0.0), 8.0 - 0.01 * k, ClimbResponse(0.06, 0.3), 0.04)
+        assert watch.off_m is None
+
+
 @pytest.mark.parametrize("orders", [-0.8, 0.0, 0.5])
 def test_neither_waves_nor_gusts_nor_a_late_answer_is_another_course(orders: float) -> None:
     assert {flown_against(orders, 0.0, 1.1, 0.8, seconds) for seconds in range(1, 30)} == {None}
