@@ -238,17 +238,15 @@ void jolt_widen(const double missing[3], double *P)
 {
     /* White acceleration for T seconds: displacement T^3 / 3, rate T, both together T^2 / 2. */
     const double across = 1.5 / ACTED_S, rate = 3.0 / (ACTED_S * ACTED_S);
+    const double added[3][3] = {{1.0, 1.0, across}, {1.0, 1.0, across}, {across, across, rate}};
     for (int axis = 0; axis < 3; axis++) {
         const int wave = DL_WAVES + 4 * axis, states[3] = {DL_POS_REL + axis, wave, wave + 1};
-        const double displaced[3] = {1.0, 1.0, 0.0}, hastened[3] = {0.0, 0.0, 1.0};
         if (missing[axis] <= 0.0) {
             continue;
         }
         for (int i = 0; i < 3; i++) {
             for (int j = 0; j < 3; j++) {
-                const double both = displaced[i] * hastened[j] + hastened[i] * displaced[j];
-                const double added = displaced[i] * displaced[j] + across * both + rate * hastened[i] * hastened[j];
-                AT(P, states[i], states[j]) += missing[axis] * added;
+                AT(P, states[i], states[j]) += missing[axis] * added[i][j];
             }
         }
     }

@@ -119,12 +119,7 @@ void through_alignment(int m, const double before[DL_N], double *J)
     for (int i = 0; i < m; i++) {
         double *row = J + i * DL_N;
         for (int k = 0; k < DIRECTIONS; k++) {
-            const double by = row[DISP + PER_DIRECTION * k];
-            row[RATE + PER_DIRECTION * k] -= late * by;
-            row[DL_CAMERA_DELAY] -= rate_of(before, k) * by;
-        }
-        for (int k = 0; k < 3; k++) {
-            const double by = row[DL_POS_REL + k];
+            const double by = row[DISP + PER_DIRECTION * k] + (k < 3 ? row[DL_POS_REL + k] : 0.0);
             row[RATE + PER_DIRECTION * k] -= late * by;
             row[DL_CAMERA_DELAY] -= rate_of(before, k) * by;
         }

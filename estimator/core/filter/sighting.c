@@ -190,7 +190,8 @@ static int measured_numbers(const dl_sighting *s, double yaw_sigma, int place_on
 static void by_exposure(const double x[DL_N], int m, const double *H, double slipped[SEEN_MAX])
 {
     const int turns[3] = {ROLL, PITCH, DL_PAD_YAW};
-    const double rates[3] = {x[ROLL + 1], x[PITCH + 1], x[DL_YAW_RATE] + x[DL_TURN_RATE]}, waves[3] = {x[SURGING], x[SWAYING], x[HEAVING]};
+    const double rates[3] = {x[ROLL + 1], x[PITCH + 1], x[DL_YAW_RATE] + x[DL_TURN_RATE]};
+    const double waves[3] = {x[SURGING], x[SWAYING], x[HEAVING]};
     for (int i = 0; i < m; i++) {
         slipped[i] = AT(H, i, DL_CAMERA_DELAY);
         for (int k = 0; k < 3; k++) {
