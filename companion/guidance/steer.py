@@ -6,6 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
+from companion.base.reason import Reason
 from companion.guidance import cone, heading, limits, rendezvous
 from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
@@ -138,8 +139,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     estimate = s.estimate
     match p.state:
         case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:
-            # Its own hover holds over the ground's level, and a deck may come up to that.
-            climb_m_s = _out_of_reach_m_s(p, s, o) if p.state in _REFUSED else 0.0
+            climb_m_s = _off_orders_m_s(p, s, o, s.off_orders) if p.state in _REFUSED else 0.0
             return p, without_estimate(climb_m_s, over_ground=over_ground) if climb_m_s > 0.0 else Hover()
         case State.COMMIT if not asks_to_descend(p, s, o):
             # So low that a climb would come too late: it awaits the contact without going lower.
@@ -272,6 +272,17 @@ def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> floa
     known_m = p.entered_height_m if math.isfinite(p.entered_height_m) and not p.was_silent else 0.0
     most_m = o.tries.safe_height_m - max(0.0, known_m - o.tries.safe_height_m)
     return o.tries.climb_m_s if since_s * o.tries.climb_m_s < most_m else 0.0
+
+
+def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reason) -> float:
+    """Return how fast a refused drone that flies off its orders climbs, before it hovers by its own means, m/s.
+
+    That hover holds over the ground's level, and a deck may come up to it. The time for which a drone climbs does not say how far
+    it came where it sinks against its orders: it climbs until it is seen to be clear.
+    """
+    if off.detail == "lower" and p.in_sight and p.seen_height_m < _clear_m(s, o):
+        return fastest_climb_m_s(s, o)
+    return _out_of_reach_m_s(p, s, o)
 
 
 def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:

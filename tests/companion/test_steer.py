@@ -401,6 +401,21 @@ def test_a_drone_that_flies_otherwise_than_ordered_goes_out_of_reach_as_far_as_i
         assert climbs or found == Hover()
 
 
+def test_a_refused_drone_that_sinks_against_its_orders_climbs_until_it_is_seen_to_be_clear() -> None:
+    """WHY: it sank by as much as it was ordered up, and after the time of a climb it hovered down onto the deck."""
+    o = guided()
+    clear_m = o.tries.safe_height_m
+    for how, height_m, sees, climbs in (
+        ("lower", clear_m - 0.1, True, True), ("lower", clear_m + 0.1, True, False), ("lower", clear_m - 0.1, False, False),
+        ("higher", clear_m - 0.1, True, False),
+    ):  # fmt: skip
+        off = Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how)
+        p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - 30.0), entered_height_m=clear_m, in_sight=sees)
+        p = replace(p, seen_height_m=height_m)
+        found = aim(p, GuidanceCycle(ns(NOW), known(), off_orders=off), o, over_ground=False)[1]
+        assert isinstance(found, Velocity) is climbs
+
+
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
     there = ElsewhereOptions(63.4, 10.4, 20.0)
     after = {"hold": Hover(), "return": Hover(returns=True), "land elsewhere": Hover(elsewhere=there.landing_place)}
