@@ -211,7 +211,7 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert loop["by_the_given"]["delay_s"] < 0.06, "and by the file's 50 ms it does not"
     assert noted["chi2_of_given"] > 7.81
     assert np.linalg.eigvalsh(np.array(tilt["cov_delay_frequency_damping"])).min() > 0.0
-    assert 0.0 <= noted["cost_was_cm"] < 4.0, "stiffer gains than are due cost margin, and few centimetres"
+    assert 0.0 <= noted["cost_was_cm"] < 8.0, "stiffer gains than are due cost centimetres: the margin is nearly used up"
     assert 0.1 < noted["cost_sigma_cm"] < 2.0
     assert noted["climb"]["delay_s"] == pytest.approx(GIVEN.climb.delay_s + 0.1, abs=0.05), "the climb is 100 ms later as well"
     assert 0.0 <= noted["climb_cost_was_m_s"] < 0.05
