@@ -115,6 +115,8 @@ _FREE_M = 1.0
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
 """States that hold a place and may climb from it."""
 _REFUSED = (State.REFUSED, State.GAVE_UP)
+_CLIMBS_OFF_ORDERS_S = 10.0
+"""Longest climb by orders that something else changes, s: what drifts may turn them round."""
 _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
 _LOOK_M_S, _LEG_S = 0.4, 20.0
@@ -278,9 +280,11 @@ def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reas
     """Return how fast a refused drone that flies off its orders climbs, before it hovers by its own means, m/s.
 
     That hover holds over the ground's level, and a deck may come up to it. The time for which a drone climbs does not say how far
-    it came where it sinks against its orders: it climbs until it is seen to be clear.
+    it came where it sinks against its orders: it climbs until it is seen to be clear, and not for long.
     """
-    if off.detail == "lower" and p.in_sight and p.seen_height_m < _clear_m(s, o):
+    spent_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    low = s.estimate is not None and s.estimate.height_m < _clear_m(s, o) and fit_to_steer(s.estimate, s.at, o.stale_after_s)
+    if off.detail == "lower" and low and spent_s <= _CLIMBS_OFF_ORDERS_S:
         return fastest_climb_m_s(s, o)
     return _out_of_reach_m_s(p, s, o)
 

@@ -405,14 +405,16 @@ def test_a_refused_drone_that_sinks_against_its_orders_climbs_until_it_is_seen_t
     """WHY: it sank by as much as it was ordered up, and after the time of a climb it hovered down onto the deck."""
     o = guided()
     clear_m = o.tries.safe_height_m
-    for how, height_m, sees, climbs in (
-        ("lower", clear_m - 0.1, True, True), ("lower", clear_m + 0.1, True, False), ("lower", clear_m - 0.1, False, False),
-        ("higher", clear_m - 0.1, True, False),
+    for how, height_m, age_s, spent_s, climbs in (
+        ("lower", clear_m - 0.1, 0.1, 9.0, True), ("lower", clear_m - 0.1, 0.1, 11.0, False),
+        ("lower", clear_m + 0.1, 0.1, 9.0, False), ("lower", clear_m - 0.1, 9.0, 9.0, False),
+        ("higher", clear_m - 0.1, 0.1, 9.0, False),
     ):  # fmt: skip
-        off = Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how)
-        p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - 30.0), entered_height_m=clear_m, in_sight=sees)
-        p = replace(p, seen_height_m=height_m)
-        found = aim(p, GuidanceCycle(ns(NOW), known(), off_orders=off), o, over_ground=False)[1]
+        p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - spent_s), entered_height_m=clear_m)
+        k = known((0.0, 0.0, height_m), age=age_s)
+        found = aim(p, GuidanceCycle(ns(NOW), k, off_orders=Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how)), o, over_ground=False)[
+            1
+        ]
         assert isinstance(found, Velocity) is climbs
 
 
