@@ -65,10 +65,10 @@ def stepped(
 
 
 def pushed_down(before: float, a_down: float, v: float, arrived: float) -> float:
-    """Return the acceleration of the body beside its response to a command, learned in 0.15 s and bounded by 1.5 m/s in a lag."""
+    """Return the acceleration of the body beside its response to a command, learned in 0.15 s and bounded by 1 m/s in a lag."""
     lag_s = RESPONSE.climb.lag_s
     beside = a_down - (arrived - v) / lag_s
-    return float(np.clip(before + (1.0 - math.exp(-T / 0.15)) * (beside - before), -1.5 / lag_s, 1.5 / lag_s))
+    return float(np.clip(before + (1.0 - math.exp(-T / 0.15)) * (beside - before), -1.0 / lag_s, 1.0 / lag_s))
 
 
 def seen(memory: FollowDeckMemory, law: FollowDeck = LAW, *, over_ground: bool = False) -> LawMemory:
@@ -216,7 +216,7 @@ def test_a_vertical_speed_is_no_more_than_the_vehicle_makes() -> None:
         assert command.v_level[2] == pytest.approx(down)
 
 
-@pytest.mark.parametrize("wrong_m_s", [0.8, -0.8, 1.3])
+@pytest.mark.parametrize("wrong_m_s", [0.8, -0.8, 0.9])
 def test_a_speed_over_the_ground_that_the_filter_has_wrong_moves_neither_drone_nor_deck(wrong_m_s: float) -> None:
     """WHY: with an accelerometer off by a tenth the filter has both too fast, and the drone went up or met the deck hard."""
     climb, v, z, memory, arrived = RESPONSE.climb, 0.0, 1.0, LAW.start(), [0.0] * 100

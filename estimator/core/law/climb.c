@@ -13,7 +13,7 @@
 static const double SPEED_GAIN_1_S = 4.0, HEIGHT_GAIN_1_S = 1.5;
 /* Time in which d is learned, and the most of it as a speed: a filter that has the speed over the ground wrong by so much finds it in
  * d, for the body answers its commands by the true one. */
-static const double DISTURBANCE_S = 0.15, DISTURBANCE_MAX_M_S = 1.5;
+static const double DISTURBANCE_S = 0.15, DISTURBANCE_MAX_M_S = 1.0;
 
 double climb_pushed(const dl_law_params *o, double d, double a_down, double v, double arrived)
 {
