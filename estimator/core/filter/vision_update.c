@@ -32,8 +32,8 @@ static const double COUNTED_S = 0.5;
 static const double MANOEUVRE_S = 2.0;
 /* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
 static const double SWUNG_RAD = 0.012;
-/* Two refused sightings in a row that differ by less, m, show a manoeuvre where the pad was seen so often before. */
-static const double ALIKE_M = 0.25;
+/* Refused sightings that agree show a manoeuvre where the pad was seen so often before; one that is further off, m, is of another pad. */
+static const double STEERED_M = 0.25;
 enum { SEEN_OFTEN = 10 };
 /* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
 static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
@@ -310,14 +310,11 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
 
 static void reject(dl_belief *b, const comparison *row)
 {
-    double back[9], offset[3], apart[3];
+    double back[9], offset[3];
     camera_to_ned(b, back);
     rotated(back, row->seen.innov, offset);
-    for (int i = 0; i < 3; i++) {
-        apart[i] = offset[i] - b->rejections.offset_ned[i];
-    }
     streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
-    if (b->rejections.n > 1 && b->agreed >= SEEN_OFTEN && dot(apart, apart) < ALIKE_M * ALIKE_M) {
+    if (b->rejections.n > 1 && b->agreed >= SEEN_OFTEN && dot(offset, offset) < STEERED_M * STEERED_M) {
         note_manoeuvre(b);
     }
 }

@@ -83,9 +83,9 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
         b = b._replace(nis_mean=gate.mean_of(b.nis_mean, row.innov, fix.S))
     if nis > nis_max(o.gate_probability, dof):
         offset = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]).dot(row.innov[:3]))
-        streak, before = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0), b.rejections
+        streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
         b = b._replace(rejections=streak)
-        if streak.n > 1 and b.agreed >= 10 and math.dist(streak.offset_ned, before.offset_ned) < 0.25:
+        if streak.n > 1 and b.agreed >= 10 and math.hypot(*streak.offset_ned) < 0.25:
             b = _manoeuvred(b)
         if not gate.should_reset(streak, b.agreed, o):
             return b, Outcome(Verdict.GATED, row.innov, fix.S, nis, nis_max(o.gate_probability, dof))
