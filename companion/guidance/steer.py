@@ -25,7 +25,10 @@ from estimator.contracts.time import seconds_between
 def usable(s: GuidanceCycle, options: TryOptions, stale_after_s: float) -> RelativeState | None:
     """Return the estimate if it may be flown by without sight, else None."""
     estimate = s.estimate
-    if estimate is None or not estimate.consistent or abs(seconds_between(estimate.at, s.at)) > stale_after_s:
+    if estimate is None or abs(seconds_between(estimate.at, s.at)) > stale_after_s:
+        return None
+    # A ship that swings her pad away makes the last sightings disagree.
+    if not estimate.consistent and (estimate.alerts or not estimate.adrift):
         return None
     sigma_max_m = _ADRIFT * options.blind_sigma_m if estimate.adrift else options.blind_sigma_m
     return estimate if sigma_m(estimate) <= sigma_max_m else None

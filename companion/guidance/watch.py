@@ -275,7 +275,8 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
-    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M or _own_thrust(felt, s))
+    steers = s.estimate is not None and s.estimate.steers
+    climbs = p.state is State.GO_AROUND and (feet_m is None or feet_m > _TOUCHES_M or steers or _own_thrust(felt, s))
     may_stay = p.state in _MAY_STAY and not climbs
     if may_stay and felt is not None and p.bounces < _TOUCHES_MOST and _stands_on_pad(s, o, feet_m):
         yield Event.CONTACT, _of_contact(felt)
@@ -376,7 +377,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
         case State.DOWN if o.mission == "thesis":
             return _lease(p, s, o)
         case State.PRESS | State.DOWN:
-            return None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o)
+            return _past_deck(s) or (None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o))
         case State.INTERCEPT | State.DESCEND | State.GATE | State.HOLD_BLIND:
             if o.tries.heading == "align" and p.turned is not None:
                 return p.turned
@@ -451,14 +452,20 @@ def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None
     return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
 
 
+def _past_deck(s: GuidanceCycle) -> Reason | None:
+    """Return that the drone is below the deck: it was swept off the pad, and would go down into the water."""
+    past_m = 0.0 if s.estimate is None else -s.estimate.height_m
+    return Reason(ReasonCause.PAST_DECK, past_m) if past_m > _BELOW_DECK_M else None
+
+
 def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return what ends a landing that the vehicle makes by itself from the last way point, its time apart.
 
     From the height of the last way point down the pad leaves the camera's view, so there only the time ends it.
     """
     estimate, final = s.estimate, o.thesis
-    if estimate is not None and estimate.height_m < -_BELOW_DECK_M:
-        return Reason(ReasonCause.PAST_DECK, -estimate.height_m)
+    if (past := _past_deck(s)) is not None:
+        return past
     if estimate is not None and unfit(estimate, s.at, o.stale_after_s) is None:
         risen_m = estimate.height_m - p.entered_height_m
         if risen_m > _RISEN_M:

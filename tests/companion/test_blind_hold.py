@@ -9,6 +9,7 @@ from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import climbing, never_lower, pressing, usable, without_estimate
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import estimate, ns
 
@@ -99,6 +100,15 @@ def test_an_estimate_carries_on_while_it_is_new_consistent_and_known_well_enough
     for sigma_m in (2.4, 2.6):
         swung = replace(estimate(NOW, (0.0, 0.0, 1.0), sigma=sigma_m), adrift=True)
         assert (usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), swung)), options, 0.5) is swung) is (sigma_m < 2.5)
+
+
+@pytest.mark.parametrize(
+    ("adrift", "alerts", "flown_by"), [(True, (), True), (True, (IntegrityAlert.DECK,), False), (False, (), False)]
+)
+def test_it_flies_by_an_estimate_adrift_though_the_last_sightings_disagree(adrift, alerts, flown_by):
+    """WHY: a ship that turned hard made them so, and a drone that climbed blind did not find her again."""
+    one = replace(estimate(NOW, (0.0, 0.0, 1.0), consistent=False, age=1.0), adrift=adrift, alerts=alerts)
+    assert (usable(GuidanceCycle(ns(NOW), Knowledge(ns(NOW), one)), TryOptions(), 0.5) is one) is flown_by
 
 
 @pytest.mark.parametrize("over_ground", [False, True])

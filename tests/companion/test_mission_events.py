@@ -399,6 +399,14 @@ def test_lower_it_has_left_the_deck_where_it_would_come_down_beside_the_pad(stat
     assert found(0.245, 0.0, 9.0, age=0.21) is None
 
 
+@pytest.mark.parametrize("state", [State.PRESS, State.DOWN])
+@pytest.mark.parametrize(("past_m", "bounces", "climbs"), [(0.59, 0, False), (0.61, 0, True), (0.61, 2, True)])
+def test_a_drone_below_the_deck_climbs(state: State, past_m: float, bounces: int, climbs: bool) -> None:
+    """WHY: one that a turning ship swept off the pad pressed on beside the deck, into the water."""
+    found = of(Event.LIMIT, memory(state, bounces=bounces), cycle(seen((0.0, 0.0, -past_m), age=1.0)))
+    assert figures(found) == ((ReasonCause.PAST_DECK, past_m, None) if climbs else None)
+
+
 # Contacts of which no accelerometer tells, and those of a go-around
 
 
@@ -440,6 +448,13 @@ def test_the_thrust_with_which_a_go_around_begins_is_no_contact(size_m_s2: float
     assert (of(Event.CONTACT, memory(State.GO_AROUND), GuidanceCycle(ns(NOW), known)) is not None) is pressed
     down = of(Event.CONTACT, memory(State.COMMIT), GuidanceCycle(ns(NOW), known))
     assert down is not None, "on the way down nothing else pushes"
+
+
+@pytest.mark.parametrize(("state", "lands"), [(State.GO_AROUND, False), (State.GATE, True)])
+def test_a_contact_while_it_climbs_from_a_ship_that_steers_is_no_landing(state: State, lands: bool) -> None:
+    """WHY: the deck sweeps along under the feet, and a drone that pressed on slid off the pad."""
+    s = cycle(replace(seen((0.1, 0.0, 0.08)), steers=True), impact=struck("accelerometer", 0.5))
+    assert (of(Event.CONTACT, memory(state), s) is not None) is lands
 
 
 def test_after_the_second_bounce_it_stays_down() -> None:
