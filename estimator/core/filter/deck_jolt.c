@@ -26,7 +26,7 @@ static const double ACTED_S = 0.3, STEERED_S = 0.15;
 enum { TOGETHER = 3 };
 static const double DEVIATE_MOST[STEERINGS] = {5.0, 5.0, 9.0};
 static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, LEFT_MOST = 12.0;
-/* One of whose innovation so small a share is left is not, nor so much while she steers or if it is the second in a row. */
+/* One of whose innovation so small a share is left is not, nor so much while she steers. */
 static const double LEFT_SHARE = 0.05, LEFT_SHARE_ON = 0.25;
 /* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
  * the deviations that are usual are its root, with this as the least mean. */
@@ -143,16 +143,6 @@ static void unexplained(int m, double by[STEERINGS][ROWS_MAX], const double *y, 
     *by_all = nis;
 }
 
-/* Whether the sighting before was off along the way or across it as far as one counts. */
-static int was_off(const dl_innovation_excesses *excesses, int64_t t)
-{
-    if (excesses->n == 0 || seconds(excesses->t[excesses->n - 1], t) > TOGETHER_S) {
-        return 0;
-    }
-    const double *deviate = excesses->values + EXCESS_NUMBERS * (excesses->n - 1) + 3;
-    return fmax(fabs(deviate[ALONG]), fabs(deviate[ACROSS])) >= DEVIATES_NEEDED;
-}
-
 void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out)
 {
     double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[STEERINGS][ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
@@ -190,8 +180,7 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
     }
     /* A ship that turns hard swings her pad aside, and along her way as she comes round; a sighting of few features errs in heading. */
     const int aside = fmax(explained[ALONG], explained[ACROSS]) > explained[TURNING];
-    const int goes_on = steers(b, b->t) || was_off(&b->excesses, b->t);
-    const int wholly = aside && by_all < nis * (goes_on ? LEFT_SHARE_ON : LEFT_SHARE);
+    const int wholly = aside && by_all < nis * (steers(b, b->t) ? LEFT_SHARE_ON : LEFT_SHARE);
     for (int k = 0; k < STEERINGS; k++) {
         if (square[k] > 0.0 && fabs(along[k]) < STEERED_MOST * square[k]) {
             if (wholly || (k == ALONG ? nis - explained[ALONG] : by_turn) < LEFT_MOST) {

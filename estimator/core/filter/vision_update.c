@@ -24,7 +24,7 @@ static const double WITHHELD_DELAY_COV = 0.975;
 static const double ROUGH_M_S = 0.1;
 /* Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected. */
 static const double RATE_KNOWN_VAR = 0.35 * 0.35;
-/* Sigma of the pad's place, m, above which a sighting begins the count of those that agreed, and their mean. */
+/* Sigma of the pad's place, m, above which a sighting begins the count of those that agreed. */
 static const double LOST_SIGMA_M = 0.3;
 /* Longest time between two sightings that counts for a heading, s. */
 static const double COUNTED_S = 0.5;
@@ -32,9 +32,6 @@ static const double COUNTED_S = 0.5;
 static const double MANOEUVRE_S = 2.0;
 /* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
 static const double SWUNG_RAD = 0.012;
-/* Refused sightings that agree show a manoeuvre where the pad was seen so often before; one that is further off, m, is of another pad. */
-static const double STEERED_M = 0.25;
-enum { SEEN_OFTEN = 10 };
 /* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
 static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
 /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
@@ -156,17 +153,6 @@ static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, c
     b->heading_held_s = 0.0;
 }
 
-/* Note a manoeuvre, and of a new one the ship's velocity before it. */
-static void note_manoeuvre(dl_belief *b)
-{
-    if (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S) {
-        for (int i = 0; i < 2; i++) {
-            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
-        }
-    }
-    b->steered = b->t;
-}
-
 /* Compare again with a wider belief if the last sightings missed the deck by more than the filter claims. */
 static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, comparison *first,
                                   comparison *second)
@@ -201,9 +187,12 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         return first;
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
-    if (manoeuvres) {
-        note_manoeuvre(b);
+    if (manoeuvres && (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S)) {
+        for (int i = 0; i < 2; i++) {
+            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
+        }
     }
+    b->steered = manoeuvres ? b->t : b->steered;
     b->swung = shown.var[2] > SWUNG_RAD * SWUNG_RAD ? b->t : b->swung;
     return second;
 }
@@ -314,9 +303,6 @@ static void reject(dl_belief *b, const comparison *row)
     camera_to_ned(b, back);
     rotated(back, row->seen.innov, offset);
     streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
-    if (b->rejections.n > 1 && b->agreed >= SEEN_OFTEN && dot(offset, offset) < STEERED_M * STEERED_M) {
-        note_manoeuvre(b);
-    }
 }
 
 static void tell_compared(dl_outcome *out, int verdict, const comparison *row, double nis_max)
@@ -329,12 +315,11 @@ static void tell_compared(dl_outcome *out, int verdict, const comparison *row, d
 static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
 {
     const double var = AT(c->P, DL_POS_REL, DL_POS_REL) + AT(c->P, DL_POS_REL + 1, DL_POS_REL + 1) + AT(c->P, DL_POS_REL + 2, DL_POS_REL + 2);
-    const int anew = fresh || sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
+    const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
     withhold(b, c->P, row->dx, row->P);
     correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
     b->sighted = b->t > b->sighted ? b->t : b->sighted;
-    b->agreed = anew ? 1 : b->agreed + 1;
-    b->nis_mean = anew ? 1.0 : b->nis_mean;
+    b->agreed = fresh || lost ? 1 : b->agreed + 1;
     streak_end(b);
     b->heading_known |= shows_heading;
 }
@@ -397,6 +382,7 @@ void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
             return;
         }
         initialise(o, b, c, s, 1);
+        b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
         if (!row->ok) {
             tell(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);

@@ -48,7 +48,7 @@ _TOGETHER_S, _DEVIATES_NEEDED, _DEVIATE_MOST = 0.16, 5.0, np.array([5.0, 5.0, 9.
 _LEFT_MOST = 12.0
 """Chi-square that a manoeuvre may leave of an innovation."""
 _LEFT_SHARE, _LEFT_SHARE_ON, _STEERS_S = 0.05, 0.25, 0.4
-"""Share of an innovation that a hard one may leave, and one that goes on: after a sighting as far off, or for so long, s."""
+"""Share of an innovation that a hard one may leave, and one that goes on for so long after it was shown, s."""
 _STEERED_MOST = 0.25
 """A place, m, or heading, rad, that is further off is not that of a ship that steers."""
 _UNDER_WAY_M_S = 0.3
@@ -93,8 +93,6 @@ def steering(innov: F64, S: F64, H: F64, b: Belief) -> tuple[Steering, float]:
     by_all = float(along @ np.linalg.pinv(information, hermitian=True) @ along)
     shares = [float(along[k]) ** 2 / information[k, k] if information[k, k] > 0.0 else 0.0 for k in range(3)]
     steers = b.steered >= 0 and (b.t - b.steered) * 1e-9 < _STEERS_S
-    if b.excesses.t and (b.t - b.excesses.t[-1]) * 1e-9 <= _TOGETHER_S:
-        steers = steers or max(map(abs, b.excesses.values[-1][3:5])) >= _DEVIATES_NEEDED
     wholly = nis - by_all < nis * (_LEFT_SHARE_ON if steers else _LEFT_SHARE) and max(shares[:2]) > shares[2]
     deviate, var = [0.0] * 3, [0.0] * 3
     for k, square in enumerate(np.diagonal(information).tolist()):

@@ -85,23 +85,20 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
         offset = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]).dot(row.innov[:3]))
         streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
         b = b._replace(rejections=streak)
-        if streak.n > 1 and b.agreed >= 10 and math.hypot(*streak.offset_ned) < 0.25:
-            b = _manoeuvred(b)
         if not gate.should_reset(streak, b.agreed, o):
             return b, Outcome(Verdict.GATED, row.innov, fix.S, nis, nis_max(o.gate_probability, dof))
-        b = _initialized(b, event, o, reset=True)
+        b = _initialized(b, event, o, reset=True)._replace(nis_mean=1.0)
         row, fix = _compared(b, event, params)
         if fix is None:
             return b, Outcome(Verdict.SINGULAR, row.innov)
         nis = fix.nis
-    anew = fresh or gate.sigma_of(b.P[POS_REL, POS_REL]) > 0.3
+    lost = gate.sigma_of(b.P[POS_REL, POS_REL]) > 0.3
     fix = partial(b.P, fix, *_withheld(b))
     b = corrected(b, fix.dx, fix.P)
     known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
     b = b._replace(
-        sighted=max(t, b.sighted), agreed=1 if anew else b.agreed + 1, nis_mean=1.0 if anew else b.nis_mean,
-        rejections=RejectionStreak(), heading_known=known,
-    )  # fmt: skip
+        sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
+    )
     if _moves_aside(b):
         b = b._replace(swung=b.t)
     limit = nis_max(o.gate_probability, row.innov.size)
@@ -116,13 +113,6 @@ def _moves_aside(b: Belief) -> bool:
     change, speed = b.x[VESSEL_VEL] - was, float(np.linalg.norm(was))
     across = abs(float(change[0] * was[1] - change[1] * was[0]))
     return (across / speed if speed > 0.3 else float(np.linalg.norm(change))) > 0.5
-
-
-def _manoeuvred(b: Belief) -> Belief:
-    """Return the belief after a sighting that shows a manoeuvre, with the ship's velocity before a new one."""
-    anew = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
-    before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if anew else b.vessel_before
-    return b._replace(steered=b.t, vessel_before=before)
 
 
 def _jolted(
@@ -144,9 +134,11 @@ def _jolted(
     if steered is None:
         wider = b._replace(P=P, excesses=InnovationExcesses())
     else:
+        anew = b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0
+        before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2] if anew else b.vessel_before
         swung = b.t if steered[2] > 0.012**2 else b.swung
         P = deck_jolt.loosened(P, b.x, steered)
-        wider = _manoeuvred(b)._replace(P=P, excesses=excesses, swung=swung)
+        wider = b._replace(P=P, excesses=excesses, steered=b.t, swung=swung, vessel_before=before)
     row, again = _compared(wider, event, params)
     return (b._replace(excesses=excesses), row, fix) if again is None else (wider, row, again)
 
