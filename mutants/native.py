@@ -53,6 +53,7 @@ class Workshop:
             *core.compiler(),
             *core.FLAGS,
             *flags,
+            self._library.define,
             *(f"-I{folder}" for folder in self._library.includes),
             "-xc",
             "-c",

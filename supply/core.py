@@ -49,6 +49,11 @@ class Library(NamedTuple):
         """Return the digest of the header, by which the library and the module know each other."""
         return zlib.crc32(self.header.read_bytes())
 
+    @property
+    def define(self) -> str:
+        """Return the compiler's flag that tells the library this digest."""
+        return f"-DHEADER_DIGEST={self.digest}u"
+
     def part(self, *patterns: str) -> Library:
         """Return a library of those C files alone whose paths match."""
         return self._replace(sources=tuple(s for s in self.sources if any(s.match(pattern) for pattern in patterns)))
@@ -67,7 +72,7 @@ LIBRARIES = (FLYING, SIMULATED)
 def all_in_one() -> list[str]:
     """Return the compiler's arguments for a program of both libraries: folders of headers, and every C file once."""
     sources = {source for library in LIBRARIES for source in library.sources}
-    return [f"-DHEADER_DIGEST={FLYING.digest}u", *(f"-I{folder}" for folder in SIMULATED.includes), *map(str, sorted(sources))]
+    return [FLYING.define, *(f"-I{folder}" for folder in SIMULATED.includes), *map(str, sorted(sources))]
 
 
 FLAGS = (
@@ -140,7 +145,7 @@ def build(library: Library, out: Path | None = None, extra: Sequence[str] = (), 
     OBJECTS.mkdir(parents=True, exist_ok=True)
 
     def compiled(source: Path) -> Path:
-        digest = [f"-DHEADER_DIGEST={library.digest}u"] if source.name == "digest.c" else []
+        digest = [library.define] if source.name == "digest.c" else []
         return _object([*common, *digest, "-c", str(source)], _read_by(source, library.includes), version)
 
     with ThreadPoolExecutor(os.cpu_count()) as workers:
