@@ -216,18 +216,38 @@ def test_a_vertical_speed_is_no_more_than_the_vehicle_makes() -> None:
         assert command.v_level[2] == pytest.approx(down)
 
 
+def climbed(z_m: float, cycles: int, v_deck: float = 0.0) -> list[float]:
+    """Return the heights over a still deck, m, of a vehicle that is ordered to 1 m and answers as the law knows.
+
+    Args:
+        v_deck: speed down that the filter has wrong of deck and vehicle, m/s.
+    """
+    climb, v, memory, heights = RESPONSE.climb, 0.0, LAW.start(), [z_m]
+    under_way = [0.0] * (round(climb.delay_s / T) + 1)
+    for n in range(cycles):
+        now = known(n * T, (0.0, 0.0, z_m), (0.0, 0.0, -v), v_deck=(0.0, 0.0, v_deck), a_down=(under_way[0] - v) / climb.lag_s)
+        memory, command = stepped(memory, now, Target(OVER, vertical_rate_max_m_s=1.0))
+        under_way = [*under_way[1:], float(command.v_level[2])]
+        v += T * (under_way[0] - v) / climb.lag_s
+        z_m -= T * v
+        heights.append(z_m)
+    return heights
+
+
+@pytest.mark.parametrize("from_m", [0.8, 1.3, 3.0])
+def test_it_comes_to_a_height_without_going_past_it(from_m: float) -> None:
+    heights = np.array(climbed(from_m, 250))
+    past_m = np.max((1.0 - heights) * np.sign(from_m - 1.0))
+    assert past_m < 0.001
+    assert heights[-1] == pytest.approx(1.0, abs=0.01)
+
+
 @pytest.mark.parametrize("wrong_m_s", [0.8, -0.8, 0.9])
 def test_a_speed_over_the_ground_that_the_filter_has_wrong_moves_neither_drone_nor_deck(wrong_m_s: float) -> None:
     """WHY: with an accelerometer off by a tenth the filter has both too fast, and the drone went up or met the deck hard."""
-    climb, v, z, memory, arrived = RESPONSE.climb, 0.0, 1.0, LAW.start(), [0.0] * 100
-    for n in range(250):
-        now = known(n * T, (0.0, 0.0, z), (0.0, 0.0, -v), v_deck=(0.0, 0.0, wrong_m_s), a_down=(arrived[0] - v) / climb.lag_s)
-        memory, command = stepped(memory, now)
-        arrived = [*arrived[1:], float(command.v_level[2])][-1 - round(climb.delay_s / T) :]
-        v += T * (arrived[0] - v) / climb.lag_s
-        z -= T * v
-    assert abs(z - 1.0) < 0.15
-    assert abs(v) < 0.05
+    heights = climbed(1.0, 250, wrong_m_s)
+    assert heights[-1] == pytest.approx(1.0, abs=0.005)
+    assert heights[-2] == pytest.approx(heights[-1], abs=0.001)
 
 
 def test_while_somebody_else_commands_it_notes_what_the_vehicle_does() -> None:
