@@ -393,7 +393,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 lies = estimate is not None and not _STAY.isdisjoint(estimate.alerts)
-                if lost_s > o.tries.climb_after_s or lies or _reaches_deck(estimate, s, o, _TURNS_S):
+                if lost_s > o.tries.climb_after_s or lies or _came_nearer(p, s, o) or _reaches_deck(estimate, s, o, _TURNS_S):
                     return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
