@@ -136,7 +136,7 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack,
     assert silence.phase == "descend"
     assert silence.lasted_s == pytest.approx(4.0, abs=0.01)
     assert silence.height_m == pytest.approx(2.5, abs=0.02)
-    assert silence.sank_m < 1.0, "the time limit on setpoints at the rate of descent, and the braking"
+    assert silence.sank_m < 1.3, "the time limit on setpoints at the rate of descent, the deck's fall, and the braking"
     assert silence.stopped_s is not None
     assert 1.0 < silence.moved_m < 5.0, "the deck's way until it stopped over the ground"
     assert not silence.touched
