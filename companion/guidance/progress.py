@@ -13,7 +13,7 @@ from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
 from companion.guidance.held_course import HeldCourse
 from estimator.contracts.geometry import F64
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
 
 
 class Progress(Struct, frozen=True, eq=False):
@@ -102,6 +102,10 @@ class Progress(Struct, frozen=True, eq=False):
     def start(*, automatic: bool) -> Progress:
         """Return the memory of a service that knows of no vehicle yet."""
         return Progress(State.WAIT if automatic else State.STANDBY, automatic)
+
+    def in_state_s(self, now: MonoNs) -> float:
+        """Return the time since the state was entered, s; 0 before the first guidance cycle in it."""
+        return 0.0 if self.since is None else seconds_between(self.since, now)
 
 
 def entered(p: Progress, change: StateChange) -> Progress:

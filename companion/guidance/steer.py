@@ -226,8 +226,7 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     old = estimate is not None and estimate.age_s(s.at) > flown_s
     if estimate is None or old or (p.track is not None and estimate.track != p.track):
         rising = 0.0 if over_ground else rising_m_s(s.knowledge)
-        begun_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
-        lifts = p.entered_height_m - o.cone.feet_below_m + begun_s * fastest < _LIFT_M
+        lifts = p.entered_height_m - o.cone.feet_below_m + p.in_state_s(s.at) * fastest < _LIFT_M
         return p, without_estimate(max(fastest if lifts else 0.0, o.tries.climb_m_s + rising), over_ground=over_ground)
     if estimate.height_m - o.cone.feet_below_m < _LIFT_M:
         # It climbs at its place and moves with the deck: feet that are dragged before they leave the deck turn the vehicle over.
@@ -273,10 +272,9 @@ def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> floa
 
     At most by the safe height, and to twice that from a height that was seen.
     """
-    since_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
     known_m = p.entered_height_m if math.isfinite(p.entered_height_m) and not p.was_silent else 0.0
     most_m = o.tries.safe_height_m - max(0.0, known_m - o.tries.safe_height_m)
-    return o.tries.climb_m_s if since_s * o.tries.climb_m_s < most_m else 0.0
+    return o.tries.climb_m_s if p.in_state_s(s.at) * o.tries.climb_m_s < most_m else 0.0
 
 
 def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reason) -> float:
@@ -285,9 +283,8 @@ def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reas
     That hover holds over the ground's level, and a deck may come up to it. The time for which a drone climbs does not say how far
     it came where it sinks against its orders: it climbs until it is seen to be clear, and not for long.
     """
-    spent_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
     low = s.estimate is not None and s.estimate.height_m < _clear_m(s, o) and fit_to_steer(s.estimate, s.at, o.stale_after_s)
-    if off.detail == "lower" and low and spent_s <= _CLIMBS_OFF_ORDERS_S:
+    if off.detail == "lower" and low and p.in_state_s(s.at) <= _CLIMBS_OFF_ORDERS_S:
         return fastest_climb_m_s(s, o)
     return _out_of_reach_m_s(p, s, o)
 
@@ -300,7 +297,7 @@ def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: 
     """
     if s.wind is None or not s.wind.leans_far:
         return None
-    spent_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    spent_s = p.in_state_s(s.at)
     upwind = (spent_s + 0.5 * _LEG_S) // _LEG_S % 2.0 == 0.0
     speed = _LOOK_M_S if upwind else -_LOOK_M_S
     turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0

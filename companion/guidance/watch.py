@@ -216,7 +216,7 @@ def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventW
     if state is State.ANOTHER_PAD:
         yield from _question(p, s, o)
         return
-    in_state_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    in_state_s = p.in_state_s(s.at)
     yield from _contact(p, s, o, in_state_s)
     yield from _conditions(p, s, o)
     if (reason := _limit(p, s, o)) is not None:
@@ -625,7 +625,7 @@ def _asked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 
 def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    waited_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
+    waited_s = p.in_state_s(s.at)
     if waited_s > o.tries.operator_wait_s:
         yield Event.TIMEOUT, Reason(ReasonCause.NOBODY_DECIDED, waited_s, o.tries.operator_wait_s)
     if o.tries.another_pad != "automatic" or p.questions > 1 or p.good_since is None or s.estimate is None:

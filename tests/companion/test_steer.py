@@ -412,9 +412,8 @@ def test_a_refused_drone_that_sinks_against_its_orders_climbs_until_it_is_seen_t
     ):  # fmt: skip
         p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - spent_s), entered_height_m=clear_m)
         k = known((0.0, 0.0, height_m), age=age_s)
-        found = aim(p, GuidanceCycle(ns(NOW), k, off_orders=Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how)), o, over_ground=False)[
-            1
-        ]
+        s = GuidanceCycle(ns(NOW), k, off_orders=Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how))
+        found = aim(p, s, o, over_ground=False)[1]
         assert isinstance(found, Velocity) is climbs
 
 
