@@ -364,7 +364,7 @@ def test_a_sensor_that_stays_lost_lets_nobody_wait_low_over_the_deck(alert: str,
     ],
 )  # fmt: skip
 def test_a_drone_that_sinks_without_sight_climbs_while_that_still_helps(height_m, sinks_m_s, sigma, range_m, climbs) -> None:
-    """The feet, 4.5 cm below, would be on the deck within a second, by one deviation, or by the range sensor 0.25 m are lost."""
+    """Its feet would be on the deck within a second, by one deviation, or the range sensor finds it 0.25 m nearer."""
     p = memory(State.HOLD_BLIND, seen=ns(NOW - 0.1), seen_height_m=0.6, in_sight=False)
     doubted = seen((0.0, 0.0, height_m), v=(0.0, 0.0, -sinks_m_s), consistent=False, sigma=sigma)
     s = cycle(replace(doubted, alerts=(IntegrityAlert.ELSEWHERE,)), range_m=range_m)
