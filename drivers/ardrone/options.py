@@ -76,8 +76,8 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "largest tilt of the drone, commanded by full stick",
             "deg",
             1.0,
-            30.0,
-            "firmware default 0.21 rad, outdoors 0.52; 9 m/s of wind take 18 degrees, and its gusts 9 more",
+            45.0,
+            "firmware default 0.21 rad, outdoors 0.52, and it takes no more; 9 m/s of wind take 18 degrees, and its gusts 9 more",
             public=True,
         ),
     ] = 29.5

@@ -7,7 +7,7 @@ drone answers on port 5559.
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Literal
 
@@ -95,6 +95,11 @@ def _limits() -> Iterator[Key]:
         yield Key(f"control:{where}euler_angle_max", angle, "float", Scope.USER, low=0.0, high=0.52)
         yield Key(f"control:{where}control_vz_max", vz, "float", Scope.USER, low=100.0, high=2000.0)
         yield Key(f"control:{where}control_yaw", yaw, "float", Scope.USER, low=0.1, high=6.11)
+
+
+def tilting(keys: Mapping[str, Key], most_rad: float) -> Mapping[str, Key]:
+    """Return the keys of a vehicle that takes tilts up to another one than the AR.Drone's firmware does."""
+    return {name: replace(key, high=most_rad) if name.endswith("euler_angle_max") else key for name, key in keys.items()}
 
 
 def _table() -> Iterator[Key]:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from drivers.ardrone import control
 from drivers.ardrone.navdata import Gps, Navdata
 from estimator.contracts.time import MonoNs, after
-from sitl.ardrone.config import Configuration
+from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.generations import SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
@@ -229,8 +229,8 @@ class Drone:
 
     def _configuration(self, network: dict[str, int]) -> Configuration:
         """Return the configuration that this drone has at its start: its own ports and the limits of its world."""
-        config = Configuration(network, self.generation.keys)
         limits = self.world.limits
+        config = Configuration(network, tilting(self.generation.keys, limits.euler_angle_most_rad))
         config.set("control:euler_angle_max", f"{limits.euler_angle_max_rad:.7g}")
         config.set("control:control_vz_max", f"{1e3 * limits.vz_max_m_s:.7g}")
         config.set("control:control_yaw", f"{limits.yaw_rate_max_rad_s:.7g}")

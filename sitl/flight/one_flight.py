@@ -17,6 +17,7 @@ from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
+from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
@@ -84,14 +85,18 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     """
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     vehicle = vehicle_model(scenario)
-    follow = settings.guidance.follow_deck
+    follow, driver = settings.guidance.follow_deck, msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation)
     if not by_autopilot:
         follow = msgspec.structs.replace(follow, response=vehicle.response)
-    cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=vehicle.feet.below_m)
+    if isinstance(driver, ArDroneOptions):
+        tilt_deg = max(driver.euler_angle_max_deg, vehicle.loops.tilt_max_deg)
+        driver = msgspec.structs.replace(driver, euler_angle_max_deg=tilt_deg)
+    feet = vehicle.feet
+    cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=feet.below_m, feet_aside_m=feet.half_base_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
     return msgspec.structs.replace(
         settings,
-        vehicle=msgspec.structs.replace(settings.vehicle, model=scenario.vehicle.generation),
+        vehicle=driver,
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),

@@ -143,6 +143,8 @@ class StickLimits:
     vz_max_m_s: float = 0.7
     yaw_rate_max_rad_s: float = 1.745
     """The AR.Drone's defaults: 12 degrees, 700 mm/s, 100 degrees/s."""
+    euler_angle_most_rad: float = 0.52
+    """The largest tilt that the configuration takes: by the AR.Drone's firmware 0.52 rad."""
 
 
 _Three = tuple[float, float, float]
@@ -255,7 +257,11 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
     def stick_limits(self) -> StickLimits:
         """Return what a full stick requests."""
         v = self.limits
-        return StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
+        limits = StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
+        # A client writes six decimals.
+        most_rad = math.ceil(1e6 * math.radians(self.loops.tilt_max_deg)) / 1e6
+        limits.euler_angle_most_rad = max(limits.euler_angle_most_rad, most_rad)
+        return limits
 
 
 def load(path: Path) -> VehicleFile:

@@ -1,11 +1,14 @@
 """The configuration table: who may write what, and the sets of the multi-configuration."""
 
+import math
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import control
-from sitl.ardrone.config import KEYS, Answer, Configuration, Ids
+from sitl.ardrone.config import KEYS, Answer, Configuration, Ids, tilting
+from tests.sitl.test_vehicle_files import shipped_vehicle
 
 MINE = Ids("ca0000d1", "ca0000d3", "ca0000d2")
 
@@ -38,6 +41,17 @@ def test_set_answers_and_keeps(name: str, value: str, answer: Answer, kept: str)
     config = Configuration()
     assert config.set(name, value) is answer
     assert config[name.lower()] == kept
+
+
+@pytest.mark.parametrize(("vehicle", "takes"), [("ardrone2", False), ("hexa_7kg", False), ("quad_1_5kg", True)])
+def test_a_larger_vehicle_takes_the_tilt_of_its_own_loops_and_an_ardrone_its_firmwares(vehicle: str, takes: bool) -> None:
+    limits = shipped_vehicle(vehicle).stick_limits()
+    config = Configuration(keys=tilting(KEYS, limits.euler_angle_most_rad))
+    assert config.set("control:euler_angle_max", "0.52") is Answer.SET
+    assert (config.set("control:euler_angle_max", "0.61") is Answer.SET) is takes
+    assert config.set("control:euler_angle_max", "0.62") is Answer.BAD_VALUE
+    loops_rad = math.radians(shipped_vehicle(vehicle).loops.tilt_max_deg)
+    assert config.set("control:euler_angle_max", f"{loops_rad:.6f}") is Answer.SET
 
 
 def test_unknown_key_changes_nothing() -> None:
