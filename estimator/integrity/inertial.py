@@ -108,23 +108,28 @@ class Usual(NamedTuple):
     """The differences that have been there from the start: biases, which the filter estimates itself."""
 
     n: int = 0
+    """Number of bins in which there was a downward difference."""
     down: float = 0.0
+    sides: int = 0
+    """Number of bins in which there was one aside: a pad out of sight shows none for seconds."""
     ahead: float = 0.0
     aside: float = 0.0
 
     def after(self, off: Differences) -> "Usual":
         """Return them after one bin more."""
-        down = off.ground or off.deck
-        if down is None:
-            return self
-        k = max(1.0 / (self.n + 1), _BIN_SHARE)
-        x, y = (self.ahead, self.aside) if off.side is None else off.side
-        return Usual(
-            self.n + 1,
-            self.down + k * (down.value - self.down),
-            self.ahead + k * (x - self.ahead),
-            self.aside + k * (y - self.aside),
-        )
+        usual, down = self, off.ground or off.deck
+        if down is not None:
+            usual = usual._replace(n=self.n + 1, down=self.down + _weight(self.n) * (down.value - self.down))
+        if off.side is not None:
+            (x, y), k = off.side, _weight(self.sides)
+            ahead, aside = self.ahead + k * (x - self.ahead), self.aside + k * (y - self.aside)
+            usual = usual._replace(sides=self.sides + 1, ahead=ahead, aside=aside)
+        return usual
+
+
+def _weight(bins: int) -> float:
+    """Return the weight of one bin more in a mean of so many."""
+    return max(1.0 / (bins + 1), _BIN_SHARE)
 
 
 class Inertial(Struct, frozen=True):
@@ -462,7 +467,7 @@ def _accel_lies(off: Differences, usual: Usual, newest: Bin) -> tuple[str, int]:
             return _along_down(newest, a), _PERSISTS
     elif deck is not None and abs(deck.value - usual.down) > _ACCEL_ALONE_M_S2:
         return _along_down(newest, deck.value - usual.down), _PERSISTS_ALONE
-    if off.side is None:
+    if off.side is None or usual.sides < _USUAL_MIN:
         return "", 1
     x, y = off.side[0] - usual.ahead, off.side[1] - usual.aside
     size = math.hypot(x, y)
