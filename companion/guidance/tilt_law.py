@@ -25,6 +25,12 @@ class TiltWeights(NamedTuple):
     p_m: float = 0.006
     w_m_s: float = 4.1
     u_m_s2: float = 0.3
+    lean_m: float = 0.01
+    """Place that a lean of 1 m/s^2 beyond the one that holds counts as, m.
+
+    A vehicle that leans touches with the lower feet, and levels over them away from where it leaned: by 0.01 m where they are
+    0.1 m below it. It damps as well.
+    """
 
 
 class TiltGains(NamedTuple):
@@ -51,8 +57,10 @@ def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *,
     """
     model = tilt_model(response if delay_line else structs.replace(response, delay_s=0.0), period_s)
     n, m = model.A.shape[0], model.states
-    Q = np.zeros((n, n))
-    Q[0, 0], Q[1, 1] = weights.p_m**-2, weights.w_m_s**-2
+    stands, Q = np.zeros(n), np.zeros((n, n))
+    stands[0], stands[2] = 1.0, weights.lean_m
+    Q[1, 1] = weights.w_m_s**-2
+    Q += np.outer(stands, stands) * weights.p_m**-2
     K = regulator(model.A, model.B[:, None], Q, np.array([[weights.u_m_s2**-2]]))[0].tolist()
     lag = K[4] if m == 5 else 0.0
     return TiltGains(K[0], K[1], K[2], K[3], lag, tuple(K[m:]))

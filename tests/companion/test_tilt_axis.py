@@ -44,7 +44,8 @@ def test_the_regulators_gains_solve_its_riccati_equation(lag_s: float, delay_lin
     gains = tilt_gains(response, TiltWeights(), DT, delay_line=delay_line)
     model = tilt_model(structs.replace(response, delay_s=0.05 if delay_line else 0.0), DT)
     B, Q = model.B[:, None], np.zeros_like(model.A)
-    Q[0, 0], Q[1, 1] = 0.006**-2, 4.1**-2
+    Q[:3, :3] = np.outer((1.0, 0.0, 0.01), (1.0, 0.0, 0.01)) / 0.006**2
+    Q[1, 1] = 4.1**-2
     R = np.array([[0.3**-2]])
     S = solve_discrete_are(model.A, B, Q, R)
     K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ model.A)[0]
