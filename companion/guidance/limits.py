@@ -47,8 +47,8 @@ _STEERS_M_S2 = 2.5
 """Acceleration until the contact of a ship that is seen to brake or turn, m/s^2."""
 _DECIDES_M = 0.05
 """Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
-LEANS_MORE_M_S2 = 2.5
-"""Further lean that a gust may call for before the descent has ended, m/s^2: 17 degrees became 25."""
+LEANS_MORE_M_S2 = 1.0
+"""Further lean, ahead and aside together, that a vehicle has before it follows the order to go around, m/s^2."""
 _CLIMB_LEAST = 0.2
 """Least part of the climb that counts against a deck that rises."""
 ON_PAD = 1.4
@@ -157,9 +157,9 @@ def no_return_m(knowledge: Knowledge, cone: ConeOptions) -> float:
 
 
 def lower_foot_m(knowledge: Knowledge, cone: ConeOptions) -> float:
-    """Return how much lower than a level vehicle's the lowest foot is: its distance aside is about that below the origin, m."""
+    """Return how much lower than a level vehicle's the lowest of four feet at the corners is, m."""
     body = knowledge.body
-    return 0.0 if body is None else cone.feet_below_m * math.hypot(*body.lean_m_s2) / G_M_S2
+    return 0.0 if body is None else cone.feet_aside_m * sum(map(abs, body.lean_m_s2)) / G_M_S2
 
 
 def reached(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> bool:
@@ -181,7 +181,12 @@ def lift_m(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> 
     rises_m_s = 0.0 if knowledge.deck is None else max(0.0, -knowledge.deck.v_level.item(2))
     up_m_s = max(_CLIMB_LEAST * climb.max_m_s, climb.max_m_s - rises_m_s)
     way_m = delay_s * down_m_s + climb.lag_s * (down_m_s - up_m_s * math.log1p(down_m_s / up_m_s))
-    return cone.feet_below_m * (1.0 + LEANS_MORE_M_S2 / G_M_S2) + lower_foot_m(knowledge, cone) + way_m
+    return cone.feet_below_m + _leans_by_m(knowledge, cone) + way_m
+
+
+def _leans_by_m(knowledge: Knowledge, cone: ConeOptions) -> float:
+    """Return how much lower than a level vehicle's the lowest foot will be before a climb has begun, m."""
+    return lower_foot_m(knowledge, cone) + cone.feet_aside_m * LEANS_MORE_M_S2 / G_M_S2
 
 
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
@@ -196,14 +201,17 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     # Speed along the deck ends it for as long as a climb keeps the feet off it: feet that slide catch and tip the vehicle over.
     over_m = estimate.height_m - lift
     lifts = over_m > 0.0
-    speed = math.hypot(v[0], v[1]) if lifts else None
+    # So fast, a foot that brushes the deck on the way up is better than a contact: what leaning lowers it by does not count.
+    speed = math.hypot(v[0], v[1]) if over_m > -_leans_by_m(knowledge, cone) else None
     # Feet that the deck holds make a tilt without a motion: a gust, or a speed to come, that is not there.
     ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, _COMMIT_SPEED)
     if speed is not None and knowledge.deck is not None:
         speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
         if over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt:
-            speed += _STEERS_M_S2 * to_contact_s(estimate, knowledge, cone)
+            # Until all feet stand: the first that touches does not stop what she does.
+            stands_m = max(0.0, estimate.height_m - cone.feet_below_m)
+            speed += _STEERS_M_S2 * stands_m / max(cone.commit_rate_m_s, -estimate.v_pad_level.item(2))
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),

@@ -19,6 +19,7 @@ from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import seconds_between
 
 
@@ -110,6 +111,8 @@ Aim = Target | Command | None
 
 _LIFT_M = 0.3
 """Height of the feet below which a go-around only climbs, m."""
+_BRAKES_M, _LEAN_LEAST_RAD = 0.1, math.radians(5.0)
+"""Height of the lowest foot from which on a go-around leans further than it does, m, and the least lean that it may have."""
 _HOLD_SPEED_M_S = 0.5
 _PRESS_SILENT_S = 0.15
 """Time without a sample of the vehicle after which it is not pressed on: its driver would let it hover, s."""
@@ -231,7 +234,11 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     if estimate.height_m - o.cone.feet_below_m < _LIFT_M:
         # It climbs at its place and moves with the deck: feet that are dragged before they leave the deck turn the vehicle over.
         here = np.array([*estimate.d_body_pad_level[:2], o.tries.safe_height_m])
-        return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s)
+        # A speed that it took off with is braked higher up: leaning further lowers a foot by more than it has climbed.
+        low = estimate.height_m - o.cone.feet_below_m - limits.lower_foot_m(s.knowledge, o.cone) < _BRAKES_M
+        leans = None if s.knowledge.body is None else math.atan(math.hypot(*s.knowledge.body.lean_m_s2) / G_M_S2)
+        most_rad = max(_LEAN_LEAST_RAD, leans) if low and leans is not None else None
+        return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s, lean_max_rad=most_rad)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])

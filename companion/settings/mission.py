@@ -24,6 +24,9 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     feet_below_m: Annotated[
         float, number("distance of the vehicle's feet below the body's origin; 0.045 on an AR.Drone", "m", 0.0, 1.0, public=True)
     ] = 0.045
+    feet_aside_m: Annotated[
+        float, number("distance of the vehicle's feet ahead and aside of the body's origin", "m", 0.0, 1.0, "an AR.Drone's")
+    ] = 0.13
     gate_height_m: Annotated[
         float, number("height of the feet over the deck at which it waits until every limit holds", "m", 0.1, 3.0, public=True)
     ] = 0.25

@@ -221,7 +221,7 @@ def test_feet_that_slide_come_to_stand_farther_on() -> None:
 
 @pytest.mark.hazard("H3")
 @pytest.mark.parametrize(
-    ("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.12, 0.9, True), (0.1, 0.9, False)]
+    ("height_m", "speed_m_s", "ends"), [(0.2, 0.46, True), (0.2, 0.44, False), (0.12, 0.9, True), (0.09, 0.9, False)]
 )
 def test_a_commit_that_would_slide_ends_while_it_can(height_m: float, speed_m_s: float, ends: bool) -> None:
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
@@ -250,7 +250,7 @@ def test_a_climb_from_the_height_of_lifting_keeps_the_feet_off_and_one_from_belo
     seen = estimate(NOW, (0.0, 0.0, 0.3), (0.0, 0.0, -down_m_s))
     deck = tilted(down_m_s=deck_down_m_s)
     known = Knowledge(ns(NOW), seen, leaning(lean_deg), deck, climb=ClimbResponse(delay_s, lag_s, most_m_s))
-    lower_m = CONE.feet_below_m * math.tan(math.radians(lean_deg))
+    lower_m = CONE.feet_aside_m * math.tan(math.radians(lean_deg))
     up_m_s, dt = most_m_s - max(0.0, -deck_down_m_s), 1e-3
     from_m = lift_m(seen, known, CONE)
     cov = seen.cov.copy()
@@ -263,7 +263,7 @@ def test_a_climb_from_the_height_of_lifting_keeps_the_feet_off_and_one_from_belo
         t += dt
         feet -= dt * v
         v -= dt * (v + max(0.2 * most_m_s, up_m_s)) / lag_s if t > delay_s else 0.0
-    assert feet == pytest.approx(CONE.feet_below_m * LEANS_MORE_M_S2 / G_M_S2, abs=0.005)
+    assert feet == pytest.approx(CONE.feet_aside_m * LEANS_MORE_M_S2 / G_M_S2, abs=0.005)
 
 
 @pytest.mark.hazard("H3")
@@ -271,7 +271,7 @@ def test_the_contact_is_that_of_the_lowest_foot_at_the_rate_that_is_flown() -> N
     seen = estimate(NOW, (0.0, 0.0, CONE.feet_below_m + 0.2), (0.0, 0.0, -0.1))
     assert to_contact_s(seen, Knowledge(ns(NOW), seen), CONE) == pytest.approx(0.5)
     leans = Knowledge(ns(NOW), seen, leaning(20.0))
-    assert to_contact_s(seen, leans, CONE) == pytest.approx((0.2 - CONE.feet_below_m * math.tan(math.radians(20.0))) / 0.4)
+    assert to_contact_s(seen, leans, CONE) == pytest.approx((0.2 - CONE.feet_aside_m * math.tan(math.radians(20.0))) / 0.4)
     fast = estimate(NOW, (0.0, 0.0, CONE.feet_below_m + 0.2), (0.0, 0.0, -0.8))
     assert to_contact_s(fast, Knowledge(ns(NOW), fast), CONE) == pytest.approx(0.25)
 
