@@ -32,8 +32,8 @@ from estimator.contracts.time import MonoNs
 
 SURROUNDINGS = {
     "sea_state_4": AxisDisturbances(),
-    # What pushed 8 flights of weather_4 over their last 8 s: 0.5 m/s^2 along the wind, half of it gone after 0.3 s.
-    "weather_4": AxisDisturbances(gust_m_s2=GaussMarkov(0.35, 1.5), downwash_m_s2=GaussMarkov(0.33, 0.15)),
+    # The wind that pushed 8 flights of weather_4, and over the deck the scenario's turbulence and vibration.
+    "weather_4": AxisDisturbances(GaussMarkov(0.35, 1.5), sample_m_s2=0.25, downwash_m_s2=GaussMarkov(0.5, 0.3)),
 }
 
 
