@@ -140,7 +140,8 @@ class Border:
         flies = mav.MAVLink_extended_sys_state_message(0, mav.MAV_LANDED_STATE_IN_AIR)
         got: list[str] = []
         began = time.monotonic()
-        for _ in range(200):
+        # What two autopilots with one id seem to have said counts for some seconds.
+        while time.monotonic() - began < 20.0:
             # The autopilot's clock runs as fast as ours, however seldom a busy machine lets it speak.
             boot_ms = 20_000 + round(1000 * (time.monotonic() - began))
             level = mav.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
