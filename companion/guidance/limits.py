@@ -47,7 +47,7 @@ _STEERS_M_S2 = 2.5
 """Acceleration until the contact of a ship that is seen to brake or turn, m/s^2."""
 _DECIDES_M = 0.05
 """Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
-LEANS_MORE_M_S2 = 1.0
+LEANS_MORE_M_S2 = 2.0
 """Further lean, ahead and aside together, that a vehicle has before it follows the order to go around, m/s^2."""
 _CLIMB_LEAST = 0.2
 """Least part of the climb that counts against a deck that rises."""
