@@ -210,8 +210,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
         if over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt:
             # Until all feet stand: the first that touches does not stop what she does.
-            stands_m = max(0.0, estimate.height_m - cone.feet_below_m)
-            speed += _STEERS_M_S2 * stands_m / max(cone.commit_rate_m_s, -estimate.v_pad_level.item(2))
+            speed += _STEERS_M_S2 * _descends_s(estimate.height_m - cone.feet_below_m, estimate, cone)
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),
@@ -243,8 +242,11 @@ def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> l
 
 def to_contact_s(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions) -> float:
     """Return the time until the lowest foot meets the deck, at the commit's rate or the present one if that is higher, s."""
-    over_m = estimate.height_m - cone.feet_below_m - lower_foot_m(knowledge, cone)
-    return max(0.0, over_m) / max(cone.commit_rate_m_s, -estimate.v_pad_level.item(2))
+    return _descends_s(estimate.height_m - cone.feet_below_m - lower_foot_m(knowledge, cone), estimate, cone)
+
+
+def _descends_s(way_m: float, estimate: RelativeState, cone: ConeOptions) -> float:
+    return max(0.0, way_m) / max(cone.commit_rate_m_s, -estimate.v_pad_level.item(2))
 
 
 def gusts_m(gust_m_s2: float, seconds: float) -> float:

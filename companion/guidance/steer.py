@@ -235,9 +235,9 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
         # It climbs at its place and moves with the deck: feet that are dragged before they leave the deck turn the vehicle over.
         here = np.array([*estimate.d_body_pad_level[:2], o.tries.safe_height_m])
         # A speed that it took off with is braked higher up: leaning further lowers a foot by more than it has climbed.
-        low = estimate.height_m - o.cone.feet_below_m - limits.lower_foot_m(s.knowledge, o.cone) < _BRAKES_M
-        leans = None if s.knowledge.body is None else math.atan(math.hypot(*s.knowledge.body.lean_m_s2) / G_M_S2)
-        most_rad = max(_LEAN_LEAST_RAD, leans) if low and leans is not None else None
+        body, most_rad = s.knowledge.body, None
+        if body is not None and estimate.height_m - o.cone.feet_below_m - limits.lower_foot_m(s.knowledge, o.cone) < _BRAKES_M:
+            most_rad = max(_LEAN_LEAST_RAD, math.atan(math.hypot(*body.lean_m_s2) / G_M_S2))
         return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s, lean_max_rad=most_rad)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
