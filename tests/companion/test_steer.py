@@ -349,7 +349,7 @@ def test_a_go_around_first_lifts_where_it_is_at_the_fastest_rate() -> None:
 
 @pytest.mark.parametrize(("lean_deg", "height_m", "most_deg"), [(12.0, 0.12, 12.0), (2.0, 0.12, 5.0), (12.0, 0.19, None)])
 def test_feet_near_the_deck_are_not_lowered_by_a_further_lean(lean_deg: float, height_m: float, most_deg: float | None) -> None:
-    """WHY: in weather_4 drones that went around braked with 20 degrees more at once, and a foot that it lowered met the pad."""
+    """WHY: in weather_4 drones that went around braked with 13 degrees more at once, and a foot that it lowered met the pad."""
     leans = replace(known((0.1, 0.2, height_m)), body=leaning(lean_deg))
     found = target(State.GO_AROUND, leans).lean_max_rad
     assert found == (None if most_deg is None else pytest.approx(math.radians(most_deg)))
