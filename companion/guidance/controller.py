@@ -87,6 +87,8 @@ class Knowledge(Struct, frozen=True):
     """Response of the vehicle's climb, by its file; None where nobody says."""
     jerk_max_m_s3: float | None = None
     """The vehicle's own limit of the jerk; None leaves it at its response file's."""
+    tilt_max_deg: float | None = None
+    """The largest tilt to ask for, by the vehicle's own limit; None leaves it at its response file's."""
     unfelt: bool = False
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S

@@ -30,6 +30,7 @@ from companion.settings.response import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, fixed_pair, fixed_vector
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
 
@@ -218,7 +219,7 @@ class FollowDeck:
         felt = noise or ObserverNoise()
         self._observers = observer_gains(felt, period_s)
         self._observers_unfelt = observer_gains(felt._replace(accelerometer=False), period_s)
-        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, float, bool], Any] = {}
+        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, tuple[float, float], bool], Any] = {}
 
     @property
     def climb_max_m_s(self) -> float:
@@ -236,25 +237,31 @@ class FollowDeck:
             self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
         return self._tunings[choice]
 
-    def _law(self, memory: FollowDeckMemory, sigma_p_m: float, soft_m: float, jerk_max_m_s3: float, *, unfelt: bool) -> Any:
+    def tilt_max_deg(self, knowledge: Knowledge) -> float:
+        """Return the largest tilt to ask for: by the vehicle's own word before its file's."""
+        return knowledge.tilt_max_deg or self.response.tilt.max_deg
+
+    def _law(self, memory: FollowDeckMemory, sigma_p_m: float, soft_m: float, knowledge: Knowledge) -> Any:
         """Return the law as the core reads it, kept once it is made.
 
         Args:
             sigma_p_m: standard deviation of the place, by which it is observed.
             soft_m: the one for which gains are as soft as they are to be.
-            jerk_max_m_s3: limit of the jerk; 0 without one.
+            knowledge: has the vehicle's limits, and whether its accelerometer is lost.
 
         Raises:
             ValueError: as `_gains`.
         """
         before = memory.tuning if memory.share == 1.0 else memory.tuning_before
-        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), jerk_max_m_s3, unfelt
+        limits, unfelt = (self._jerk_max_m_s3(knowledge), self.tilt_max_deg(knowledge)), knowledge.unfelt
+        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), limits, unfelt
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
             observers = self._observers_unfelt if unfelt else self._observers
             of = self._tuning(memory.tuning).response
-            own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping, "jerk_max_m_s3": jerk_max_m_s3}
-            params = {**self._params, **own}
+            tilt_max_m_s2 = G_M_S2 * math.tan(math.radians(limits[1]))
+            own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
+            params = {**self._params, **own, "jerk_max_m_s3": limits[0], "tilt_max_m_s2": tilt_max_m_s2}
             self._in_use[key] = law_in_use(params, gains, chosen(observers, sigma_p_m), earlier)
         return self._in_use[key]
 
@@ -341,8 +348,8 @@ class FollowDeck:
             return replace(memory, plain=plain), given
         memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
         over = (0.0, 0.0) if target is None else (target.d_body_pad_level.item(0), target.d_body_pad_level.item(1))
-        soft_m, jerk_m_s3 = self._soft_m(memory, knowledge, relative, over), self._jerk_max_m_s3(knowledge)
-        law, share = self._law(memory, _sigma_m(relative), soft_m, jerk_m_s3, unfelt=knowledge.unfelt), memory.share
+        soft_m = self._soft_m(memory, knowledge, relative, over)
+        law, share = self._law(memory, _sigma_m(relative), soft_m, knowledge), memory.share
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         cycle = law_cycle(knowledge, body, target, dt, share, goes_on=0.0 < dt <= _GAP_MAX_S)
         core, out = CORE.ffi.new("dl_law_memory *"), CORE.ffi.new("dl_law_command *")

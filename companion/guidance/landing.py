@@ -56,6 +56,8 @@ from estimator.vision.detection import PadCheck
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
 
+_TILT_LEFT_DEG = 2.0
+"""What is left of an autopilot's own limit of the tilt, for what its loops overshoot."""
 _ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
 """States whose orders the height is compared with."""
 
@@ -385,10 +387,14 @@ class LandingGuidance:
         outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
         # In steps, so that a forecast is carried on once and not in each cycle.
         swell_rad_s = round(self._swell.rad_s, 1)
-        jerk_m_s3 = None if self.vehicle is None else self.vehicle.jerk_max_m_s3
+        jerk_m_s3, own_tilt_deg = (
+            (None, None) if self.vehicle is None else (self.vehicle.jerk_max_m_s3, self.vehicle.tilt_max_deg)
+        )
+        most_deg = self._guidance.follow_deck.tilt_max_deg
+        tilt_deg = None if own_tilt_deg is None else max(2.0, min(own_tilt_deg - _TILT_LEFT_DEG, most_deg))
         seen = Knowledge(
             now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, swell_watched_s=self._swell.known_s,
-            outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3,
+            outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3, tilt_max_deg=tilt_deg,
         )  # fmt: skip
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
@@ -418,7 +424,8 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._wind = watched_wind(self._wind, knowledge)
-        wind = None if knowledge.body is None else wind_over_drone(self._wind, self._tilt, knowledge.body.heading_rad, self._view)
+        tilt = self._tilt if knowledge.tilt_max_deg is None else replace(self._tilt, max_deg=knowledge.tilt_max_deg)
+        wind = None if knowledge.body is None else wind_over_drone(self._wind, tilt, knowledge.body.heading_rad, self._view)
         self._air = wind
         battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None

@@ -99,7 +99,7 @@ class PolicyController:
         action = self._policy.act(observation(memory, place, relative, body, deck, now)[None])[0].astype(float)
         trim_level = np.array(memory.trim)
         lean = self._in_view(relative.d_body_pad_level, trim_level, self._full_m_s2 * action[:2] + trim_level)
-        tilt_max_rad = math.radians(self._law.response.tilt.max_deg)
+        tilt_max_rad = math.radians(self._law.tilt_max_deg(knowledge))
         if target.lean_max_rad is not None:
             tilt_max_rad = min(tilt_max_rad, target.lean_max_rad)
         lean = _shortened(lean, trim_level, G_M_S2 * math.tan(tilt_max_rad))

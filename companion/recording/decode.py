@@ -61,7 +61,9 @@ def sample(of: rec.SampleRecord) -> Sample:
             v = None if of.v_ned is None else _vector(of.v_ned)
             return GeoFix(t, cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
         case rec.StatusRecord():
-            return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok, of.taken, of.jerk_max_m_s3)
+            return VehicleStatus(
+                t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok, of.taken, of.jerk_max_m_s3, of.tilt_max_deg
+            )
 
 
 def stamp(of: rec.StampRecord) -> Stamp:

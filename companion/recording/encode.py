@@ -70,8 +70,9 @@ def sample(of: Sample) -> rec.SampleRecord:
             )
         case VehicleStatus():
             return rec.StatusRecord(
-                stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3
-            )
+                stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3,
+                of.tilt_max_deg,
+            )  # fmt: skip
 
 
 def stamp(of: Stamp) -> rec.StampRecord:

@@ -111,6 +111,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     """Holder of the vehicle, if it was taken from the service."""
     jerk_max_m_s3: float | None = None
     """The vehicle's own limit of the jerk along the ground."""
+    tilt_max_deg: float | None = None
+    """The vehicle's own limit of its tilt."""
 
 
 class Pose6Record(Struct, frozen=True):

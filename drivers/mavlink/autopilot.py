@@ -18,7 +18,14 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_link
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
 from drivers.mavlink.roster import Bound, IdConflict, Origins, Roster
-from drivers.mavlink.samples import SAMPLE_PARAMETERS, LocalPosition, MavlinkSampler, inertial_delay_s, jerk_max_m_s3
+from drivers.mavlink.samples import (
+    SAMPLE_PARAMETERS,
+    LocalPosition,
+    MavlinkSampler,
+    inertial_delay_s,
+    jerk_max_m_s3,
+    tilt_max_deg,
+)
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import (
@@ -303,6 +310,7 @@ class Autopilot:
         if name == "PARAM_VALUE":
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
             known.sampler.jerk_max_m_s3 = jerk_max_m_s3(known.parameters.values)
+            known.sampler.tilt_max_deg = tilt_max_deg(known.identity.stack, known.parameters.values)
         samples = known.sampler.samples(message, received_at)
         for fix in samples:
             if isinstance(fix, GeoFix):

@@ -49,7 +49,15 @@ _PRESSURE_HPA = (100.0, 1200.0)
 
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 _JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE")
-SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3), Stack.PX4: (_INTERVALS_HZ,)}
+_TILTS_DEG = {
+    Stack.ARDUPILOT: {"ANGLE_MAX": 0.01, "ATC_ANGLE_MAX": 1.0, "PSC_ANGLE_MAX": 1.0},
+    Stack.PX4: {"MPC_TILTMAX_AIR": 1.0},
+}
+"""Limits of the tilt, of which the least is flown, and their units in degrees."""
+SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {
+    Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3, *_TILTS_DEG[Stack.ARDUPILOT]),
+    Stack.PX4: (_INTERVALS_HZ, *_TILTS_DEG[Stack.PX4]),
+}
 """Parameters that samples depend on, by stack; the first one is that of the inertial delay."""
 _MOST_S = 0.05
 """Longest delay that is accepted: a cutoff of 4.5 Hz, with which nothing flies."""
@@ -71,6 +79,12 @@ def jerk_max_m_s3(values: Mapping[str, float]) -> float | None:
     """Return the largest rate at which the autopilot changes its acceleration along the ground; None while it is not known."""
     found = [values[name] for name in _JERKS_M_S3 if values.get(name, 0.0) > 0.0]
     return found[0] if found else None
+
+
+def tilt_max_deg(stack: Stack, values: Mapping[str, float]) -> float | None:
+    """Return the largest tilt that the autopilot flies; None while it is not known."""
+    limits = _TILTS_DEG.get(stack, {})
+    return min((unit * values[name] for name, unit in limits.items() if values.get(name, 0.0) > 0.0), default=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +114,8 @@ class MavlinkSampler:
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.jerk_max_m_s3: float | None = None
         """Its limit of the jerk, as the status hands it on; None while it is not known."""
+        self.tilt_max_deg: float | None = None
+        """Its limit of the tilt, likewise."""
         self.condition = Condition()
         self.taken: str | None = None
         """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
@@ -198,7 +214,9 @@ class MavlinkSampler:
         c = self.condition
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")
-        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken, self.jerk_max_m_s3)
+        return VehicleStatus(
+            stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken, self.jerk_max_m_s3, self.tilt_max_deg
+        )
 
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition

@@ -278,6 +278,8 @@ class VehicleStatus(Struct, frozen=True):
     """Holder of the vehicle if it was taken from this service, in the vehicle's own words, for people; None otherwise."""
     jerk_max_m_s3: float | None = None
     """Largest rate at which it changes its acceleration along the ground, by its own settings; None if it does not say."""
+    tilt_max_deg: float | None = None
+    """Largest tilt that it flies, by its own settings; None if it does not say."""
 
 
 Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus

@@ -190,10 +190,13 @@ def test_its_velocity_is_the_decks_and_the_drones_with_what_the_tilt_will_give(v
     assert own.v_level[:2] == pytest.approx([0.0, 0.0] if v_deck is None else [0.6, -0.4])
 
 
+@pytest.mark.parametrize("own_deg", [None, 10.0, 43.0])
 @pytest.mark.parametrize("most_rad", [None, 0.05, 1.0])
-def test_a_tilt_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None) -> None:
-    most = min(RESPONSE.tilt.max_m_s2, math.inf if most_rad is None else G_M_S2 * math.tan(most_rad))
-    _, command = stepped(LAW.start(), known(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), Target(OVER, lean_max_rad=most_rad))
+def test_a_tilt_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None, own_deg: float | None) -> None:
+    by_vehicle = RESPONSE.tilt.max_m_s2 if own_deg is None else G_M_S2 * math.tan(math.radians(own_deg))
+    most = min(by_vehicle, math.inf if most_rad is None else G_M_S2 * math.tan(most_rad))
+    now = structs.replace(known(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), tilt_max_deg=own_deg)
+    _, command = stepped(LAW.start(), now, Target(OVER, lean_max_rad=most_rad))
     assert asked(command) == pytest.approx([0.6 * most, -0.8 * most])
     _, little = stepped(LAW.start(), known(0.0, (0.003, -0.004, 1.0)), Target(OVER, lean_max_rad=most_rad))
     assert 0.0 < np.hypot(*asked(little)) < 0.5 * G_M_S2 * math.tan(0.05)

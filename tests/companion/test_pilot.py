@@ -15,6 +15,7 @@ from companion.guidance.landing import mission_step
 from companion.guidance.pilot import Pilot, PilotOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
+from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.commands import Command, Hover, Land, Velocity
@@ -230,6 +231,15 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cockpit.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
         cockpit.pilot.decide(now)
     assert cycles[-1].silent_s == pytest.approx(50 * TICK_S)
+
+
+@pytest.mark.parametrize(("own_deg", "flown_deg"), [(None, None), (25.0, 23.0), (45.0, 40.0)])
+def test_the_vehicle_s_own_limit_of_the_tilt_counts_up_to_the_owner_s(own_deg: float | None, flown_deg: float | None) -> None:
+    guidance, now = GuidanceOptions(follow_deck=FollowDeckOptions(tilt_max_deg=40.0)), MonoNs(0)
+    pilot = Pilot(EYES, EstimatorOptions(), guidance, PilotOptions())
+    pilot.on_sample(VehicleStatus(Stamp(now, now, 0.001, "sim"), True, "guided", 0.9, False, True, tilt_max_deg=own_deg))
+    known = pilot.landing.knowledge(now, None, (None, None), lambda now, horizons_s: None)
+    assert known.tilt_max_deg == flown_deg
 
 
 @settings(max_examples=10)

@@ -64,6 +64,7 @@ PARAMETERS: dict[str, float] = {
     "PSC_ACCZ_FF": 0.48,
     "PSC_JERK_Z": 15,
     "WPNAV_ACCEL_Z": 300,
+    "ANGLE_MAX": 4500,
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""

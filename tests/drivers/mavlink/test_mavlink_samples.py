@@ -9,7 +9,7 @@ import pytest
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, jerk_max_m_s3
+from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, jerk_max_m_s3, tilt_max_deg
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
@@ -114,6 +114,22 @@ def test_the_limit_of_the_jerk_is_in_the_status(values: dict[str, float], jerk_m
     s = sampler()
     s.jerk_max_m_s3 = jerk_max_m_s3(values)
     assert s.status(NOW, link_ok=True).jerk_max_m_s3 == jerk_m_s3
+
+
+@pytest.mark.parametrize(
+    ("stack", "values", "tilt_deg"),
+    [
+        (Stack.ARDUPILOT, {}, None),
+        (Stack.ARDUPILOT, {"ANGLE_MAX": 3000.0, "PSC_ANGLE_MAX": 0.0}, 30.0),
+        (Stack.ARDUPILOT, {"ATC_ANGLE_MAX": 40.0, "PSC_ANGLE_MAX": 25.0}, 25.0),
+        (Stack.PX4, {"MPC_TILTMAX_AIR": 45.0, "ANGLE_MAX": 3000.0}, 45.0),
+        (Stack.OTHER, {"ANGLE_MAX": 3000.0}, None),
+    ],
+)
+def test_the_limit_of_the_tilt_is_in_the_status(stack: Stack, values: dict[str, float], tilt_deg: float | None) -> None:
+    s = sampler()
+    s.tilt_max_deg = tilt_max_deg(stack, values)
+    assert s.status(NOW, link_ok=True).tilt_max_deg == pytest.approx(tilt_deg)
 
 
 def test_a_delay_is_of_inertial_readings_alone() -> None:
