@@ -56,8 +56,10 @@ def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Veloc
 
 
 CLIMB_M_S = 1.0
-REST_S = 2.0
-"""Time constant of the mean of the velocity on deck, s: it keeps the ship's way and removes most of the waves."""
+REST_S = 8.0
+"""Time over which the velocity on deck is averaged, s: it keeps the ship's way and removes the waves."""
+_RESET_M_S = 0.5
+"""Step between two of the autopilot's velocities that is its filter's: what was averaged before was wrong."""
 _LIFTED_M = 0.3
 
 
@@ -65,19 +67,25 @@ class RestVelocity:
     """The mean velocity over the ground of a vehicle that stands: that of the deck under it."""
 
     def __init__(self) -> None:
-        self._stood = False
+        self._stood_s = 0.0
+        self._last: F64 | None = None
+        """The velocity before, (3,) m/s, level; None if it did not stand."""
         self.newest: tuple[MonoNs, F64] | None = None
         """Time when the vehicle last stood, and the mean then, (3,) m/s, level; None if it never did."""
 
     def on_velocity(self, v_ned: F64, now: MonoNs, *, stands: bool) -> None:
         """Take the autopilot's velocity, (3,) m/s."""
-        if stands:
-            level = v_ned * (1.0, 1.0, 0.0)
-            if self._stood and self.newest is not None:
-                at, mean = self.newest
-                level = mean + (1.0 - math.exp(-max(seconds_between(at, now), 0.0) / REST_S)) * (level - mean)
-            self.newest = now, level
-        self._stood = stands
+        last, self._last = self._last, v_ned * (1.0, 1.0, 0.0) if stands else None
+        if self._last is None:
+            return
+        mean = self._last
+        if self.newest is not None and last is not None and math.dist(last, mean) < _RESET_M_S:
+            since_s = max(seconds_between(self.newest[0], now), 0.0)
+            self._stood_s += since_s
+            mean = self.newest[1] + since_s / max(min(REST_S, self._stood_s), 1e-9) * (mean - self.newest[1])
+        else:
+            self._stood_s = 0.0
+        self.newest = now, mean
 
 
 class TakingOff:

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
 from estimator.contracts.commands import Hover, Land, LandingPlace, Lean, TakeOff, Velocity
@@ -350,6 +350,20 @@ def test_taking_off_step_by_step() -> None:
     flight.periods(0.04)
     assert flight.streamer.hand is Hand.OURS
     assert velocities(flight.periods(0.04)) == [(0.0, 0.0, 0.0, 0.0)]
+
+
+def test_the_way_of_a_deck_is_the_mean_over_its_waves_and_since_the_filter_knew_it() -> None:
+    """WHY: PX4's filter said 0 for a second before GNSS; half of the ship's way was kept, and she left a drone that searched."""
+    rest, gone = RestVelocity(), MonoNs(0)
+    for k in range(1000):
+        now = MonoNs(k * S // 50)
+        surge = 0.4 * math.sin(math.tau * k / 300)
+        rest.on_velocity(np.array([0.0 if k < 500 else 1.5 + surge, 0.0, surge]), now, stands=k < 900)
+        gone = now if k < 900 else gone
+    assert rest.newest is not None
+    at, mean = rest.newest
+    assert at == gone
+    assert mean == pytest.approx([1.5, 0.0, 0.0], abs=0.15)
 
 
 def test_px4_is_taken_off_a_ship_under_way_by_setpoints_that_go_with_her() -> None:
