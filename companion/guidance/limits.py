@@ -205,6 +205,9 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     speed = math.hypot(v[0], v[1]) if over_m > -_leans_by_m(knowledge, cone) else None
     # Feet that the deck holds make a tilt without a motion: a gust, or a speed to come, that is not there.
     ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, _COMMIT_SPEED)
+    if speed is not None and not lifts and knowledge.at_contact is not None:
+        # One that is braked until the contact is no reason to brush it.
+        speed = min(speed, knowledge.at_contact.speed_m_s)
     if speed is not None and knowledge.deck is not None:
         speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
