@@ -430,9 +430,24 @@ def test_a_velocity_loops_own_tilt_is_followed_axis_by_axis_and_reported_as_trim
             assert command.trim_level == pytest.approx([c * north + s * east, c * east - s * north])
 
 
+@pytest.mark.parametrize("over_ground", [False, True])
+def test_a_wind_that_takes_thirty_five_degrees_is_known_whole(over_ground: bool) -> None:
+    """WHY: what an autopilot leans by itself counted up to 17 degrees; in 10 m/s it flew upwind past the pad until that was lost."""
+    law = FollowDeck(RESPONSE, T, over_ground=over_ground)
+    memory = law.start()
+    for k in range(1000):
+        now = known(k * T, lean=(7.0, -1.0))
+        memory, _ = law.step(memory, now.at, now, None if over_ground else HOLD)
+    after = seen(memory, law, over_ground=over_ground)
+    assert after.axes is not None
+    assert [axis.seen.d for axis in after.axes] == pytest.approx([-7.0, 1.0], abs=0.05)
+    if after.own is not None:
+        assert [part.own for part in after.own] == pytest.approx([7.0, -1.0], abs=0.05)
+
+
 def own_after(part: OwnPart, unexplained: float, lean: float, rate: float, spans: float) -> OwnPart:
     """Return the vehicle's own part after some of its time constants in which this much of the tilt was not explained."""
-    return OwnPart(float(np.clip(part.own + (1.0 - math.exp(-spans)) * unexplained, -3.0, 3.0)), lean, rate)
+    return OwnPart(float(np.clip(part.own + (1.0 - math.exp(-spans)) * unexplained, -10.0, 10.0)), lean, rate)
 
 
 def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> tuple[list[float], list[float]]:

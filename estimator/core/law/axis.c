@@ -7,11 +7,12 @@
 
 #include "law/law.h"
 
-static const double DISTURBANCE_MAX_M_S2 = 6.0;
+/* The most that the air pushes, and that a vehicle leans by itself against it: more than any tilt that is flown answers. */
+static const double PUSH_MAX_M_S2 = 10.0;
 /* Weight of the gyro against the model in the rate of the tilt. */
 static const double GYRO_SHARE = 0.25;
 /* Time constants of the mean of the vehicle's own part: while the law steers, and while all of the tilt is its own. */
-static const double OWN_FLOWN_S = 0.7, OWN_HOVERED_S = 2.0, OWN_MAX_M_S2 = 3.0;
+static const double OWN_FLOWN_S = 0.7, OWN_HOVERED_S = 2.0;
 
 double law_limited(double value, double most)
 {
@@ -54,7 +55,7 @@ static void observe(const dl_law_observer *observer, double dt, double a_lean, c
         const double *gains = observer->gains[i];
         is[i] = was[i] + gains[0] * off[0] + gains[1] * off[1] + gains[2] * off[2];
     }
-    after->p = is[0], after->w = is[1], after->d = law_limited(is[2], DISTURBANCE_MAX_M_S2), after->b = is[3];
+    after->p = is[0], after->w = is[1], after->d = law_limited(is[2], PUSH_MAX_M_S2), after->b = is[3];
 }
 
 /* How far a tilt's rate has come after dt by the response: rate' = frequency^2 (lag - lean) - 2 damping frequency rate. */
@@ -121,11 +122,11 @@ void own_flown(const dl_law_params *o, double dt, const dl_law_axis *x, const dl
 {
     const double rate = rate_after(o, dt, before->rate, before->lean, x->lag), explained = before->lean + dt * rate;
     const double own = before->own + (1.0 - exp(-dt / OWN_FLOWN_S)) * (x->lean - explained);
-    after->own = law_limited(own, OWN_MAX_M_S2), after->lean = explained, after->rate = rate;
+    after->own = law_limited(own, PUSH_MAX_M_S2), after->lean = explained, after->rate = rate;
 }
 
 void own_hovered(double dt, double lean, const dl_law_own *before, dl_law_own *after)
 {
     const double own = before->own + (1.0 - exp(-dt / OWN_HOVERED_S)) * (lean - before->own);
-    after->own = law_limited(own, OWN_MAX_M_S2), after->lean = lean, after->rate = 0.0;
+    after->own = law_limited(own, PUSH_MAX_M_S2), after->lean = lean, after->rate = 0.0;
 }
