@@ -209,7 +209,7 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     blind_descent_max_m: Annotated[float, number("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
     go_arounds_max: Annotated[
         int, number("number of go-arounds after which the drone holds still and waits for the operator", "1", 0, 100, public=True)
-    ] = 3
+    ] = 5
     safe_height_m: Annotated[float, number("height over the pad to which it climbs", "m", 0.5, 50.0, public=True)] = 2.0
     climb_m_s: Annotated[float, number("rate against the deck with which it climbs", "m/s", 0.05, 2.0)] = 0.5
     clear_side_deg: Annotated[
