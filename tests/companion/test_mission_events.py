@@ -222,18 +222,19 @@ def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
         ends = (Event.NO_CONDITIONS, Event.HOPELESS)
         return [found for found in happens(p, cycle(seen((0.0, 0.0, height_m)), **s)) if found[0] in ends]
 
-    assert after(2.0, WHY, 3) == after(2.0, None, 4) == after(1.7, WHY, 4, refusing=True) == []
-    assert after(2.0, WHY, 4) == [(Event.HOPELESS, WHY)]
-    assert after(2.0, wind, 4) == [(Event.NO_CONDITIONS, wind), (Event.HOPELESS, wind)]
-    assert after(2.0, wind, 3) == []
-    assert after(2.0, wind, 3, refusing=True) == [(Event.NO_CONDITIONS, wind)]
-    assert after(2.0, WHY, 3, late_s=0.5)[0][0] is Event.NO_CONDITIONS
-    assert after(1.7, WHY, 3, late_s=0.5) == [], "up first"
+    last, over = OPTIONS.tries.go_arounds_max, OPTIONS.tries.go_arounds_max + 1
+    assert after(2.0, WHY, last) == after(2.0, None, over) == after(1.7, WHY, over, refusing=True) == []
+    assert after(2.0, WHY, over) == [(Event.HOPELESS, WHY)]
+    assert after(2.0, wind, over) == [(Event.NO_CONDITIONS, wind), (Event.HOPELESS, wind)]
+    assert after(2.0, wind, last) == []
+    assert after(2.0, wind, last, refusing=True) == [(Event.NO_CONDITIONS, wind)]
+    assert after(2.0, WHY, last, late_s=0.5)[0][0] is Event.NO_CONDITIONS
+    assert after(1.7, WHY, last, late_s=0.5) == [], "up first"
     assert of(Event.HOPELESS, memory(State.HOLD_BLIND, fault=WHY, go_arounds=9), cycle(seen())) is None
 
 
 def test_what_the_frames_show_is_reported_where_nothing_else_is_seen() -> None:
-    p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=4)
+    p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=OPTIONS.tries.go_arounds_max + 1)
     assert of(Event.HOPELESS, p, cycle()) == WHY
     reported = of(Event.HOPELESS, p, cycle(frames=BLIND))
     assert reported is not None
