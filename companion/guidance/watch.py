@@ -156,7 +156,8 @@ def _windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     """Return that the wind is too strong, once that has stood for longer than a gust."""
     if s.wind is None or _windy_s(p, s) < _WIND_DWELL_S:
         return None
-    return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, f"gusts of {s.wind.gust_m_s:.1f}")
+    told = f"gusts of {s.wind.gust_m_s:.1f}, {math.degrees(s.wind.lean_rad):.0f} degrees of lean"
+    return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, told)
 
 
 def _bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
