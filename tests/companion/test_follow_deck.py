@@ -432,7 +432,7 @@ def test_a_velocity_loops_own_tilt_is_followed_axis_by_axis_and_reported_as_trim
 
 @pytest.mark.parametrize("over_ground", [False, True])
 def test_a_wind_that_takes_thirty_five_degrees_is_known_whole(over_ground: bool) -> None:
-    """WHY: what an autopilot leans by itself counted up to 17 degrees; in 10 m/s it flew upwind past the pad until that was lost."""
+    """WHY: what an autopilot leans by itself counted up to 17 degrees; in 10 m/s it flew upwind past the pad and lost it."""
     law = FollowDeck(RESPONSE, T, over_ground=over_ground)
     memory = law.start()
     for k in range(1000):
