@@ -19,6 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.settings.response import ClimbResponse
+from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs, seconds_between
 
 LASTS_S = 2.0
@@ -99,6 +100,9 @@ class ClimbWatch(Struct, frozen=True):
     climbs_m_s: float | None = None
     """Rate of climb by the orders; None where nothing was ordered in the cycle before."""
     baro: HeightCourse = HeightCourse()
+    """Its height is where orders and readings put the barometer: a mean of readings alone would lag a vehicle that moves."""
+    baro_at: MonoNs | None = None
+    """Time of the newest reading."""
     pad: HeightCourse = HeightCourse()
     ordered_s: float = 0.0
     """Time for which orders were given, s."""
@@ -106,30 +110,44 @@ class ClimbWatch(Struct, frozen=True):
     """Time for which they were given since the last gap, s."""
 
     def flown(
-        self, ordered_m_s: float | None, baro_m: float | None, pad_m: float | None, climb: ClimbResponse, since_last_s: float
+        self, ordered_m_s: float | None, baro: Baro | None, pad_m: float | None, climb: ClimbResponse, since_last_s: float
     ) -> ClimbWatch:
         """Return the memory after a cycle; without an order it keeps what it knows, for a hover says nothing of orders.
 
         Args:
             ordered_m_s: ordered rate of climb over the ground, m/s; None if none was.
-            baro_m: height by the barometer, m; None if it is not known.
+            baro: the newest reading, which may be some cycles old; None if there is none that is fresh.
             pad_m: height over the pad, m; None while it is not seen.
             climb: the vehicle's response.
             since_last_s: time since the cycle before, s.
         """
         if ordered_m_s is None:
-            return ClimbWatch(None, HeightCourse(None, self.baro.off_m), HeightCourse(None, self.pad.off_m), self.ordered_s)
-        if baro_m is not None and self.baro.height_m is not None and abs(baro_m - self.baro.height_m) <= _JUMP_M:
-            baro_m = self.baro.height_m - math.expm1(-since_last_s / _BARO_S) * (baro_m - self.baro.height_m)
+            return ClimbWatch(None, HeightCourse(None, self.baro.off_m), None, HeightCourse(None, self.pad.off_m), self.ordered_s)
         before_m_s = ordered_m_s if self.climbs_m_s is None else self.climbs_m_s
         answered = -math.expm1(-since_last_s / (climb.delay_s + climb.lag_s))
         climbs_m_s = before_m_s + answered * (ordered_m_s - before_m_s)
         by_orders_m = climbs_m_s * since_last_s
-        if self.since_gap_s < _SETTLES_S:
-            baro, pad = HeightCourse(baro_m, self.baro.off_m), HeightCourse(pad_m, self.pad.off_m)
-        else:
-            baro, pad = self.baro.to(baro_m, by_orders_m, since_last_s), self.pad.to(pad_m, by_orders_m, since_last_s)
-        return ClimbWatch(climbs_m_s, baro, pad, self.ordered_s + since_last_s, self.since_gap_s + since_last_s)
+        since_gap_s = self.since_gap_s + since_last_s
+        settles = self.since_gap_s < _SETTLES_S
+        pad = HeightCourse(pad_m, self.pad.off_m) if settles else self.pad.to(pad_m, by_orders_m, since_last_s)
+        at = None if baro is None else baro.stamp.measured_at
+        course = self._by_baro(baro, by_orders_m, since_last_s, settles=settles)
+        return ClimbWatch(climbs_m_s, course, at, pad, self.ordered_s + since_last_s, since_gap_s)
+
+    def _by_baro(self, baro: Baro | None, by_orders_m: float, since_last_s: float, *, settles: bool) -> HeightCourse:
+        off_m = math.exp(-since_last_s / _FORGETS_S) * self.baro.off_m
+        if baro is None or self.baro_at is None or self.baro.height_m is None:
+            return HeightCourse(None if baro is None else baro.height_m, off_m)
+        height_m = self.baro.height_m + by_orders_m
+        since_s = seconds_between(self.baro_at, baro.stamp.measured_at)
+        if since_s <= 0.0:
+            return HeightCourse(height_m, off_m)
+        beyond_m = baro.height_m - height_m
+        if abs(beyond_m) > _JUMP_M:
+            return HeightCourse(baro.height_m, off_m)
+        most_m = _FASTEST_M_S * since_s
+        part_m = min(most_m, max(-most_m, -math.expm1(-since_s / _BARO_S) * beyond_m))
+        return HeightCourse(height_m + part_m, off_m if settles else off_m + part_m)
 
     @property
     def off_m(self) -> float | None:

@@ -142,8 +142,8 @@ _UNFELT_S = 1.0
 about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
-_BARO_S = 1.0
-"""Age up to which a barometer counts against the orders, s."""
+_BARO_S = 2.5
+"""Age up to which a barometer counts against the orders, s: an autopilot sends one reading a second."""
 _PLAIN = (
     State.WAIT,
     State.STANDBY,
@@ -468,9 +468,10 @@ class LandingGuidance:
         since_last_s = 0.0 if self.mission.last is None else max(0.0, seconds_between(self.mission.last, knowledge.at))
         estimate = knowledge.relative
         baro = self._baro
-        baro_m = None if baro is None or seconds_between(baro.stamp.measured_at, knowledge.at) > _BARO_S else baro.height_m
+        if baro is not None and seconds_between(baro.stamp.measured_at, knowledge.at) > _BARO_S:
+            baro = None
         seen_m = None if unfit(estimate, knowledge.at, self._guidance.stale_after_s) or estimate is None else estimate.height_m
-        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, baro_m, seen_m, self._climb, since_last_s)
+        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, baro, seen_m, self._climb, since_last_s)
         if (off_m := self._climb_watch.off_m) is None:
             return None
         return Reason(ReasonCause.OFF_ORDERS, abs(off_m), OFF_M, "higher" if off_m > 0.0 else "lower")
