@@ -26,6 +26,7 @@ from drivers.mavlink.samples import (
     jerk_max_m_s3,
     tilt_max_deg,
 )
+from drivers.mavlink.setpoint import Rested
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import (
@@ -202,9 +203,14 @@ class Autopilot:
         return None if self._known is None else self._known.streamer
 
     @property
-    def rested(self) -> tuple[MonoNs, F64] | None:
-        """Time when the vehicle last stood, and the mean velocity (3,) of the deck under it, m/s; None if it never did."""
+    def rested(self) -> Rested | None:
+        """Where the vehicle last stood, and with which velocity; None if it never did."""
         return None if self._known is None else self._known.streamer.rested
+
+    @property
+    def steered(self) -> bool:
+        """Whether this program steers the vehicle."""
+        return self._known is not None and self._known.streamer.hand not in _LEFT_ALONE
 
     def command(self, command: Command) -> None:
         """Take the newest command; it is flown as `SetpointStreamer` says.
@@ -321,7 +327,7 @@ class Autopilot:
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
             known.streamer.on_position(float(position.p_body_ned[2]))
-            known.streamer.on_velocity(position.v_body_ned, received_at)
+            known.streamer.on_velocity(position.v_body_ned, position.p_body_ned, received_at)
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
 

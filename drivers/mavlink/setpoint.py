@@ -12,6 +12,7 @@ the ground in GUIDED by MAV_CMD_NAV_TAKEOFF only, which reads no place; once it 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,6 +64,16 @@ _RESET_M_S = 0.5
 _LIFTED_M = 0.3
 
 
+class Rested(NamedTuple):
+    """Where a vehicle last stood."""
+
+    at: MonoNs
+    v_ned: F64
+    """(3,) m/s, level: the mean velocity over the ground."""
+    p_ned: F64
+    """(3,) m from the origin of the autopilot's filter."""
+
+
 class RestVelocity:
     """The mean velocity over the ground of a vehicle that stands: that of the deck under it."""
 
@@ -70,22 +81,22 @@ class RestVelocity:
         self._stood_s = 0.0
         self._last: F64 | None = None
         """The velocity before, (3,) m/s, level; None if it did not stand."""
-        self.newest: tuple[MonoNs, F64] | None = None
-        """Time when the vehicle last stood, and the mean then, (3,) m/s, level; None if it never did."""
+        self.newest: Rested | None = None
+        """None if it never stood."""
 
-    def on_velocity(self, v_ned: F64, now: MonoNs, *, stands: bool) -> None:
-        """Take the autopilot's velocity, (3,) m/s."""
+    def on_velocity(self, v_ned: F64, p_ned: F64, now: MonoNs, *, stands: bool) -> None:
+        """Take the autopilot's velocity and place, (3,) m/s and m."""
         last, self._last = self._last, v_ned * (1.0, 1.0, 0.0) if stands else None
         if self._last is None:
             return
         mean = self._last
         if self.newest is not None and last is not None and math.dist(last, mean) < _RESET_M_S:
-            since_s = max(seconds_between(self.newest[0], now), 0.0)
+            since_s = max(seconds_between(self.newest.at, now), 0.0)
             self._stood_s += since_s
-            mean = self.newest[1] + since_s / max(min(REST_S, self._stood_s), 1e-9) * (mean - self.newest[1])
+            mean = self.newest.v_ned + since_s / max(min(REST_S, self._stood_s), 1e-9) * (mean - self.newest.v_ned)
         else:
             self._stood_s = 0.0
-        self.newest = now, mean
+        self.newest = Rested(now, mean, p_ned)
 
 
 class TakingOff:

@@ -22,7 +22,7 @@ import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import RestVelocity, TakingOff, velocity_setpoint
+from drivers.mavlink.setpoint import Rested, RestVelocity, TakingOff, velocity_setpoint
 from drivers.mavlink.vehicle import (
     HOLD_MODE,
     LAND_MODE,
@@ -305,13 +305,13 @@ class SetpointStreamer:
         self._place, self._placed_at = place, now
 
     @property
-    def rested(self) -> tuple[MonoNs, F64] | None:
-        """Time when the vehicle last stood, and the mean velocity (3,) of the deck under it, m/s; None if it never did."""
+    def rested(self) -> Rested | None:
+        """Where the vehicle last stood, and with which velocity; None if it never did."""
         return self._rest.newest
 
-    def on_velocity(self, v_ned: F64, now: MonoNs) -> None:
-        """Take the autopilot's velocity over the ground, (3,) m/s."""
-        self._rest.on_velocity(v_ned, now, stands=self._condition.flying is False)
+    def on_velocity(self, v_ned: F64, p_ned: F64, now: MonoNs) -> None:
+        """Take the autopilot's velocity over the ground and its place, (3,) m/s and m."""
+        self._rest.on_velocity(v_ned, p_ned, now, stands=self._condition.flying is False)
 
     def on_attitude(self, attitude: Attitude) -> None:
         self._attitude = attitude
@@ -500,7 +500,7 @@ class SetpointStreamer:
         if self._attitude is None:
             return None
         yaw_rad = self._attitude.R_ned_body.rpy_rad[2]
-        mean = np.zeros(3) if self.rested is None else self.rested[1]
+        mean = np.zeros(3) if self.rested is None else self.rested.v_ned
         return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ mean)
 
     def _cut(self, now: MonoNs) -> list[Message]:

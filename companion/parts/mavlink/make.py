@@ -31,6 +31,7 @@ from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.setpoint import Rested
 from drivers.running_beside import running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState
@@ -46,8 +47,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 # behind, and a heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's
 # velocity plus the pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's
 # way and removes the waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity
-# stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the vehicle took off: a
-# hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave; it is zero while the pad is
+# stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the vehicle took off,
+# and of where she has been since: a hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave; it is zero while the pad is
 # out of sight.
 
 MEAN_S = 2.0
@@ -59,6 +60,9 @@ KEEP_S = 300.0
 _FRESH_S = 0.3
 _SIGMA_MAX_M_S = 0.6
 _MOST_M_S = 15.0
+_CARRIED_S, _SAME_WAY_M_S = 10.0, 0.6
+"""Time since the take-off from which the way since then counts, s, and its largest difference from the deck's velocity: waves and
+an operator some metres beside the pad make it."""
 
 
 class Moving(Protocol):
@@ -71,7 +75,10 @@ class Moving(Protocol):
     def positions(self) -> tuple[LocalPosition, ...]: ...
 
     @property
-    def rested(self) -> tuple[MonoNs, F64] | None: ...
+    def rested(self) -> Rested | None: ...
+
+    @property
+    def steered(self) -> bool: ...
 
 
 class DeckVelocity:
@@ -92,14 +99,18 @@ class DeckVelocity:
         self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
+        self._left: Rested | None = None
+        """Where the vehicle took off."""
         self._kept: tuple[MonoNs, F64] | None = None
         """Time when the pad was last seen or the vehicle stood on the deck, and its horizontal velocity then."""
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured, rested = self._measured(now), self._autopilot.rested
-        if self._kept is None or (rested is not None and rested[0] > self._kept[0]):
-            self._kept = rested
+        if rested is not None and (self._kept is None or rested.at > self._kept[0]):
+            self._left, self._kept = rested, (rested.at, rested.v_ned)
+        if self._left is not None and self._kept is not None and self._kept[0] == self._left.at and not self._autopilot.steered:
+            self._kept = self._left.at, self._carried(now, self._left)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
@@ -121,6 +132,18 @@ class DeckVelocity:
                 velocity = self._kept[1]
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    def _carried(self, now: MonoNs, left: Rested) -> F64:
+        """Return the way of the ship that carried the deck from under a vehicle to under it again, (3,) m/s, level.
+
+        Whoever orders a landing is over the pad. The mean since the take-off has none of the waves that are in a deck's velocity
+        over some seconds; from elsewhere than over the pad it contradicts that velocity, which then stands.
+        """
+        positions, since_s = self._autopilot.positions, seconds_between(left.at, now)
+        if not positions or since_s < _CARRIED_S:
+            return left.v_ned
+        way = (positions[-1].p_body_ned - left.p_ned) * (1.0, 1.0, 0.0) / since_s
+        return way if math.dist(way, left.v_ned) <= _SAME_WAY_M_S else left.v_ned
 
     def _measured(self, now: MonoNs) -> F64 | None:
         """Return the pad's velocity over the ground at this instant, or None if it cannot be determined."""

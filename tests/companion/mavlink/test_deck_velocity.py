@@ -12,6 +12,7 @@ from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.setpoint import Rested
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import RelativeState
@@ -34,7 +35,9 @@ class Scene:
     t_s: float = 1.0
     sighted_s: float | None = None
     """Time when the pad was last seen; None for just now."""
-    rested: tuple[MonoNs, F64] | None = None
+    rested: Rested | None = None
+    steered: bool = False
+    p_body_ned: F64 = field(default_factory=lambda: np.zeros(3))
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
 
     @property
@@ -47,7 +50,7 @@ class Scene:
 
     @property
     def positions(self) -> tuple[LocalPosition, ...]:
-        return (LocalPosition(Stamp(self.now, self.now, 0.0, "synced"), np.zeros(3), self.v_body_ned),)
+        return (LocalPosition(Stamp(self.now, self.now, 0.0, "synced"), self.p_body_ned, self.v_body_ned),)
 
     def believe(self, now: MonoNs) -> RelativeState | None:
         v = Rotation.from_rpy(0.0, 0.0, YAW).inv @ (self.v_pad_ned - self.v_body_ned + self.rng.normal(0.0, 0.1, 3))
@@ -155,8 +158,24 @@ def test_the_ship_s_report_stands_for_it_where_the_pad_was_never_seen_and_gives_
 
 def test_the_way_of_the_deck_from_which_it_took_off_is_kept_until_the_pad_is_seen() -> None:
     scene, seen = Scene(np.array([1.2, -0.9, 0.0])), False
-    scene.rested = scene.now, np.array([1.1, -0.8, 0.0])
+    scene.rested = Rested(scene.now, np.array([1.1, -0.8, 0.0]), np.zeros(3))
     way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene)
     assert run(way, scene, 0.9 * KEEP_S) == pytest.approx([1.1, -0.8, 0.0])
     seen = True
     assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+
+
+@pytest.mark.parametrize(("beside_m", "found"), [(2.0, [1.25, -0.9, 0.0]), (40.0, [1.5, -0.6, 0.0])])
+def test_the_way_since_the_take_off_is_the_ship_s_for_a_vehicle_back_over_her(beside_m: float, found: list[float]) -> None:
+    """WHY: the deck's velocity over 3 s before it took off was that of a wave as well, and a search left the pad by 0.25 m/s."""
+    scene = Scene(np.zeros(3))
+    scene.rested = Rested(scene.now, np.array([1.5, -0.6, 0.0]), np.array([5.0, 6.0, 0.0]))
+    way = DeckVelocity(lambda now: None, scene)
+    for n in range(800):
+        scene.t_s += 0.05
+        scene.p_body_ned = np.array([5.0 + beside_m, 6.0, -7.0]) + 0.05 * (n + 1) * np.array([1.2, -0.9, 0.0])
+        known = way(scene.now)
+    assert known == pytest.approx(found, abs=0.01)
+    scene.steered = True
+    scene.p_body_ned = scene.p_body_ned + 10.0
+    assert run(way, scene, 5.0) == pytest.approx(found, abs=0.01), "its own search says nothing of the ship"

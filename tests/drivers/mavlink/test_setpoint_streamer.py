@@ -358,12 +358,12 @@ def test_the_way_of_a_deck_is_the_mean_over_its_waves_and_since_the_filter_knew_
     for k in range(1000):
         now = MonoNs(k * S // 50)
         surge = 0.4 * math.sin(math.tau * k / 300)
-        rest.on_velocity(np.array([0.0 if k < 500 else 1.5 + surge, 0.0, surge]), now, stands=k < 900)
+        rest.on_velocity(np.array([0.0 if k < 500 else 1.5 + surge, 0.0, surge]), np.array([k, 0.0, 0.0]), now, stands=k < 900)
         gone = now if k < 900 else gone
     assert rest.newest is not None
-    at, mean = rest.newest
-    assert at == gone
-    assert mean == pytest.approx([1.5, 0.0, 0.0], abs=0.15)
+    assert rest.newest.at == gone
+    assert rest.newest.p_ned[0] == 899
+    assert rest.newest.v_ned == pytest.approx([1.5, 0.0, 0.0], abs=0.15)
 
 
 def test_px4_is_taken_off_a_ship_under_way_by_setpoints_that_go_with_her() -> None:
@@ -371,7 +371,7 @@ def test_px4_is_taken_off_a_ship_under_way_by_setpoints_that_go_with_her() -> No
     flight = Flight(Stack.PX4, "auto.loiter")
     flight.streamer.on_condition(Condition("auto.loiter", False, False))
     for k in range(400):
-        flight.streamer.on_velocity(np.array([1.5, 0.2 * math.sin(0.1 * k), 0.4]), MonoNs(flight.now + k * S // 50))
+        flight.streamer.on_velocity(np.array([1.5, 0.2 * math.sin(0.1 * k), 0.4]), np.zeros(3), MonoNs(flight.now + k * S // 50))
     flight.streamer.on_position(-4.0)
     flight.streamer.take(TakeOff(), flight.now)
     early = flight.periods(1.9)

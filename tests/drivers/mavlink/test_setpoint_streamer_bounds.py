@@ -476,7 +476,7 @@ def climbing_from_deck() -> Flight:
     """Climbing with a deck that makes 1.5 m/s north and 0.5 m/s west, a metre above it."""
     flight = Flight(Stack.PX4, "offboard")
     flight.told("offboard", flying=False)
-    flight.streamer.on_velocity(np.array([1.5, -0.5, 0.2]), ms(0))
+    flight.streamer.on_velocity(np.array([1.5, -0.5, 0.2]), np.zeros(3), ms(0))
     flight.streamer.on_position(0.0)
     flight.take(TakeOff(), 0)
     assert flight.sends(0)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
