@@ -48,8 +48,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 # velocity plus the pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's
 # way and removes the waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity
 # stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the vehicle took off, and of
-# where she has been since: a hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave; it
-# is zero while the pad is out of sight.
+# where she has been since: a hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave,
+# zero while the pad is out of sight.
 
 MEAN_S = 2.0
 HEAVE_S = 0.15
