@@ -126,7 +126,7 @@ _CLIMBS_OFF_ORDERS_S = 10.0
 _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
 _LOOK_M_S, _LEG_S = 0.4, 20.0
-"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s; the first has half of it."""
+"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s."""
 _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
 """Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 _AWAY_M_S = 5.0
@@ -299,14 +299,13 @@ def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reas
 def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:
     """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
 
-    The lean turns the camera to lee, so what was below is found upwind. The drone flies upwind, to lee past its beginning, and so
-    on, and turns the wider side of the field into the wind.
+    The lean turns the camera to lee, so what was below is found upwind. The drone flies there, back, and so on, and turns the wider
+    side of the field into the wind. The first way is whole: a velocity loop with an integral falls short of it, and not back.
     """
     if s.wind is None or not s.wind.leans_far:
         return None
     spent_s = p.in_state_s(s.at)
-    upwind = (spent_s + 0.5 * _LEG_S) // _LEG_S % 2.0 == 0.0
-    speed = _LOOK_M_S if upwind else -_LOOK_M_S
+    speed = _LOOK_M_S if spent_s // _LEG_S % 2.0 == 0.0 else -_LOOK_M_S
     turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
     ahead, aside = s.wind.into_level
     return Velocity(np.array([speed * ahead, speed * aside, -climb_m_s]), max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
