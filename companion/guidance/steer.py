@@ -300,7 +300,7 @@ def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: 
     """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
 
     The lean turns the camera to lee, so what was below is found upwind. The drone flies there, back, and so on, and turns the
-    wider side of the field into the wind. The first way is whole: a velocity loop with an integral falls short of it, and not back.
+    wider side of the field into the wind. The first way is whole: a velocity loop with an integral falls short of it.
     """
     if s.wind is None or not s.wind.leans_far:
         return None
