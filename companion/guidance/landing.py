@@ -57,7 +57,7 @@ _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
 
 _TILT_LEFT_DEG = 2.0
-"""What is left of an autopilot's own limit of the tilt, for what its loops overshoot."""
+"""Distance that is kept from an autopilot's own limit of the tilt, deg: its loops overshoot."""
 _ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
 """States whose orders the height is compared with."""
 

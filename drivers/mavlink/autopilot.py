@@ -204,12 +204,12 @@ class Autopilot:
 
     @property
     def rested(self) -> Rested | None:
-        """Where the vehicle last stood, and with which velocity; None if it never did."""
+        """Return where the vehicle last stood, and its velocity then; None if it never did."""
         return None if self._known is None else self._known.streamer.rested
 
     @property
     def steered(self) -> bool:
-        """Whether this program steers the vehicle."""
+        """Return whether this program steers the vehicle."""
         return self._known is not None and self._known.streamer.hand not in _LEFT_ALONE
 
     def command(self, command: Command) -> None:

@@ -53,7 +53,7 @@ _TILTS_DEG = {
     Stack.ARDUPILOT: {"ANGLE_MAX": 0.01, "ATC_ANGLE_MAX": 1.0, "PSC_ANGLE_MAX": 1.0},
     Stack.PX4: {"MPC_TILTMAX_AIR": 1.0},
 }
-"""Limits of the tilt, of which the least is flown, and their units in degrees."""
+"""Parameters that limit the tilt, each with its unit in degrees; the least limit is flown."""
 SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {
     Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3, *_TILTS_DEG[Stack.ARDUPILOT]),
     Stack.PX4: (_INTERVALS_HZ, *_TILTS_DEG[Stack.PX4]),

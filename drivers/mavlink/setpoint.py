@@ -65,7 +65,7 @@ _LIFTED_M = 0.3
 
 
 class Rested(NamedTuple):
-    """Where a vehicle last stood."""
+    """Place, time and velocity of a vehicle that last stood."""
 
     at: MonoNs
     v_ned: F64

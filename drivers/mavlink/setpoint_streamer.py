@@ -306,7 +306,7 @@ class SetpointStreamer:
 
     @property
     def rested(self) -> Rested | None:
-        """Where the vehicle last stood, and with which velocity; None if it never did."""
+        """Return where the vehicle last stood, and its velocity then; None if it never did."""
         return self._rest.newest
 
     def on_velocity(self, v_ned: F64, p_ned: F64, now: MonoNs) -> None:

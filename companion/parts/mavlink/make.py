@@ -100,7 +100,7 @@ class DeckVelocity:
         self._known_s = 0.0
         self._at: MonoNs | None = None
         self._left: Rested | None = None
-        """Where the vehicle took off."""
+        """Place and time of the take-off."""
         self._kept: tuple[MonoNs, F64] | None = None
         """Time when the pad was last seen or the vehicle stood on the deck, and its horizontal velocity then."""
 

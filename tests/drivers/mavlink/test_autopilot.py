@@ -135,6 +135,7 @@ async def test_silence_is_reported_and_everything_is_requested_again() -> None:
         fake.silent = False
         await until(lambda: fake.commands[511] >= 2 * asked)
         assert autopilot.connects == 2
+        await until(lambda: autopilot.parameters is not None and autopilot.parameters.settled)
         assert autopilot.parameters is not None
         assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
 
