@@ -81,17 +81,27 @@ class HeightCourse(Struct, frozen=True):
     """A height against the ordered course."""
 
     height_m: float | None = None
-    """The newest; None while it is not known."""
+    """Height where orders and readings put it, None while it is not known: a mean of readings would lag a vehicle that moves."""
     off_m: float = 0.0
     """Height over the ordered course of the last seconds, m."""
 
-    def to(self, height_m: float | None, ordered_m: float, since_last_s: float) -> HeightCourse:
-        """Return the course at the next height, after so much of an ordered climb, m; a gap and a jump tell nothing."""
+    def to(self, read_m: float | None, ordered_m: float, since_last_s: float, since_read_s: float, share: float) -> HeightCourse:
+        """Return the course after so much of an ordered climb, m; a gap and a jump tell nothing.
+
+        Args:
+            read_m: the newest reading, m; None if there is none that is fresh.
+            since_read_s: time from the reading before to this one, s; 0 if it is the same one.
+            share: weight of a new reading against the height that is expected.
+        """
         off_m = math.exp(-since_last_s / _FORGETS_S) * self.off_m
-        if height_m is None or self.height_m is None or abs(height_m - self.height_m) > _JUMP_M:
-            return HeightCourse(height_m, off_m)
-        most_m = _FASTEST_M_S * since_last_s
-        return HeightCourse(height_m, off_m + min(most_m, max(-most_m, height_m - self.height_m - ordered_m)))
+        if read_m is None or self.height_m is None:
+            return HeightCourse(read_m, off_m)
+        expected_m = self.height_m + ordered_m
+        beyond_m = read_m - expected_m if since_read_s > 0.0 else 0.0
+        if abs(beyond_m) > _JUMP_M:
+            return HeightCourse(read_m, off_m)
+        most_m = _FASTEST_M_S * since_read_s
+        return HeightCourse(expected_m + share * beyond_m, off_m + min(most_m, max(-most_m, share * beyond_m)))
 
 
 class ClimbWatch(Struct, frozen=True):
@@ -100,7 +110,6 @@ class ClimbWatch(Struct, frozen=True):
     climbs_m_s: float | None = None
     """Rate of climb by the orders; None where nothing was ordered in the cycle before."""
     baro: HeightCourse = HeightCourse()
-    """Its height is where orders and readings put the barometer: a mean of readings alone would lag a vehicle that moves."""
     baro_at: MonoNs | None = None
     """Time of the newest reading."""
     pad: HeightCourse = HeightCourse()
@@ -127,27 +136,13 @@ class ClimbWatch(Struct, frozen=True):
         answered = -math.expm1(-since_last_s / (climb.delay_s + climb.lag_s))
         climbs_m_s = before_m_s + answered * (ordered_m_s - before_m_s)
         by_orders_m = climbs_m_s * since_last_s
-        since_gap_s = self.since_gap_s + since_last_s
-        settles = self.since_gap_s < _SETTLES_S
-        pad = HeightCourse(pad_m, self.pad.off_m) if settles else self.pad.to(pad_m, by_orders_m, since_last_s)
-        at = None if baro is None else baro.stamp.measured_at
-        course = self._by_baro(baro, by_orders_m, since_last_s, settles=settles)
-        return ClimbWatch(climbs_m_s, course, at, pad, self.ordered_s + since_last_s, since_gap_s)
-
-    def _by_baro(self, baro: Baro | None, by_orders_m: float, since_last_s: float, *, settles: bool) -> HeightCourse:
-        off_m = math.exp(-since_last_s / _FORGETS_S) * self.baro.off_m
-        if baro is None or self.baro_at is None or self.baro.height_m is None:
-            return HeightCourse(None if baro is None else baro.height_m, off_m)
-        height_m = self.baro.height_m + by_orders_m
-        since_s = seconds_between(self.baro_at, baro.stamp.measured_at)
-        if since_s <= 0.0:
-            return HeightCourse(height_m, off_m)
-        beyond_m = baro.height_m - height_m
-        if abs(beyond_m) > _JUMP_M:
-            return HeightCourse(baro.height_m, off_m)
-        most_m = _FASTEST_M_S * since_s
-        part_m = min(most_m, max(-most_m, -math.expm1(-since_s / _BARO_S) * beyond_m))
-        return HeightCourse(height_m + part_m, off_m if settles else off_m + part_m)
+        at, baro_m = (None, None) if baro is None else (baro.stamp.measured_at, baro.height_m)
+        since_read_s = 0.0 if at is None or self.baro_at is None else seconds_between(self.baro_at, at)
+        course = self.baro.to(baro_m, by_orders_m, since_last_s, since_read_s, -math.expm1(-max(0.0, since_read_s) / _BARO_S))
+        pad = self.pad.to(pad_m, by_orders_m, since_last_s, since_last_s, 1.0)
+        if self.since_gap_s < _SETTLES_S:
+            course, pad = replace(course, off_m=self.baro.off_m), replace(pad, off_m=self.pad.off_m)
+        return ClimbWatch(climbs_m_s, course, at, pad, self.ordered_s + since_last_s, self.since_gap_s + since_last_s)
 
     @property
     def off_m(self) -> float | None:
