@@ -30,7 +30,6 @@ from companion.settings.response import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, fixed_pair, fixed_vector
-from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
 
@@ -259,7 +258,7 @@ class FollowDeck:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
             observers = self._observers_unfelt if unfelt else self._observers
             of = self._tuning(memory.tuning).response
-            tilt_max_m_s2 = G_M_S2 * math.tan(math.radians(limits[1]))
+            tilt_max_m_s2 = replace(self.response.tilt, max_deg=limits[1]).max_m_s2
             own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
             params = {**self._params, **own, "jerk_max_m_s3": limits[0], "tilt_max_m_s2": tilt_max_m_s2}
             self._in_use[key] = law_in_use(params, gains, chosen(observers, sigma_p_m), earlier)

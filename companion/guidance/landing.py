@@ -387,11 +387,11 @@ class LandingGuidance:
         outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
         # In steps, so that a forecast is carried on once and not in each cycle.
         swell_rad_s = round(self._swell.rad_s, 1)
-        jerk_m_s3, own_tilt_deg = (
-            (None, None) if self.vehicle is None else (self.vehicle.jerk_max_m_s3, self.vehicle.tilt_max_deg)
-        )
-        most_deg = self._guidance.follow_deck.tilt_max_deg
-        tilt_deg = None if own_tilt_deg is None else max(2.0, min(own_tilt_deg - _TILT_LEFT_DEG, most_deg))
+        own = self.vehicle
+        jerk_m_s3 = None if own is None else own.jerk_max_m_s3
+        tilt_deg = None if own is None or own.tilt_max_deg is None else max(2.0, own.tilt_max_deg - _TILT_LEFT_DEG)
+        if tilt_deg is not None:
+            tilt_deg = min(tilt_deg, self._guidance.follow_deck.tilt_max_deg)
         seen = Knowledge(
             now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, swell_watched_s=self._swell.known_s,
             outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3, tilt_max_deg=tilt_deg,

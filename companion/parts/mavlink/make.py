@@ -99,8 +99,6 @@ class DeckVelocity:
         self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
-        self._left: Rested | None = None
-        """Place and time of the take-off."""
         self._kept: tuple[MonoNs, F64] | None = None
         """Time when the pad was last seen or the vehicle stood on the deck, and its horizontal velocity then."""
 
@@ -108,9 +106,9 @@ class DeckVelocity:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured, rested = self._measured(now), self._autopilot.rested
         if rested is not None and (self._kept is None or rested.at > self._kept[0]):
-            self._left, self._kept = rested, (rested.at, rested.v_ned)
-        if self._left is not None and self._kept is not None and self._kept[0] == self._left.at and not self._autopilot.steered:
-            self._kept = self._left.at, self._carried(now, self._left)
+            self._kept = rested.at, rested.v_ned
+        elif rested is not None and self._kept is not None and rested.at == self._kept[0] and not self._autopilot.steered:
+            self._kept = rested.at, self._carried(now, rested)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
