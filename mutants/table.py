@@ -191,15 +191,12 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "drivers/ardrone/landing_watch.py": (
         "tests/drivers/test_landing_watch_bounds.py",
         "tests/drivers/test_arbiter_bounds.py",
-        "tests/drivers/test_command_streamer_bounds.py",
         "tests/drivers/test_arbiter.py",
         "tests/drivers/test_command_streamer.py",
     ),
-    "drivers/ardrone/command_streamer.py": (
-        "tests/drivers/test_command_streamer_bounds.py",
-        "tests/drivers/test_velocity_loop.py",
-        "tests/drivers/test_command_streamer.py",
-    ),
+    "drivers/ardrone/command_streamer.py": ("tests/drivers/test_command_streamer.py",),
+    "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", "tests/drivers/test_command_streamer.py"),
+    "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", "tests/drivers/test_command_streamer.py"),
     "drivers/mavlink/setpoint_streamer.py": (
         "tests/drivers/mavlink/test_setpoint_streamer_bounds.py",
         "tests/drivers/mavlink/test_setpoint_streamer.py",

@@ -3,8 +3,6 @@
 Everything that decides on a state lives here. What computes is beside it: `watch` finds the events of a guidance cycle, `steer`
 says where to be in each state, `mission_step` puts them together. A state that waits for something also has a time, and when that
 is over it goes up: to a go-around, a hold or a refusal, never down.
-
-Source: ``_state.py`` of h11 for the form: one table, total, in one file.
 """
 
 import ast
@@ -18,6 +16,7 @@ from types import MappingProxyType
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.guidance.advice import advised_alerts, advised_causes
+from estimator.contracts.total_table import next_states, total
 
 Row = Mapping[Event, State]
 Table = Mapping[State, Row]
@@ -85,23 +84,7 @@ _THESIS: Table = {
 }
 
 
-def whole(rows: Table) -> Table:
-    """Return the table with every pair: an event that a row does not name leaves the state as it is.
-
-    Raises:
-        ValueError: a state has no row, or a row names an event that leads nowhere else.
-    """
-    table: dict[State, Row] = {}
-    for state in State:
-        if state not in rows:
-            raise ValueError(f"{state}: no row says what follows")
-        if idle := [event for event, target in rows[state].items() if target is state]:
-            raise ValueError(f"{state}: {idle[0]} leads nowhere else, so the row must not name it")
-        table[state] = MappingProxyType({event: rows[state].get(event, state) for event in Event})
-    return MappingProxyType(table)
-
-
-TABLES: Mapping[str, Table] = MappingProxyType({"cone": whole(_CONE), "thesis": whole(_THESIS)})
+TABLES: Mapping[str, Table] = MappingProxyType({"cone": total(_CONE, Event), "thesis": total(_THESIS, Event)})
 """The tables by `guidance.mission`."""
 
 
@@ -189,14 +172,10 @@ def _rows(name: str, usual: Table) -> Iterator[str]:
             "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in _LANDING.items()) + " |"
         )
     for state in State:
-        ways: dict[State, list[str]] = {}
         row = TABLES[name][state]
         shared = _LANDING if _LANDING.items() <= row.items() else {}
-        for event, target in row.items():
-            if target is not usual[state][event] and event not in shared:
-                ways.setdefault(target, []).append(event.value)
-        if ways:
-            cells = (f"**{target.value}**: {', '.join(events)}" for target, events in ways.items())
+        named = {event: target for event, target in row.items() if event not in shared}
+        if cells := [f"**{to.value}**: {', '.join(e.value for e in by)}" for to, by in next_states(named, usual[state])]:
             yield f"| {state.value} | {'; '.join(cells)} |"
     yield ""
 

@@ -97,7 +97,9 @@ class CommandArbiter:
         if report is None:
             return [*([ComWdg()] if latest.watchdog else []), HOVER]
         out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
-        stays_up = report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
+        # Behind a person's landing or EMERGENCY no take-off bit is sent: each goes on, whatever dies.
+        ends = latest.ref is not None and not latest.ref & REF_TAKE_OFF and not latest.landing
+        stays_up = not ends and report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
         return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
 
     def _reported(self, now: MonoNs, within_s: float) -> DroneReport | None:

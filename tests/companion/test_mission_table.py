@@ -7,7 +7,8 @@ import pytest
 
 from companion.base.mission import CONTACT_INTENDED, DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
 from companion.guidance import mission
-from companion.guidance.mission import TABLES, whole
+from companion.guidance.mission import TABLES
+from estimator.contracts.total_table import total
 
 MISSIONS = sorted(TABLES)
 REPORTS = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
@@ -87,13 +88,13 @@ def test_contact_is_intended_only_behind_the_gate() -> None:
 def test_a_table_with_a_gap_or_an_idle_line_is_refused() -> None:
     rows = {state: dict(row) for state, row in TABLES["cone"].items()}
     with pytest.raises(ValueError, match="leads nowhere else"):
-        whole(rows)
+        total(rows, Event)
     with pytest.raises(ValueError, match="no row"):
-        whole({State.WAIT: {}})
+        total({State.WAIT: {}}, Event)
 
 
 def test_an_event_that_a_row_does_not_name_leaves_the_state_as_it_is() -> None:
-    table = whole({state: {Event.TAKEN_OFF: State.SEARCH} if state is State.WAIT else {} for state in State})
+    table = total({state: {Event.TAKEN_OFF: State.SEARCH} if state is State.WAIT else {} for state in State}, Event)
     for state, event in product(State, Event):
         named = (state, event) == (State.WAIT, Event.TAKEN_OFF)
         assert table[state][event] is (State.SEARCH if named else state)

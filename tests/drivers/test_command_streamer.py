@@ -7,7 +7,7 @@ from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
@@ -17,32 +17,32 @@ GROUND = at.Ref(at.REF_BASE)
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
 
 
-def ms(t: int) -> MonoNs:
-    return MonoNs(10_000_000_000 + t * 1_000_000)
+def ms(t: float) -> MonoNs:
+    return MonoNs(10_000_000_000 + round(t * 1_000_000))
 
 
 class Cockpit:
-    """A helm with a hand on its clock."""
+    """A streamer, what it counts, and what it receives."""
 
     def __init__(self) -> None:
         self.counters = Counters()
         self.options = ArDroneOptions(command_timeout_s=0.25, velocity_timeout_s=0.2, take_off_timeout_s=5.0)
         self.streamer = CommandStreamer(self.options, self.counters)
 
-    def hears(self, t: int, control: nd.ControlState, state: int = 0) -> None:
-        demo = nd.Demo(control.word, 50, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
+    def hears(self, t: float, control: nd.ControlState | None, state: int = 0, altitude_m: float = 0.0) -> None:
+        demo = () if control is None else (nd.Demo(control.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0),)
         on_ground = control in (nd.ControlState.LANDED, nd.ControlState.INIT)
-        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.NavdataState.FLYING), 1, (demo,)), ms(t))
+        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.NavdataState.FLYING), 1, demo), ms(t))
 
-    def measures(self, t: int, forward_m_s: float = 0.0) -> None:
+    def measures(self, t: float, forward_m_s: float = 0.0) -> None:
         stamp = Stamp(ms(t), ms(t), 0.001, "synced")
         self.streamer.on_sample(BodyVelocity(stamp, np.array([forward_m_s, 0.0, 0.0]), np.diag([0.1, 0.1, UNKNOWN_VAR])))
 
-    def stands(self, t: int, heading_rad: float = 0.0) -> None:
+    def stands(self, t: float, heading_rad: float = 0.0) -> None:
         attitude = Rotation.from_rpy(0.0, 0.0, heading_rad)
         self.streamer.on_sample(Attitude(Stamp(ms(t), ms(t), 0.001, "synced"), attitude, 1e-4 * np.eye(3)))
 
-    def sends(self, t: int) -> list[at.AtCommand]:
+    def sends(self, t: float) -> list[at.AtCommand]:
         return self.streamer.command(ms(t)).commands()
 
 
@@ -60,58 +60,6 @@ def test_before_any_word_of_the_drone_only_hover_is_sent(cockpit: Cockpit) -> No
 def test_on_the_ground_no_wish_to_fly(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.LANDED)
     assert cockpit.sends(1) == [GROUND, HOVER]
-
-
-def test_take_off_is_held_until_it_flies_and_the_wish_stays(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDED)
-    cockpit.streamer.take(TakeOff(), ms(1))
-    cockpit.streamer.take(FORWARD, ms(2))
-    assert cockpit.sends(3) == [FLY, HOVER], "a velocity does not end a take-off"
-    cockpit.hears(4, nd.ControlState.LANDED)
-    assert cockpit.sends(5) == [FLY, HOVER]
-    cockpit.hears(500, nd.ControlState.TAKING_OFF)
-    cockpit.streamer.take(FORWARD, ms(501))
-    cockpit.measures(501)
-    assert cockpit.sends(502) == [FLY, HOVER], "not steered while it takes off"
-    cockpit.hears(900, nd.ControlState.HOVERING)
-    assert cockpit.sends(901)[0] == FLY, "a flying drone lands on a REF without the bit"
-
-
-def test_a_take_off_that_does_not_happen_is_given_up(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDED)
-    cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.hears(4900, nd.ControlState.LANDED)
-    assert cockpit.sends(4999)[0] == FLY
-    assert cockpit.sends(5001)[0] == GROUND
-    assert cockpit.counters.take_offs_given_up == 1
-
-
-def test_an_emergency_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
-    cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.hears(1, nd.ControlState.LANDED, nd.NavdataState.EMERGENCY)
-    cockpit.hears(2, nd.ControlState.LANDED)
-    assert cockpit.sends(3)[0] == GROUND
-
-
-def test_a_persons_landing_is_held_until_it_stands_whatever_comes(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.measures(0)
-    cockpit.streamer.take(Land(persistent=True), ms(1))
-    cockpit.streamer.take(FORWARD, ms(2))
-    assert cockpit.sends(3) == [GROUND, HOVER]
-    cockpit.hears(4, nd.ControlState.LANDING)
-    assert cockpit.sends(5) == [GROUND, HOVER]
-    assert cockpit.sends(3000) == [GROUND, HOVER], "also when the drone has fallen silent"
-    assert cockpit.streamer.landing
-    cockpit.hears(3001, nd.ControlState.LANDED)
-    assert not cockpit.streamer.landing
-    cockpit.streamer.take(TakeOff(), ms(3002))
-    assert cockpit.sends(3003)[0] == FLY
-
-
-def test_a_drone_that_lands_by_itself_is_not_called_up_again(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDING)
-    assert cockpit.sends(1) == [HOVER]
 
 
 def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
@@ -136,7 +84,7 @@ def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpi
     cockpit.measures(2)
     assert cockpit.sends(3)[1] != HOVER
     cockpit.streamer.take(FORWARD, ms(210))
-    assert cockpit.sends(211)[1] == HOVER
+    assert cockpit.sends(211)[-1] == HOVER
     assert cockpit.counters.hover_for_blindness == 2
 
 
@@ -162,46 +110,16 @@ def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
     assert cockpit.sends(3) == [GROUND, HOVER]
 
 
-def test_the_emergency_bit_rises_once_and_only_on_request(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.take(CutMotors(), ms(0))
-    bits = [c.emergency for t in range(6) for c in cockpit.sends(t) if isinstance(c, at.Ref)]
-    assert bits == [True, True, True, False, False, False]
-
-
-def test_a_repeated_emergency_toggles_once_and_leaves_only_on_request(cockpit: Cockpit) -> None:
-    """The bit toggles the drone's state, so a cut that is repeated for safety must not undo itself."""
-
-    def bits(first: int, command: CutMotors | LeaveEmergency) -> list[bool]:
-        sent = []
-        for t in range(first, first + 200, 20):
-            cockpit.streamer.take(command, ms(t))
-            sent += [c.emergency for c in cockpit.sends(t) if isinstance(c, at.Ref)]
-        return sent
-
-    cockpit.hears(0, nd.ControlState.FLYING)
-    assert sum(bits(0, CutMotors())) == 3
-    assert sum(bits(400, CutMotors())) == 0, "without navdata nobody knows that it did not work"
-    cockpit.hears(650, nd.ControlState.FLYING)
-    assert sum(bits(660, CutMotors())) == 3, "it did not work"
-    cockpit.hears(900, nd.ControlState.DEFAULT, nd.NavdataState.EMERGENCY)
-    assert sum(bits(910, CutMotors())) == 0
-    assert sum(bits(1200, LeaveEmergency())) == 3
-    cockpit.hears(1550, nd.ControlState.DEFAULT, nd.NavdataState.EMERGENCY)
-    assert sum(bits(1560, LeaveEmergency())) == 0, "the first may be late, and a second would undo it"
-    cockpit.hears(1800, nd.ControlState.LANDED)
-    assert sum(bits(1810, LeaveEmergency())) == 0
-
-
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.take(Land(persistent=True), ms(1))
-    landing_at(cockpit, 50, altitude_m)
-    cockpit.streamer.take(Hover(), ms(51))
-    assert cockpit.sends(52) == [GROUND, HOVER], "guidance's hover is no order of a person"
-    cockpit.streamer.take(Hover(calls_off=True), ms(53))
-    assert cockpit.sends(54) == sent
+def test_whoever_ordered_a_landing_calls_it_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
+    for t, (landing, ends) in ((0, (Land(persistent=True), Hover(calls_off=True))), (1000, (Land(), FORWARD))):
+        cockpit.hears(t, nd.ControlState.FLYING)
+        cockpit.streamer.take(landing, ms(t + 1))
+        landing_at(cockpit, t + 50, altitude_m)
+        cockpit.streamer.take(Hover() if landing.persistent else Land(), ms(t + 51))
+        assert cockpit.sends(t + 52) == [GROUND, HOVER], "guidance's hover is no order of a person"
+        cockpit.streamer.take(ends, ms(t + 53))
+        assert cockpit.sends(t + 54) == sent
 
 
 @pytest.mark.parametrize(
@@ -219,17 +137,7 @@ def test_the_last_word_is_hover_or_the_landing_commanded(cockpit, control, comma
 
 
 def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> None:
-    demo = nd.Demo(nd.ControlState.LANDING.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0)
-    cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.NavdataState.FLYING, 1, (demo,)), ms(t))
-
-
-@pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
-def test_guidance_takes_its_landing_back_by_any_other_command(cockpit, altitude_m, sent):
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.take(Land(), ms(1))
-    landing_at(cockpit, 50, altitude_m)
-    cockpit.streamer.take(FORWARD, ms(51))
-    assert cockpit.sends(52) == sent
+    cockpit.hears(t, nd.ControlState.LANDING, state, altitude_m)
 
 
 def test_a_landing_for_our_silence_is_called_off_when_we_are_back(cockpit: Cockpit) -> None:
@@ -264,7 +172,7 @@ def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit)
 LEAN = Lean(np.array([0.3, -0.2]), np.array([0.6, 0.1]), np.array([0.1, 0.0, 0.5]), 0.0)
 
 
-def _sticks(cockpit: Cockpit, t: int) -> at.Pcmd:
+def _sticks(cockpit: Cockpit, t: float) -> at.Pcmd:
     sticks = cockpit.sends(t)[-1]
     assert isinstance(sticks, at.Pcmd)
     return sticks
@@ -310,3 +218,72 @@ def test_the_tilt_against_the_wind_is_kept_over_a_hover_and_forgotten_on_the_gro
     cockpit.measures(401)
     cockpit.streamer.take(still, ms(401))
     assert _sticks(cockpit, 402).pitch == pytest.approx(0.0)
+
+
+def test_each_age_may_be_reached_and_is_counted(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.measures(50)
+    cockpit.streamer.take(FORWARD, ms(0))
+    assert _sticks(cockpit, 250) != HOVER
+    assert cockpit.sends(250.001)[-1] == HOVER
+    cockpit.streamer.take(FORWARD, ms(200))
+    assert cockpit.sends(250.001)[-1] == HOVER
+    assert (cockpit.counters.hover_for_age, cockpit.counters.hover_for_blindness) == (1, 1)
+    cockpit.hears(300, nd.ControlState.FLYING)
+    assert cockpit.sends(500)[0] == FLY
+    assert cockpit.sends(501) == [HOVER], "the bit would start the motors of a drone that has landed since"
+
+
+def test_a_datagram_without_the_control_state_leaves_the_one_before(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.TAKING_OFF)
+    cockpit.streamer.take(FORWARD, ms(0))
+    cockpit.measures(0)
+    cockpit.hears(1, None)
+    assert cockpit.sends(2)[-1] == HOVER, "it is still taking off"
+    cockpit.hears(3, nd.ControlState.HOVERING)
+    assert cockpit.sends(4)[-1] != HOVER
+
+
+def test_a_landing_that_guidance_renews_no_more_is_called_off_high_up_and_finished_low(cockpit: Cockpit) -> None:
+    """The sender, which outlives the service, is told which landings are renewed."""
+    for t, altitude_m, ends in ((0, 1.0, True), (2000, 0.4, False)):
+        cockpit.hears(t, nd.ControlState.FLYING)
+        cockpit.streamer.take(Land(), ms(t))
+        landing_at(cockpit, t + 300, altitude_m)
+        assert cockpit.streamer.command(ms(t + 300)).landing
+        landing_at(cockpit, t + 600, altitude_m)
+        assert (cockpit.sends(t + 600)[0] == FLY) is ends
+    assert (cockpit.counters.landings_given_up, cockpit.counters.landings_called_off) == (1, 1)
+    cockpit.streamer.take(Land(persistent=True), ms(2700))
+    assert not cockpit.streamer.command(ms(2700)).landing
+
+
+def test_the_loop_steps_by_the_time_between_periods_and_begins_again_after_a_hover() -> None:
+    def flown(*instants_ms: float, hover_at: float | None = None) -> at.Pcmd:
+        cockpit = Cockpit()
+        for t in instants_ms:
+            cockpit.hears(t, nd.ControlState.FLYING)
+            cockpit.measures(t)
+            cockpit.streamer.take(Hover() if t == hover_at else FORWARD, ms(t))
+            sticks = _sticks(cockpit, t)
+        return sticks
+
+    assert flown(0) == flown(1000)
+    assert flown(0, 30) != flown(0), "the integral has grown"
+    assert flown(0, 30) != flown(0, 60)
+    assert flown(0, 30, 60, hover_at=30) == flown(0)
+
+
+def test_what_holds_against_the_wind_stays_where_it_blows_from_while_the_nose_turns(cockpit: Cockpit) -> None:
+    def sticks(t: float, yaw_rad: float) -> at.Pcmd:
+        cockpit.hears(t, nd.ControlState.FLYING)
+        cockpit.measures(t, -0.4 if t < 2000 else 0.0)
+        cockpit.stands(t, yaw_rad)
+        cockpit.streamer.take(Velocity(np.zeros(3), 0.0), ms(t))
+        return _sticks(cockpit, t)
+
+    for t in range(0, 2000, 20):
+        sticks(t, 0.5)
+    ahead, turned = sticks(2000, 0.5), sticks(2020, 0.5 + np.pi / 2)
+    assert ahead.pitch < -0.01
+    assert (turned.roll, turned.pitch) == (pytest.approx(ahead.pitch, rel=0.05), pytest.approx(0.0, abs=1e-9))

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.command_streamer import RESET, LoopState, Sticks, held, lean, step
 from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, held, lean, step
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64
 

@@ -1,0 +1,297 @@
+"""Who has the AR.Drone, and so what REF it is sent: one table of states and events. No I/O.
+
+The drone is its own autopilot, and REF has two bits. With `REF_TAKE_OFF` a drone on the ground takes off, one that lands stays up
+and one that flies flies on; without it a flying drone lands. A rising `REF_EMERGENCY` toggles: it cuts the motors, or leaves the
+state that a cut led to. So for each state there is one thing to send (`_REF`), where nothing is known it is no REF at all, and an
+event changes the state by the table or not at all. Three rules follow from the table, whatever is lost or late on the way:
+
+- After EMERGENCY nothing takes off: no state behind `CUT` sends the take-off bit before the drone has left the emergency state.
+  EMERGENCY is sent until the drone reports it; a toggle waits for a report that can show what the one before did.
+- A landing is called off only by whoever ordered it, or where the firmware began it because it received no commands
+  (`LandingWatch`), and not close to the ground: the bit would start the motors of a drone that has touched down meanwhile.
+- Silence of the drone ends no order, but a take-off that does not happen ends by its time.
+"""
+
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from types import MappingProxyType
+
+from drivers.ardrone.arbiter import STAY_UP
+from drivers.ardrone.at import REF_BASE, REF_EMERGENCY
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, DroneReport, LandingWatch
+from drivers.ardrone.navdata import ControlState, NavdataState
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.total_table import next_states, total
+
+
+class Custody(Enum):
+    """The party that has the drone. The value is its name in the documentation."""
+
+    UNHEARD = "not known"
+    STANDS = "stands"
+    TAKING_OFF = "takes off"
+    OURS = "ours"
+    LANDING = "guidance lands"
+    ORDERED = "a person lands"
+    CALLED_OFF = "called off"
+    SILENCED = "lands for silence"
+    OTHERS = "others land"
+    CUT = "to be cut"
+    DEAD = "emergency"
+    LEAVING = "leaves emergency"
+
+
+class CustodyEvent(Enum):
+    """An event that may change who has the drone. The value is its name in the documentation."""
+
+    STANDS = "stands"
+    FLIES = "flies"
+    LANDS_AS_ORDERED = "our landing"
+    LANDS_FOR_SILENCE = "silence landing"
+    LANDS_FOR_OTHERS = "others' landing"
+    DEAD = "emergency"
+    UNDONE = "emergency undone"
+    SILENT = "silence"
+    TAKE_OFF = "take-off"
+    LAND = "guidance's order"
+    LAND_FOR_PERSON = "landing order"
+    STEER = "other command"
+    CALL_OFF = "person's hold"
+    CUT = "EMERGENCY"
+    RESET = "reset"
+    TOO_LONG = "too long"
+    UNRENEWED = "unrenewed"
+
+
+_C, _E = Custody, CustodyEvent
+_Row = Mapping[CustodyEvent, Custody]
+_CUT: _Row = {_E.CUT: _C.CUT}
+_DOWN: _Row = {**_CUT, _E.STANDS: _C.STANDS, _E.DEAD: _C.DEAD}
+_LANDS: _Row = {_E.LANDS_AS_ORDERED: _C.CALLED_OFF, _E.LANDS_FOR_SILENCE: _C.SILENCED, _E.LANDS_FOR_OTHERS: _C.OTHERS}
+_UP: _Row = {_E.FLIES: _C.OURS, **_LANDS}
+_LAND: _Row = {_E.LAND: _C.LANDING, _E.LAND_FOR_PERSON: _C.ORDERED}
+_PERSON_ENDS: _Row = {_E.CALL_OFF: _C.CALLED_OFF, _E.TAKE_OFF: _C.CALLED_OFF}
+
+TABLE: Mapping[Custody, _Row] = total(
+    {
+        _C.UNHEARD: {**_DOWN, **_UP, **_LAND, _E.TAKE_OFF: _C.TAKING_OFF, _E.RESET: _C.LEAVING},
+        _C.STANDS: {**_CUT, **_UP, _E.DEAD: _C.DEAD, _E.SILENT: _C.UNHEARD, _E.TAKE_OFF: _C.TAKING_OFF},
+        _C.TAKING_OFF: {
+            **_CUT, **_UP, **_LAND, _E.DEAD: _C.DEAD, _E.CALL_OFF: _C.STANDS, _E.TOO_LONG: _C.STANDS,
+        },
+        _C.OURS: {**_DOWN, **_LANDS, **_LAND, _E.SILENT: _C.UNHEARD},
+        _C.LANDING: {
+            **_DOWN, **_PERSON_ENDS, _E.LAND_FOR_PERSON: _C.ORDERED, _E.STEER: _C.CALLED_OFF, _E.UNRENEWED: _C.CALLED_OFF,
+        },
+        _C.ORDERED: {**_DOWN, **_PERSON_ENDS},
+        _C.CALLED_OFF: {**_DOWN, **_LAND, _E.FLIES: _C.OURS, _E.LANDS_FOR_OTHERS: _C.OTHERS, _E.LANDS_FOR_SILENCE: _C.SILENCED},
+        _C.SILENCED: {**_DOWN, **_LAND, _E.FLIES: _C.OURS, _E.LANDS_FOR_OTHERS: _C.OTHERS},
+        _C.OTHERS: {**_DOWN, _E.FLIES: _C.OURS},
+        _C.CUT: {_E.DEAD: _C.DEAD, _E.RESET: _C.LEAVING},
+        _C.DEAD: {**_UP, _E.STANDS: _C.STANDS, _E.UNDONE: _C.CUT, _E.RESET: _C.LEAVING},
+        _C.LEAVING: {**_CUT, **_UP, _E.STANDS: _C.STANDS},
+    },
+    CustodyEvent,
+)  # fmt: skip
+"""The state that follows, for each state and event."""
+
+_REF: Mapping[Custody, int | None] = MappingProxyType({
+    _C.UNHEARD: None, _C.STANDS: REF_BASE, _C.TAKING_OFF: STAY_UP, _C.OURS: STAY_UP, _C.LANDING: REF_BASE, _C.ORDERED: REF_BASE,
+    _C.CALLED_OFF: STAY_UP, _C.SILENCED: STAY_UP, _C.OTHERS: None, _C.CUT: REF_BASE, _C.DEAD: REF_BASE, _C.LEAVING: REF_BASE,
+})  # fmt: skip
+"""The bits of REF that are sent, None for no REF.
+
+Beyond a take-off the take-off bit needs a fresh report that the drone flies; `CALLED_OFF` and `SILENCED` need their height too.
+"""
+
+_TOGGLE_PERIODS = 3
+"""The drone acts on the rising edge; three periods survive a lost datagram."""
+_CUT_AGAIN_S, _CUT_UNHEARD_S, _TOGGLE_S = 0.3, 1.0, 2.0
+"""Time after which the emergency bit is sent again: if the drone reports later than that that it still flies; while it is silent;
+and in all other cases, as a toggle that is only late would be undone by another one.
+
+A second one never starts motors that the first has stopped: no take-off bit goes with it.
+"""
+_ORDER_LATE_S = 0.5
+"""Time after our order to land in which a landing is our own: order and report are under way."""
+_ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
+_NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
+_LANDINGS = (Custody.LANDING, Custody.ORDERED)
+DEAD_OR_CUT = (Custody.CUT, Custody.DEAD, Custody.LEAVING)
+"""States behind an emergency, in which nothing takes off."""
+_TOGGLES = (Custody.CUT, Custody.LEAVING)
+
+
+def event_of(command: Command) -> CustodyEvent:
+    """Return the event that a command is."""
+    match command:
+        case CutMotors():
+            return CustodyEvent.CUT
+        case LeaveEmergency():
+            return CustodyEvent.RESET
+        case TakeOff():
+            return CustodyEvent.TAKE_OFF
+        case Land():
+            return CustodyEvent.LAND_FOR_PERSON if command.persistent else CustodyEvent.LAND
+        case Hover() if command.calls_off:
+            return CustodyEvent.CALL_OFF
+        case _:
+            return CustodyEvent.STEER
+
+
+class CustodyKeeper:
+    """Follows who has the drone by commands, reports and time, and says what REF it is sent in each period."""
+
+    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+        self._o = options
+        self._counters = counters
+        self.state = Custody.UNHEARD
+        self._since = MonoNs(0)
+        """Time at which the state began, or was last ordered again."""
+        self._watch = LandingWatch()
+        self._report: DroneReport | None = None
+        self.control: ControlState | None = None
+        """The newest control state; a datagram need not carry it."""
+        self._heard: MonoNs | None = None
+        self._steered: MonoNs | None = None
+        """Time of the newest velocity or tilt; None after any other command."""
+        self._landed_by_us: MonoNs | None = None
+        """Time at which we last requested a landing."""
+        self._cut: MonoNs | None = None
+        """Time of the newest EMERGENCY, as it was ordered or sent."""
+        self._toggled: tuple[MonoNs, Custody] | None = None
+        """The newest toggle, and the state for which it was sent."""
+        self._toggle_periods = 0
+
+    @property
+    def steerable(self) -> bool:
+        """True if the drone follows the sticks, as far as it was last reported to fly."""
+        flies = self._report is not None and self._report.flying
+        return flies and self.state in (Custody.OURS, Custody.UNHEARD) and self.control not in _NOT_STEERABLE
+
+    def order(self, command: Command, now: MonoNs) -> None:
+        """Take the newest command."""
+        self._steered = now if isinstance(command, Velocity | Lean) else None
+        event = event_of(command)
+        if event is CustodyEvent.CUT:
+            self._cut = now
+        if event is CustodyEvent.LAND and self.state is Custody.LANDING:
+            self._since = now
+        self._happens(event, now)
+
+    def on_report(self, report: DroneReport, now: MonoNs) -> None:
+        """Take the drone's report, in order."""
+        self._report, self._heard = report, now
+        if self.state in _LANDINGS:
+            self._landed_by_us = now
+        if report.control is not None:
+            self.control = report.control
+        ordered = self._landed_by_us is not None and seconds_between(self._landed_by_us, now) <= _ORDER_LATE_S
+        self._watch.on_report(report, now, ordered=ordered)
+        if (event := self._reported(report, now)) is not None:
+            self._happens(event, now)
+
+    def _reported(self, report: DroneReport, now: MonoNs) -> CustodyEvent | None:
+        """Return the event that a report is; None if it contradicts itself."""
+        if report.state & NavdataState.EMERGENCY:
+            return CustodyEvent.DEAD
+        if self.state is Custody.DEAD and self._cut is not None and seconds_between(self._cut, now) < _TOGGLE_S:
+            return CustodyEvent.UNDONE
+        if not report.flying:
+            return CustodyEvent.STANDS if self.control in _ON_GROUND else None
+        match self._watch.cause if self.control is ControlState.LANDING else None:
+            case Cause.OURS:
+                return CustodyEvent.LANDS_AS_ORDERED
+            case Cause.SILENCE:
+                return CustodyEvent.LANDS_FOR_SILENCE
+            case Cause.OTHERS:
+                return CustodyEvent.LANDS_FOR_OTHERS
+        return CustodyEvent.FLIES
+
+    def _happens(self, event: CustodyEvent, now: MonoNs) -> None:
+        after = TABLE[self.state][event]
+        if after is self.state:
+            return
+        self._counters.take_offs_given_up += event is CustodyEvent.TOO_LONG
+        self._counters.landings_given_up += event is CustodyEvent.UNRENEWED
+        self.state, self._since = after, now
+
+    def _passes(self, now: MonoNs) -> None:
+        """Take what time brings."""
+        in_state_s = seconds_between(self._since, now)
+        if self.state is Custody.TAKING_OFF and in_state_s > self._o.take_off_timeout_s:
+            self._happens(CustodyEvent.TOO_LONG, now)
+        if self.state is Custody.LANDING and in_state_s > self._o.landing_timeout_s and self._watch.calls_off(now):
+            self._happens(CustodyEvent.UNRENEWED, now)
+        if self._heard is None or seconds_between(self._heard, now) > self._o.navdata_silence_s:
+            self._happens(CustodyEvent.SILENT, now)
+
+    def ref(self, now: MonoNs) -> int | None:
+        """Return the bits of this period's REF; None to send none. Call it once in each period."""
+        self._passes(now)
+        if self.state in _LANDINGS:
+            self._landed_by_us = now
+        if self.state in _TOGGLES:
+            return REF_BASE | REF_EMERGENCY if self._toggles(now) else REF_BASE
+        self._toggle_periods = 0
+        bits = _REF[self.state]
+        if bits == STAY_UP and self.state is not Custody.TAKING_OFF and not self._fresh(now):
+            return None
+        if self.state not in (Custody.CALLED_OFF, Custody.SILENCED) or self.control is not ControlState.LANDING:
+            return bits
+        # Guidance that flies has an estimate and takes the drone further; without it the drone would only hover there.
+        flies = self._steered is not None and seconds_between(self._steered, now) <= self._o.command_timeout_s
+        low = self.state is Custody.CALLED_OFF or flies
+        if not self._watch.calls_off(now, ORDERED_ABOVE_M if low else SILENT_ABOVE_M):
+            return None
+        self._counters.landings_called_off += 1
+        return bits
+
+    def _fresh(self, now: MonoNs) -> bool:
+        """Return whether the newest report is evidence that the drone is still in the air."""
+        return self._heard is not None and seconds_between(self._heard, now) <= FRESH_S
+
+    def _toggles(self, now: MonoNs) -> bool:
+        """Return whether this period's REF has the emergency bit."""
+        if self._toggle_periods == 0 and self._due(now):
+            self._toggled, self._toggle_periods = (now, self.state), _TOGGLE_PERIODS
+            self._cut = now if self.state is Custody.CUT else self._cut
+        if self._toggle_periods > 0:
+            self._toggle_periods -= 1
+            return True
+        return False
+
+    def _due(self, now: MonoNs) -> bool:
+        """Return whether a toggle is due: the first at once, another when the one before is known to have had no effect."""
+        if self._toggled is None or self._toggled[1] is not self.state or self._toggled[0] < self._since:
+            return True
+        toggled_at, cuts = self._toggled[0], self.state is Custody.CUT
+        heard_at = toggled_at if self._heard is None else max(self._heard, toggled_at)
+        if cuts and seconds_between(heard_at, now) > _CUT_UNHEARD_S:
+            return True
+        again_s = _CUT_AGAIN_S if cuts and self._report is not None and self._report.flying else _TOGGLE_S
+        return seconds_between(toggled_at, heard_at) >= again_s
+
+
+_SHARED = {**_CUT, _E.STANDS: _C.STANDS, _E.FLIES: _C.OURS, _E.DEAD: _C.DEAD, **_LANDS, **_LAND}
+
+
+def lines() -> Iterator[str]:
+    """Yield the table as docs/ardrone.md has it: what events do in most states, and each state's REF with what differs there."""
+    sent = {None: "none", REF_BASE: "land", STAY_UP: "take off"}
+    yield "- in most: " + _in_words(_SHARED, dict.fromkeys(_SHARED))
+    for state, row in TABLE.items():
+        usual = {event: _SHARED.get(event, state) for event in row}
+        bit = "toggle" if state in _TOGGLES else sent[_REF[state]]
+        yield f"- {state.value} [{bit}]: {_in_words(row, usual, state) or 'as most'}"
+
+
+def _in_words(row: _Row, usual: Mapping[CustodyEvent, Custody | None], stays: Custody | None = None) -> str:
+    ways = (
+        ("stays" if to is stays else f"**{to.value}**") + f" ({', '.join(e.value for e in by)})"
+        for to, by in next_states(row, usual)
+    )
+    return ", ".join(ways)

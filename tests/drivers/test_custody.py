@@ -1,0 +1,257 @@
+"""Who has the AR.Drone: the table, and random orders, reports and losses against a toy of the firmware."""
+
+from collections import deque
+from collections.abc import Iterable
+from itertools import product
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from drivers.ardrone.arbiter import STAY_UP
+from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper, lines
+from drivers.ardrone.landing_watch import DroneReport
+from drivers.ardrone.navdata import ControlState, NavdataState
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff
+from estimator.contracts.time import MonoNs
+
+OPTIONS = ArDroneOptions(take_off_timeout_s=3.0)
+PERIOD_S, PERIOD_NS = 0.03, 30_000_000
+COMMANDS: dict[str, Command] = {
+    "take off": TakeOff(), "land": Land(), "a person's landing": Land(persistent=True), "hover": Hover(),
+    "hold": Hover(calls_off=True), "cut": CutMotors(), "reset": LeaveEmergency(),
+}  # fmt: skip
+
+
+class ToyDrone:
+    """The firmware as far as REF goes: it takes off, flies, lands and toggles, and lands for silence by itself."""
+
+    def __init__(self, *, flies: bool) -> None:
+        self.control, self.height_m = (ControlState.HOVERING, 1.5) if flies else (ControlState.LANDED, 0.0)
+        self.emergency = self.pressed = False
+        self.silent_s = 0.0
+        self.lands_for = ""
+        self.began: list[str] = []
+        """Take-offs, and landings called off with whom they were for."""
+
+    @property
+    def in_the_air(self) -> bool:
+        return self.control in (ControlState.TAKING_OFF, ControlState.HOVERING, ControlState.LANDING)
+
+    def hears(self, bits: int | None) -> None:
+        self.silent_s = 0.0
+        if bits is None:
+            return
+        rises, self.pressed = bool(bits & REF_EMERGENCY) and not self.pressed, bool(bits & REF_EMERGENCY)
+        if rises:
+            self.toggle()
+        elif bits & REF_TAKE_OFF and self.control is ControlState.LANDED and not self.emergency:
+            self.control = ControlState.TAKING_OFF
+            self.began.append("take-off")
+        elif bits & REF_TAKE_OFF and self.control is ControlState.LANDING:
+            self.control = ControlState.HOVERING
+            self.began.append(f"called off {self.lands_for}")
+        elif not bits & REF_TAKE_OFF and self.control in (ControlState.TAKING_OFF, ControlState.HOVERING):
+            self.land("us")
+
+    def toggle(self) -> None:
+        self.control = ControlState.LANDED if self.emergency else ControlState.DEFAULT
+        self.emergency, self.height_m = not self.emergency, 0.0
+
+    def land(self, by: str) -> None:
+        self.control, self.lands_for = ControlState.LANDING, by
+
+    def passes(self) -> None:
+        self.silent_s += PERIOD_S
+        if self.silent_s > 4.0 and self.control is ControlState.HOVERING:
+            self.land("silence")
+        if self.control is ControlState.TAKING_OFF:
+            self.height_m += 1.0 * PERIOD_S
+            self.control = ControlState.HOVERING if self.height_m >= 0.8 else self.control
+        elif self.control is ControlState.LANDING:
+            self.height_m = max(0.0, self.height_m - 0.4 * PERIOD_S)
+            self.control = ControlState.LANDED if self.height_m == 0.0 else self.control
+
+    def report(self) -> DroneReport:
+        state = (NavdataState.FLYING if self.in_the_air else 0) | (NavdataState.EMERGENCY if self.emergency else 0)
+        state |= NavdataState.COM_WATCHDOG if self.silent_s > 2.0 else 0
+        return DroneReport(state, self.control, self.height_m)
+
+
+class Wire:
+    """A way on which things are lost or late; none overtakes another."""
+
+    def __init__(self) -> None:
+        self.under_way: deque[tuple[int, object]] = deque()
+
+    def sends(self, at: int, thing: object, late: int) -> None:
+        self.under_way.append((max(at + late, self.under_way[-1][0] if self.under_way else 0), thing))
+
+    def arrives(self, at: int) -> Iterable[object]:
+        while self.under_way and self.under_way[0][0] <= at:
+            yield self.under_way.popleft()[1]
+
+
+class Flown(RuleBasedStateMachine):
+    """Orders, and periods in which datagrams are lost or up to 90 ms late each way."""
+
+    @initialize(flies=st.booleans())
+    def begin(self, flies: bool) -> None:
+        self.drone, self.keeper = ToyDrone(flies=flies), CustodyKeeper(OPTIONS, Counters())
+        self.there, self.back = Wire(), Wire()
+        self.k = 0
+        self.cut = self.taking = self.others_toggled = False
+        self.landed_us: int | None = None
+        self.run([(0, 0)] * 5)
+
+    @property
+    def now(self) -> MonoNs:
+        return MonoNs(10_000_000_000 + self.k * PERIOD_NS)
+
+    def run(self, links: Iterable[tuple[int | None, int | None]]) -> None:
+        """Let periods pass; of each, how many periods the datagrams there and back are late, None for lost."""
+        for there, back in links:
+            self.k += 1
+            self.drone.passes()
+            ref = self.keeper.ref(self.now)
+            if self.cut and not self.others_toggled:
+                assert not (ref or 0) & REF_TAKE_OFF, f"take-off bit behind EMERGENCY in {self.keeper.state}"
+            if ref == REF_BASE and self.keeper.state in (Custody.LANDING, Custody.ORDERED):
+                self.landed_us = self.k
+            if there is not None:
+                self.there.sends(self.k, ref, there)
+            began = len(self.drone.began)
+            for heard in self.there.arrives(self.k):
+                self.drone.hears(heard)  # type: ignore[arg-type]
+            for deed in self.drone.began[began:]:
+                assert deed != "take-off" or self.taking, "motors started that nobody ordered"
+                assert deed != "called off others", "another's landing was called off"
+            if back is not None:
+                self.back.sends(self.k, self.drone.report(), back)
+            for report in self.back.arrives(self.k):
+                self.keeper.on_report(report, self.now)  # type: ignore[arg-type]
+
+    @rule(name=st.sampled_from(sorted(COMMANDS)))
+    def order(self, name: str) -> None:
+        command = COMMANDS[name]
+        self.keeper.order(command, self.now)
+        if isinstance(command, CutMotors):
+            self.cut, self.others_toggled = True, False
+        elif isinstance(command, LeaveEmergency):
+            self.cut = False
+        self.taking = (self.taking and name != "cut") or name == "take off"
+
+    @rule(links=st.lists(st.tuples(st.none() | st.integers(0, 3), st.none() | st.integers(0, 3)), min_size=1, max_size=30))
+    def passes(self, links: list[tuple[int | None, int | None]]) -> None:
+        self.run(links)
+
+    @rule(periods=st.integers(30, 250), hears=st.booleans())
+    def link_breaks(self, periods: int, hears: bool) -> None:
+        self.run([(None, 0 if hears else None)] * periods)
+
+    @precondition(lambda self: self.drone.silent_s < 0.1 and (self.landed_us is None or self.k - self.landed_us > 30))
+    @rule()
+    def another_lands_it(self) -> None:
+        if self.drone.control is ControlState.HOVERING:
+            # Whoever lands it goes on ordering that until it shows.
+            for _ in range(8):
+                self.drone.land("others")
+                self.drone.began.clear()
+                self.run([(None, 0)])
+
+    @rule()
+    def another_toggles(self) -> None:
+        self.drone.toggle()
+        self.others_toggled = True
+        self.run([(0, 0)] * 8)
+
+    @rule()
+    def emergency_is_obeyed_over_a_link_that_works(self) -> None:
+        self.order("cut")
+        self.run([(0, 0)] * 80)
+        assert self.drone.emergency, f"{self.keeper.state} after EMERGENCY"
+        assert self.keeper.state is Custody.DEAD
+        self.order("take off")
+        self.run([(0, 0)] * 20)
+        assert self.drone.emergency
+
+    @rule()
+    def a_hold_ends_a_take_off(self) -> None:
+        self.order("take off")
+        self.order("hold")
+        assert self.keeper.state is not Custody.TAKING_OFF
+
+    @rule()
+    def a_persons_landing_is_flown_to_its_end(self) -> None:
+        if self.keeper.state is not Custody.OURS or self.drone.control is not ControlState.HOVERING:
+            return
+        self.order("a person's landing")
+        for name in ("hover", "land"):
+            self.order(name)
+        self.run([(0, 0)] * 200)
+        assert self.drone.control is ControlState.LANDED
+
+    @invariant()
+    def the_take_off_bit_needs_a_drone_that_is_to_fly(self) -> None:
+        if self.k and self.keeper.state in (*DEAD_OR_CUT, Custody.STANDS, Custody.LANDING, Custody.ORDERED):
+            assert not (self.keeper.ref(self.now) or 0) & REF_TAKE_OFF
+
+
+Flown.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestFlown = Flown.TestCase
+
+
+def test_nothing_but_a_reset_leads_from_emergency_and_no_order_there_flies() -> None:
+    orders = (CustodyEvent.TAKE_OFF, CustodyEvent.LAND, CustodyEvent.LAND_FOR_PERSON, CustodyEvent.STEER, CustodyEvent.CALL_OFF)
+    for state, event in product(DEAD_OR_CUT, (*orders, CustodyEvent.SILENT)):
+        assert TABLE[state][event] is state
+    assert {TABLE[state][CustodyEvent.CUT] for state in Custody} == {Custody.CUT, Custody.DEAD}
+    assert set(TABLE[Custody.CUT].values()) == {Custody.CUT, Custody.DEAD, Custody.LEAVING}
+
+
+def test_no_command_takes_a_landing_from_others() -> None:
+    for event in CustodyEvent:
+        ends = event in (CustodyEvent.STANDS, CustodyEvent.FLIES, CustodyEvent.DEAD, CustodyEvent.CUT)
+        assert (TABLE[Custody.OTHERS][event] is Custody.OTHERS) is not ends
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_toggle_survives_lost_datagrams_and_is_one_toggle(lost: int) -> None:
+    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS, Counters())
+    at = 10_000_000_000
+    keeper.on_report(drone.report(), MonoNs(at))
+    keeper.order(CutMotors(), MonoNs(at))
+    for k in range(200):
+        now = MonoNs(at + (k + 1) * PERIOD_NS)
+        ref = keeper.ref(now)
+        if k >= lost:
+            drone.hears(ref)
+        # The report is as late as a bad Wi-Fi makes it.
+        if k >= 12:
+            keeper.on_report(drone.report(), now)
+    assert drone.emergency
+    assert keeper.state is Custody.DEAD
+
+
+def test_a_landing_that_guidance_began_is_taken_back_though_its_report_is_late() -> None:
+    """WHY: a report from before the landing led back to flight, and the landing that followed counted as another's."""
+    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS, Counters())
+    at = MonoNs(10_000_000_000)
+    before = drone.report()
+    keeper.on_report(before, at)
+    keeper.order(Land(), at)
+    drone.hears(keeper.ref(at))
+    keeper.order(Hover(), MonoNs(at + PERIOD_NS))
+    keeper.on_report(before, MonoNs(at + 2 * PERIOD_NS))
+    keeper.on_report(drone.report(), MonoNs(at + 3 * PERIOD_NS))
+    assert keeper.ref(MonoNs(at + 3 * PERIOD_NS)) == STAY_UP
+
+
+def test_the_page_is_what_the_table_says() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "ardrone.md").read_text(encoding="utf-8")
+    assert "\n".join(lines()) in page, "the lines are those of drivers.ardrone.custody.lines()"
