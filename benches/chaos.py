@@ -42,6 +42,7 @@ from drivers.mavlink.dialect import mav
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.processes import burners, decklander, started
+from tests.support.waiting import free_port
 
 LASTING_S = 16.0
 """Duration of the watch over a flight, s."""
@@ -346,13 +347,6 @@ def draw(seed: int, vehicle: str | None) -> Chaos:
     kinds = {kind.split("_")[0] if kind in _ALONE else kind: kind for kind in rng.sample(KINDS, rng.randint(1, 3))}.values()
     events = tuple(Event(kind, round(rng.uniform(1.0, 5.0), 1), round(rng.uniform(3.0, 6.0), 1)) for kind in kinds)
     return Chaos(seed, vehicle or rng.choice(("mavlink", "ardrone")), events)
-
-
-def free_port() -> int:
-    """Return a port that is free for TCP and, most likely, for UDP."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
 
 
 def shim() -> Path:

@@ -31,10 +31,9 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame
 from estimator.vision.detection import Detection
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.program import free_udp_port
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
-from tests.support.fake_ardrone import until
+from tests.support.waiting import free_port, until
 
 HOST = "127.0.0.1"
 ROOT = Path(__file__).parents[1]
@@ -182,7 +181,7 @@ async def traced(folder: Path) -> list[Step]:
     """Run the service over the video and return the walk of the last frame whose LANDING_TARGET left."""
     body = Body(load("calm"), 1, 0.005)
     film(folder / "pad.mp4", body)
-    port = free_udp_port()
+    port = free_port()
     settings = settings_of.from_mapping(
         {
             "vehicle": {"kind": "mavlink", "links": f"udpin://{HOST}:{port}"},

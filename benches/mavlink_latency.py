@@ -35,7 +35,7 @@ from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.flight.one_flight import following
 from sitl.scenario.scenario import Scenario, load
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 

@@ -28,9 +28,10 @@ from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario.scenario import load as load_scenario
 from tests.support.certificates import make_certificates
-from tests.support.mosquitto import MOSQUITTO, Broker, free_port
-from tests.support.mqtt_service import decision, event, running, until
+from tests.support.mosquitto import MOSQUITTO, Broker
+from tests.support.mqtt_service import decision, event, running
 from tests.support.processed_frames import seen
+from tests.support.waiting import free_port, until
 
 SCENARIO = "demo"
 FLOWN_S = 12.0

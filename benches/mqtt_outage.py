@@ -14,7 +14,8 @@ from pathlib import Path
 from tests.support.certificates import make_certificates
 from tests.support.mosquitto import MOSQUITTO, Broker
 from tests.support.mqtt_consumer import Consumer
-from tests.support.mqtt_service import event, running, until
+from tests.support.mqtt_service import event, running
+from tests.support.waiting import until
 
 EVENTS = 10_000
 EACH_S = 0.005

@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.chaos import free_port, until
+from benches.chaos import until
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
@@ -40,6 +40,7 @@ from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.scenario.scenario import load
 from sitl.world.world import World
 from tests.support.processes import decklander, started
+from tests.support.waiting import free_port
 
 HOST = "127.0.0.1"
 DELAY_S = 0.04

@@ -1,6 +1,5 @@
 """Samples and frames for the recorder's tests."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +30,3 @@ def frame(at_s: float, seq: int) -> ProcessedFrame:
 
 def samples_of(path: Path) -> list[Sample]:
     return [event for event in open_recording([path]).events() if isinstance(event, Imu)]
-
-
-def wait_for(done: object, seconds: float = 60.0) -> None:
-    assert callable(done)
-    until = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < until, "waited in vain"
-        time.sleep(0.005)

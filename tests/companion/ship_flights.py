@@ -2,7 +2,6 @@
 
 import asyncio
 import math
-import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -24,19 +23,13 @@ from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.sensors.gnss import ORIGIN
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 SHIP_NED = np.array([48.0, 36.0, -2.0])
 SHIP = 42
 VELOCITY = 0x05C7
 """The mask of a setpoint that holds a velocity and a rate of turn."""
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
 
 
 def settings_of(port: int, **vessel: object) -> Settings:

@@ -31,6 +31,7 @@ from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
+from tests.support.waiting import until
 
 SIM = load("sim")
 EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
@@ -100,12 +101,6 @@ def daemon_of(
         DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, once=once),
         observers=[] if diary is None else [diary],
     )
-
-
-async def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110 - the condition is about somebody else's state
-            await asyncio.sleep(0.005)
 
 
 async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:

@@ -23,7 +23,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from estimator.options import EstimatorOptions
-from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle, until
+from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle
+from tests.support.waiting import listening, until
 
 
 class Systemd:
@@ -215,13 +216,9 @@ async def test_the_health_check_of_a_container_sees_what_the_watchdog_sees() -> 
     health = Health(CLOCK)
     health.up("guidance")
     endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0), health)
-    async with asyncio.TaskGroup() as group:
-        serving = group.create_task(endpoint.run())
-        await until(lambda: endpoint.port is not None)
-        async with aiohttp.ClientSession() as session:
-            for age_s, status in ((0.0, 200), (30.0, 503), (0.0, 200)):
-                at_age(health, "Decision", age_s)
-                async with session.get(f"http://127.0.0.1:{endpoint.port}/health") as answer:
-                    assert answer.status == status
-                    assert ("pipeline" in (await answer.json())["down"]) is (status == 503)
-        serving.cancel()
+    async with listening(endpoint) as port, aiohttp.ClientSession() as session:
+        for age_s, status in ((0.0, 200), (30.0, 503), (0.0, 200)):
+            at_age(health, "Decision", age_s)
+            async with session.get(f"http://127.0.0.1:{port}/health") as answer:
+                assert answer.status == status
+                assert ("pipeline" in (await answer.json())["down"]) is (status == 503)

@@ -26,8 +26,9 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of, wait_for
+from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of
 from tests.support.recorded_flight import ObservedCalls, record_to, sim_settings
+from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 
@@ -248,10 +249,10 @@ def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, RecorderOptions(), lossless=True) as recorder:
         for i in range(30):
             if i == 10:
-                wait_for(lambda: recorder._queue.empty())
+                wait_until(lambda: recorder._queue.empty())
                 recorder.switch(False)
             if i == 20:
-                wait_for(lambda: recorder._queue.empty())
+                wait_until(lambda: recorder._queue.empty())
                 assert recorder.state is RecorderState.PAUSED
                 recorder.switch(True)
             recorder.on_sample(imu(0.01 * i))

@@ -19,8 +19,9 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.recorder import RecorderOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of, wait_for
+from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of
 from tests.support.descriptors import no_descriptors
+from tests.support.waiting import wait_until
 
 
 class Disk:
@@ -52,17 +53,17 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, di
     with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
         for i in range(100):
             recorder.on_sample(imu(0.01 * i))
-        wait_for(lambda: recorder.written == 100)
+        wait_until(lambda: recorder.written == 100)
         disk.full = True
         for i in range(100, 600):
             recorder.on_sample(imu(0.01 * i))
-            wait_for(lambda: recorder._queue.empty())
-        wait_for(lambda: recorder.state is RecorderState.BLOCKED and recorder._queue.empty())
+            wait_until(lambda: recorder._queue.empty())
+        wait_until(lambda: recorder.state is RecorderState.BLOCKED and recorder._queue.empty())
         assert recorder.why == "No space left on device"
         disk.full = False
         for i in range(600, 900):
             recorder.on_sample(imu(0.01 * i))
-        wait_for(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
+        wait_until(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
     output = [r for r in caplog.records if r.levelname == "ERROR"]
     assert [r.getMessage() for r in output] == [
         "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
@@ -80,10 +81,10 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
     options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
         recorder.on_sample(imu(0.0))
-        wait_for(lambda: recorder.written == 1)
+        wait_until(lambda: recorder.written == 1)
         disk.moving.clear()
         recorder.on_sample(imu(1.0))
-        wait_for(lambda: recorder._queue.empty())
+        wait_until(lambda: recorder._queue.empty())
         began = time.perf_counter()
         for i in range(1000):
             recorder.on_sample(imu(1.0 + 0.001 * i))
@@ -98,7 +99,7 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
         recorder.on_decision(Decision(MonoNs(3_500_000_000), "search", None, None))
         assert [m for m in caplog.messages if "has taken nothing" in m] == [caplog.messages[0]], "it is told once"
         disk.moving.set()
-        wait_for(lambda: recorder._queue.empty() and recorder._busy_since_s is None)
+        wait_until(lambda: recorder._queue.empty() and recorder._busy_since_s is None)
         recorder.on_decision(Decision(MonoNs(5_000_000_000), "search", None, None))
         assert "recorder: the disk takes records again; 1 were dropped" in caplog.messages
         recorder.on_frame(frame(3.0, 7))
@@ -116,15 +117,15 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(300):
             if i == 100:
-                wait_for(lambda: recorder._queue.empty())
+                wait_until(lambda: recorder._queue.empty())
                 free["bytes"] = 400_000_000
             if i == 200:
-                wait_for(lambda: recorder._queue.empty())
+                wait_until(lambda: recorder._queue.empty())
                 assert recorder.state is RecorderState.BLOCKED
                 assert "400 MB free" in recorder.why, recorder.why
                 free["bytes"] = 600_000_000
             recorder.on_sample(imu(0.01 * i))
-        wait_for(lambda: recorder._queue.empty())
+        wait_until(lambda: recorder._queue.empty())
     first, second = sorted(tmp_path.glob("*.mcap"))
     recording = open_recording([first, second])
     kept = [round(e.w_body[2] / 0.01) for e in recording.events() if isinstance(e, Imu)]
@@ -144,7 +145,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, mo
         for i in range(500):
             disk.full = 50 < i < 90
             recorder.on_sample(imu(0.01 * i))
-            wait_for(lambda: recorder._queue.empty())
+            wait_until(lambda: recorder._queue.empty())
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -153,7 +154,7 @@ def told(recorder: Recorder, at_s: float, seconds: float) -> float:
     """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):
         recorder.on_sample(imu(at_s + 0.01 * i))
-    wait_for(lambda: recorder._queue.empty())
+    wait_until(lambda: recorder._queue.empty())
     return at_s + seconds
 
 
@@ -167,7 +168,7 @@ def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path
         (tmp_path / name).symlink_to(tmp_path / "nowhere")
     with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.1)) as recorder:
         told(recorder, 0.0, 2.0)
-        wait_for(lambda: recorder.written == 200)
+        wait_until(lambda: recorder.written == 200)
         assert recorder.state is RecorderState.RECORDING
         assert (recorder.blocked, recorder.faults, recorder.files) == (0, 0, 1)
     assert len(samples_of(tmp_path / "decklander-20261120T050000Z-0002.mcap")) == 200
@@ -245,7 +246,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
     monkeypatch.setattr(Path, "unlink", refusing)
     with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5)) as recorder:
         told(recorder, 0.0, 2.0)
-        wait_for(lambda: recorder.written == 200)
+        wait_until(lambda: recorder.written == 200)
         assert recorder.counted()["not_removed"] >= 1
         assert recorder.state is RecorderState.RECORDING
 
@@ -255,7 +256,7 @@ def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp
     with recorder:
         disk.moving.clear()
         recorder.on_sample(imu(0.0))
-        wait_for(lambda: recorder._queue.empty())
+        wait_until(lambda: recorder._queue.empty())
         for i in range(100):
             recorder.on_sample(imu(0.01 * i))
         began = time.perf_counter()

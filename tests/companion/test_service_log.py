@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.service_log import LINES_A_MINUTE, KindLimit, ServiceLog, logging_to_stderr
-from tests.support.processes import PATIENCE_S
+from tests.support.waiting import PATIENCE_S
 
 
 def record(text: object, line: int = 1, name: str = "companion.x", level: int = logging.WARNING) -> logging.LogRecord:

@@ -22,8 +22,8 @@ from drivers.nmea.sentences import KNOT_M_S, REFUSED_FOR
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import global_position
-from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, free_port, rmc, sentence, settings_of
-from tests.support.fake_ardrone import until
+from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, rmc, sentence, settings_of
+from tests.support.waiting import free_port, until
 
 
 async def test_sentences_over_udp_lead_the_drone_to_the_ship() -> None:

@@ -19,7 +19,8 @@ from companion.settings.model import Settings
 from companion.settings.refusal import described
 from companion.settings.restart import RestartOptions
 from estimator.options import EstimatorOptions
-from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle, until
+from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle
+from tests.support.waiting import until
 
 LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.tracker")
 """Modules that take long to load and that no guidance cycle needs."""

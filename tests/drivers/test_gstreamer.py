@@ -24,8 +24,8 @@ from drivers.camera.source import CameraLost, VideoSource
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Frame
-from tests.support.fake_ardrone import until
 from tests.support.processes import gone
+from tests.support.waiting import until
 
 CLOCK = SystemClock()
 W, H = 66, 48  # rows of 198 bytes, which are padded by 2

@@ -18,7 +18,8 @@ from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from tests.drivers.test_video import clip
-from tests.support.fake_ardrone import HOST, FakeArDrone, until
+from tests.support.fake_ardrone import HOST, FakeArDrone
+from tests.support.waiting import until
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
 

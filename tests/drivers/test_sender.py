@@ -28,7 +28,8 @@ from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
 from tests.drivers.test_link import be_patient, steer
-from tests.support.fake_ardrone import HOST, FakeArDrone, until
+from tests.support.fake_ardrone import HOST, FakeArDrone
+from tests.support.waiting import until
 
 CLOCK = SystemClock()
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from drivers.camera.source import CameraLost
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
+from tests.support.waiting import until
 
 W, H, RATE = 64, 48, 50
 CLOCK = SystemClock()
@@ -48,11 +49,6 @@ def write(path: str, n: int, form: str | None = None, stop: threading.Event | No
 
 def stream(device: Path | str, **more: Any) -> CameraOptions:
     return CameraOptions(source="stream", device=str(device), **more)
-
-
-async def until(true: Callable[[], bool]) -> None:
-    while not true():  # noqa: ASYNC110
-        await asyncio.sleep(0.01)
 
 
 async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> None:

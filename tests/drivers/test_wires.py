@@ -22,7 +22,7 @@ from drivers.resolve import resolve
 from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import NS_PER_S, MonoNs
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 

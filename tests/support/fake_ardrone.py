@@ -199,10 +199,3 @@ class FakeArDrone:
             before, slept_us = loop.time(), round(1e6 * (loop.time() - before))
             self.clock_us += max(0, slept_us - 5_000)  # a busy machine sleeps longer, and a drone's clock goes on
             self.tick()
-
-
-async def until(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
-    """Wait for something to come true; the test fails when it does not."""
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - what is waited for lies on both sides of sockets
-            await asyncio.sleep(0.005)

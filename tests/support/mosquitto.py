@@ -15,6 +15,7 @@ import pytest
 
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
 from companion.settings.mqtt import MqttSettings
+from tests.support.waiting import free_port
 
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
@@ -42,12 +43,6 @@ def need_mosquitto() -> None:
     """Skip where there is none; on CI that is a failure."""
     if MOSQUITTO is None:
         (pytest.fail if os.environ.get("CI") else pytest.skip)("no mosquitto on this machine (apt install mosquitto)")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass

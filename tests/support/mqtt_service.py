@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -112,10 +112,3 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
             yield RunningPart(part, health, operator, clock, spool)
         finally:
             ended.set()
-
-
-async def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait for a condition; fail after `seconds`."""
-    async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110 (a condition of any kind)
-            await asyncio.sleep(0.01)

@@ -24,12 +24,11 @@ from companion.settings.recorder import RecorderOptions
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
-from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Frame, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detection import Detection
-from tests.support.fake_ardrone import until
+from tests.support.waiting import listening, until
 
 TOKEN = "a-token-of-sixteen-and-more"
 
@@ -112,24 +111,10 @@ class PageService:
 async def serving(folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> AsyncIterator[PageService]:
     """Serve the page; at the end show that neither it nor guidance has failed."""
     service = PageService(folder, limits, **settings)
-    ended: list[BaseException] = []
-
-    async def part() -> None:
-        try:
-            await service.page.run()
-        except Exception as why:
-            ended.append(why)
-
-    async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(part()), group.create_task(service.live())]
-        async with asyncio.timeout(30):
-            while service.page.port is None:
-                assert not ended, in_words(ended[0])
-                await asyncio.sleep(0.005)
+    async with listening(service.page), asyncio.TaskGroup() as group:
+        flying = group.create_task(service.live())
         yield service
-        for task in tasks:
-            task.cancel()
-    assert not ended, in_words(ended[0])
+        flying.cancel()
 
 
 class Browser:

@@ -5,15 +5,14 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from tests.support.waiting import PATIENCE_S, wait_until
+
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 60.0
-"""Time limit for anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""
 
 
 @contextmanager
@@ -78,7 +77,6 @@ def alive(number: int) -> bool:
 
 def gone(number: int) -> bool:
     """Return whether a process is gone before long."""
-    end = time.monotonic() + PATIENCE_S
-    while alive(number) and time.monotonic() < end:
-        time.sleep(0.02)
+    with suppress(TimeoutError):
+        wait_until(lambda: not alive(number))
     return not alive(number)

@@ -39,7 +39,7 @@ from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, besi
 from sitl.emulators.autopilots.body import Body, BodyTouchdown, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
-from sitl.emulators.autopilots.program import Program, free_udp_port, running
+from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
@@ -190,11 +190,15 @@ class AutopilotFlight:
             BadInput: the program cannot be run.
             Recoverable: the program ended by itself or hangs.
         """
-        cv2.setNumThreads(1)
         fixed = self.autopilot.name == "px4" and self.autopilot.binary is not None
-        from_program, to_station = px4.MAVLINK_PORTS if fixed else (free_udp_port(), free_udp_port())
+        with reserved_port() as first, reserved_port() as second, reserved_port() as third:
+            from_program, to_station = px4.MAVLINK_PORTS if fixed else (first, second)
+            return await self._fly(from_program, to_station, third)
+
+    async def _fly(self, from_program: int, to_station: int, behind_relay: int) -> FlightEnd:
+        cv2.setNumThreads(1)
         relayed = self.autopilot.unaided or bool(self.scenario.faults)
-        to_daemon = free_udp_port() if relayed else from_program
+        to_daemon = behind_relay if relayed else from_program
         settings = self.service_settings(to_daemon)
         stays = self.settings.guidance.refused == "hold"
         service = self._service = KillableService(lambda once: self._serving(settings, once and stays))

@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -16,6 +16,9 @@ from estimator.contracts.errors import BadInput, Recoverable
 GUIDE = "docs/sitl.md"
 OUTPUT = "output.txt"
 _END_S = 0.5
+_HOST = "127.0.0.1"
+_PORTS = range(24_000, 32_000)
+"""Ports below those that Linux hands out by itself (net.ipv4.ip_local_port_range, from 32768)."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -107,8 +110,25 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def free_udp_port() -> int:
-    """Return a UDP port of the loopback that is free at this moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+@contextlib.contextmanager
+def reserved_port() -> Iterator[int]:
+    """Yield a port of the loopback, free for UDP and TCP, that no other caller on this machine gets while the context is open.
+
+    It lies below the ports that the system hands out by itself, which can be another program's by the time that they are used.
+
+    Raises:
+        Recoverable: every port is taken.
+    """
+    offset = os.getpid() * 31 % len(_PORTS)  # processes that start together look at different ports
+    for port in (*_PORTS[offset:], *_PORTS[:offset]):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as reservation:
+            try:
+                reservation.bind(f"\0decklander-port-{port}")  # a name that ends with the process
+                for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
+                    with socket.socket(socket.AF_INET, kind) as probe:
+                        probe.bind((_HOST, port))
+            except OSError:
+                continue
+            yield port
+            return
+    raise Recoverable(f"each port from {_PORTS.start} to {_PORTS.stop - 1} of {_HOST} is taken")

@@ -23,7 +23,7 @@ from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 GOOD = {stack: {r.parameter: r.good for r in rules_values.RULES if r.stack == stack} for stack in ("ArduPilot", "PX4")}

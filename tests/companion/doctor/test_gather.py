@@ -30,7 +30,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
-from tests.support.fake_ardrone import until
+from tests.support.waiting import listening, until
 
 HOST = "127.0.0.1"
 
@@ -167,11 +167,9 @@ async def test_a_service_that_runs_is_queried() -> None:
     health.counters("mqtt", lambda: {"ship_reports_other_run": 2.0, "ship_reports_taken": 1.0, "commands_expired": 5.0})
     health.counters("ship_place", lambda: {"taken": 0.0, "vessel_stale": 1.0})
     endpoint = MetricsEndpoint(MetricsSettings("http", HOST, 0), health)
-    serving = asyncio.create_task(endpoint.run())
-    await until(lambda: endpoint.port is not None)
-    metrics = {"endpoint": "http", "host": HOST, "port": endpoint.port}
-    service = await examine_service(rig(Path("no camera is opened"), metrics=metrics), None, SystemClock())
-    serving.cancel()
+    async with listening(endpoint) as port:
+        metrics = {"endpoint": "http", "host": HOST, "port": port}
+        service = await examine_service(rig(Path("no camera is opened"), metrics=metrics), None, SystemClock())
     assert service.camera_fault is None
     assert service.exposure_to_belief_s == 0.08
     assert service.frame_rate_hz

@@ -14,8 +14,9 @@ import pytest
 
 from companion.cli.main import main
 from sitl.emulators.autopilots import arducopter, px4
-from sitl.emulators.autopilots.program import Program, free_udp_port, running
+from sitl.emulators.autopilots.program import Program, running
 from tests.companion.doctor.test_set_ups import DATA
+from tests.support.waiting import free_port
 
 PROGRAMS = {stack: os.environ.get(f"DECKLANDER_{name}", "") for stack, name in (("ArduPilot", "ARDUCOPTER"), ("PX4", "PX4"))}
 DANGEROUS = {
@@ -46,7 +47,7 @@ async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> 
     asked = {name: float(value) for name, value in (DATA[stack]["good"]["defaults"] | dict(parameters)).items()}
     binary = Path(PROGRAMS[stack])
     if stack == "ArduPilot":
-        ports = (free_udp_port(), free_udp_port())
+        ports = (free_port(), free_port())
         words = arducopter.argv(binary, folder, physics_port=1, mavlink_ports=ports, parameters=asked)
         words[words.index("--model") + 1] = "quad"
         environment: dict[str, str] = {}

@@ -3,7 +3,6 @@
 import asyncio
 import base64
 import json
-import socket
 import struct
 from collections import defaultdict
 from collections.abc import AsyncIterator
@@ -36,8 +35,8 @@ from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.support.fake_ardrone import until
 from tests.support.recorded_flight import SCENARIO, sim_settings
+from tests.support.waiting import listening, until
 
 TOKEN = "a-token-of-more-than-sixteen"
 
@@ -50,7 +49,7 @@ class Service:
         pilot = make_pilot(whole, shadows=("median_mean",))
         clock = SystemClock()
         self.endpoint = FoxgloveEndpoint(
-            FoxgloveSettings(endpoint="websocket", **{"port": _free_port(), **settings}),
+            FoxgloveSettings(endpoint="websocket", **{"port": 0, **settings}),
             pilot,
             Health(clock),
             clock,
@@ -74,24 +73,13 @@ class Service:
         return self.endpoint.counted().get(name, 0.0)
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @asynccontextmanager
 async def serving(
     limits: ConnectionLimits | None = None, recorder: Recorder | None = None, **settings: Any
 ) -> AsyncIterator[Service]:
     service = Service(limits, recorder, **settings)
-    task = asyncio.create_task(service.endpoint.run())
-    await until(lambda: service.endpoint.port is not None or task.done())
-    try:
+    async with listening(service.endpoint):
         yield service
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
 
 
 class Client:

@@ -26,7 +26,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 from tests.companion.mavlink.test_component_parts import Tower
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 AUTOPILOT, US, STATION = (7, 1), (7, 191), (255, 190)

@@ -23,7 +23,7 @@ from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.test_component_parts import Tower
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 PAD_NED = np.array([1.5, -0.8, 0.0])

@@ -25,8 +25,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.mavlink.border import HOST, frame
-from tests.companion.mavlink.test_mavsdk import free_port
-from tests.support.fake_ardrone import until
+from tests.support.waiting import free_port, until
 
 S = 1_000_000_000
 

@@ -12,7 +12,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import MonoNs
 from tests.companion.mavlink.border import AUTOPILOT, HOST, STATION, US, Border, bordered
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 DENIED, ACCEPTED = int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_ACCEPTED)
 LANDED = mav.MAVLink_extended_sys_state_message(0, mav.MAV_LANDED_STATE_ON_GROUND)

@@ -14,7 +14,7 @@ from estimator.contracts.estimates import IntegrityAlert, Verdict
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 
 async def test_an_ardupilot_gets_the_place_of_the_pad() -> None:

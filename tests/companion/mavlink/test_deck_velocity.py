@@ -20,7 +20,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 YAW = math.radians(130.0)

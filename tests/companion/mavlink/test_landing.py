@@ -20,7 +20,7 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 FRAME_EVERY = 8

@@ -23,7 +23,7 @@ from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from drivers.running_beside import running_beside
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 KEY = SigningKey(bytes(range(32)))

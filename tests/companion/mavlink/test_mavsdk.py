@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from typing import Any
@@ -17,14 +16,9 @@ from companion.settings.video import VideoStreamOptions
 from drivers.clock import SystemClock
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
+from tests.support.waiting import free_port
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind((HOST, 0))
-        return int(sock.getsockname()[1])
 
 
 @asynccontextmanager

@@ -2,7 +2,6 @@
 
 import asyncio
 import signal
-import socket
 import sys
 from collections import Counter
 from pathlib import Path
@@ -15,7 +14,7 @@ from companion.recording.reading import open_recording
 from companion.recording.records import LinkRecord
 from drivers.mavlink.dialect import mav
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.support.fake_ardrone import until
+from tests.support.waiting import free_port, until
 
 US = 191
 RIG = """
@@ -36,12 +35,6 @@ flush_s = 0.2
 """
 
 
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def grey_video(path: Path) -> None:
     """Make the video of a camera that sees nothing: half a minute of grey."""
     with av.open(str(path), "w") as out:
@@ -55,7 +48,7 @@ def grey_video(path: Path) -> None:
 
 @pytest.mark.timeout(120)
 async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) -> None:
-    port = free_udp_port()
+    port = free_port()
     video, rig, folder = tmp_path / "grey.mp4", tmp_path / "rig.toml", tmp_path / "kept"
     grey_video(video)
     rig.write_text(RIG.format(port=port, video=video, folder=folder))

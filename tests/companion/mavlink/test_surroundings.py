@@ -15,9 +15,9 @@ import pytest
 
 from drivers.mavlink.dialect import mav
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.test_process import RIG, free_udp_port, grey_video, told
-from tests.support.fake_ardrone import until
+from tests.companion.mavlink.test_process import RIG, grey_video, told
 from tests.support.processes import ROOT, decklander, started
+from tests.support.waiting import free_port, until
 
 _SLOW_S = 0.7
 """The longest gap between commands, of 0.04 s each, that a busy machine alone may make, s."""
@@ -40,7 +40,7 @@ def drained(reading: int) -> str:
 
 @pytest.mark.timeout(120)
 async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_signals(tmp_path: Path) -> None:
-    port, video, rig = free_udp_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
+    port, video, rig = free_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
     grey_video(video)
     rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
     reading, writing = os.pipe()
@@ -92,7 +92,7 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
 
 @pytest.mark.timeout(60)
 def test_a_terminal_that_hangs_up_does_not_end_it_and_sigterm_does(tmp_path: Path) -> None:
-    port, video, rig = free_udp_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
+    port, video, rig = free_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
     grey_video(video)
     rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
     number, terminal = pty.fork()

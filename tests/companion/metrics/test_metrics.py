@@ -23,6 +23,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.support.descriptors import no_descriptors
+from tests.support.waiting import until
 
 
 class Clock:
@@ -104,18 +105,13 @@ def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
 
 @asynccontextmanager
 async def serving(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[MetricsEndpoint]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=port, token_file=token_file), health, limits)
+    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0, token_file=token_file), health, limits)
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(
             run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
         )
-        async with asyncio.timeout(60):
-            while endpoint.port is None:  # noqa: ASYNC110 (the endpoint says nothing when it is ready)
-                await asyncio.sleep(0.005)
+        await until(lambda: endpoint.port is not None)
         try:
             yield endpoint
         finally:

@@ -24,7 +24,8 @@ from companion.settings.mqtt import MqttSettings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from tests.support.mosquitto import Broker
-from tests.support.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, running, until
+from tests.support.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, running
+from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"

@@ -16,7 +16,8 @@ from companion.parts.mqtt.messages import CommandReply, FusionMessage, HealthRep
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from tests.support.mosquitto import Broker, on_message
-from tests.support.mqtt_service import RUN, decision, running, status, until
+from tests.support.mqtt_service import RUN, decision, running, status
+from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -90,7 +91,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
 from companion.settings.mqtt import MqttSettings
-from tests.support.mqtt_service import running, until
+from tests.support.mqtt_service import running
 async def main():
     async with running(MqttSettings(**json.loads(sys.argv[1])), pathlib.Path(tempfile.mkdtemp())) as rig:
         await until(lambda: rig.count("connections") == 1)

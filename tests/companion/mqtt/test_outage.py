@@ -8,7 +8,8 @@ import pytest
 
 from tests.support.mosquitto import Broker
 from tests.support.mqtt_consumer import Consumer
-from tests.support.mqtt_service import event, running, until
+from tests.support.mqtt_service import event, running
+from tests.support.waiting import until
 
 # A TLS handshake that is ended leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")

@@ -14,7 +14,8 @@ from companion.parts.mqtt import part as part_module
 from companion.parts.mqtt.connection import client_id
 from companion.parts.mqtt.messages import StatusMessage, encode
 from companion.settings.mqtt import MqttSettings
-from tests.support.mqtt_service import SESSION, running, until
+from tests.support.mqtt_service import SESSION, running
+from tests.support.waiting import until
 
 STATUS = "decklander/v1/drone/status"
 DAYS_200_S = 200 * 86400.0

@@ -14,9 +14,10 @@ import pytest
 
 from companion.settings.mqtt import MqttSettings
 from estimator.contracts.time import seconds_between
-from tests.support.mosquitto import Broker, free_port
+from tests.support.mosquitto import Broker
 from tests.support.mqtt_consumer import Consumer
-from tests.support.mqtt_service import RUN, SESSION, RunningPart, decision, event, running, until
+from tests.support.mqtt_service import RUN, SESSION, RunningPart, decision, event, running
+from tests.support.waiting import until
 
 # A TLS handshake that fails leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -133,8 +134,8 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
         finally:
             writer.close()
 
-    port = free_port()
-    silent = await asyncio.start_server(accept, "127.0.0.1", port)
+    silent = await asyncio.start_server(accept, "127.0.0.1", 0)
+    port = silent.sockets[0].getsockname()[1]
     try:
         for transport in ("tcp", "tls"):
             settings = MqttSettings(

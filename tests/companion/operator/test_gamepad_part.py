@@ -22,7 +22,7 @@ from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT,
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 THESIS = mapping_of("thesis")
 

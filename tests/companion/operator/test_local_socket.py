@@ -32,7 +32,7 @@ from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from tests.support.certificates import make_certificates
-from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, serving
 from tests.support.recorded_flight import record_to
+from tests.support.waiting import until
 
 CHROMIUM = shutil.which("chromium")
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed (requirements/dev.txt)")

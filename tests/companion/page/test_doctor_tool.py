@@ -16,8 +16,8 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT
-from tests.support.fake_ardrone import until
 from tests.support.page_service import browsing, serving
+from tests.support.waiting import until
 
 
 def with_fault() -> dict[str, float]:

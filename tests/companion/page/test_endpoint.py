@@ -29,9 +29,9 @@ from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from tests.support import processed_frames
 from tests.support.certificates import make_certificates
-from tests.support.fake_ardrone import until
 from tests.support.page_service import TOKEN, PageService, browsing, serving
 from tests.support.recorded_flight import record_to
+from tests.support.waiting import until
 
 
 async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: Path) -> None:

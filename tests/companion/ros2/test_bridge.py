@@ -17,7 +17,7 @@ import pytest
 
 from companion.cli import main as cli
 from tests.companion.live.test_live import TOKEN, serving
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 pytest.importorskip("rosbags", reason="needs the extra ros2")
 STAND_IN = Path(__file__).parents[2] / "support/stand_in_ros"

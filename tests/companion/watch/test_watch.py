@@ -26,8 +26,9 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.companion.mqtt.conftest import broker, certificates
 from tests.support.mosquitto import Broker
-from tests.support.mqtt_service import SESSION, decision, running, status, until
+from tests.support.mqtt_service import SESSION, decision, running, status
 from tests.support.mqtt_service import event as pending_event
+from tests.support.waiting import until
 
 __all__ = ["broker", "certificates"]
 

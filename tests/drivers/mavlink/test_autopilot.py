@@ -19,7 +19,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.stand_in.base import EPOCH_NS, MiniatureAutopilot
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 

@@ -18,7 +18,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 ANYBODY = NamedSenders(everybody=True)

@@ -21,7 +21,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import Recoverable
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 AHEAD = Velocity(np.array([1.0, 0.0, 0.0]), 0.0)

@@ -14,7 +14,7 @@ from drivers.endpoint import Address, Endpoint, parse_endpoint
 from drivers.nmea.source import HELD_S, SentenceJoiner, SentenceSource, sentences_from
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import NS_PER_S, MonoNs
-from tests.support.fake_ardrone import until
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 SHIP, OTHER = (HOST, 4000), ("192.0.2.7", 4000)

@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, cast
 
@@ -27,10 +27,9 @@ from sitl.scenario.scenario import load as load_scenario
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
 from tests.sitl.ardrone.point_mass import PointMass
+from tests.support.waiting import PATIENCE_S, until
 
 HOST = "127.0.0.1"
-LIMIT_S = 60.0
-"""Time limit of each step: many times what it takes, for a busy machine."""
 
 
 @asynccontextmanager
@@ -48,16 +47,8 @@ def options_for(server: ArDroneServer, **over: Any) -> ArDroneOptions:
 
 
 async def frames(drone: ArDrone, count: int) -> list[Frame]:
-    async with asyncio.timeout(LIMIT_S):
+    async with asyncio.timeout(PATIENCE_S):
         return [await drone.frames.get() for _ in range(count)]
-
-
-async def until(reached: Callable[[], bool]) -> None:
-    for _ in range(3000):
-        if reached():
-            return
-        await asyncio.sleep(0.02)
-    raise TimeoutError
 
 
 async def until_down(drone: ArDrone, channel: str) -> str:
@@ -138,7 +129,7 @@ class Viewer(asyncio.DatagramProtocol):
         self.pictures.put_nowait(data)
 
     async def next(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        async with asyncio.timeout(LIMIT_S):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 datagram = await self.pictures.get()
                 header = UvlcDecoder().header(datagram)

@@ -18,12 +18,11 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from sitl.emulators.autopilots.lock_step import FaultyLink
-from sitl.emulators.autopilots.program import free_udp_port
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import CommandStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
-from tests.support.fake_ardrone import until
+from tests.support.waiting import free_port, until
 
 HOST = "127.0.0.1"
 
@@ -49,7 +48,7 @@ class Linked:
 
 @asynccontextmanager
 async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
-    clock, relay_port, port = SystemClock(), free_udp_port(), free_udp_port()
+    clock, relay_port, port = SystemClock(), free_port(), free_port()
     timer = FaultTimer(faults, 1)
     link = FaultyLink(VehicleStreams(timer, 1), clock)
     fake = MiniatureAutopilot()

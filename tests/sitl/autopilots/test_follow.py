@@ -16,9 +16,9 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
-from sitl.emulators.autopilots.program import free_udp_port
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
+from tests.support.waiting import free_port
 
 HOST = "127.0.0.1"
 
@@ -160,7 +160,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
         estimator=replace(settings.estimator, path="dead_reckoning"),
     )
     for _ in range(3):  # a landing that a starved machine gave up, as it should, is flown again
-        fake, port = Elsewhere(mode="loiter", p_ned=np.array([3.0, 4.0, -1.6])), free_udp_port()
+        fake, port = Elsewhere(mode="loiter", p_ned=np.array([3.0, 4.0, -1.6])), free_port()
         async with asyncio.timeout(200), fake.talking_to(f"udpout://{HOST}:{port}"):
             end = await follow(scenario, 1, settings, f"udpin://{HOST}:{port}")
         assert end.failure == ""

@@ -13,12 +13,12 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.lock_step import CameraTiming, LockStepCamera, LockStepClock
-from sitl.emulators.autopilots.program import executable, running
+from sitl.emulators.autopilots.program import executable, reserved_port, running
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import load
-from tests.support.fake_ardrone import until
 from tests.support.processes import alive
+from tests.support.waiting import until
 
 STEP_S = 0.005
 
@@ -117,6 +117,16 @@ async def test_a_program_that_ends_is_reported_with_its_reason(tmp_path: Path) -
     async with running([str(binary)], tmp_path) as program:
         with pytest.raises(Recoverable, match=r"code 3.*no such model"):
             await program.ended()
+
+
+def test_a_reserved_port_is_nobody_elses_until_it_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    with reserved_port() as port:
+        assert port < int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0]), "or the system hands it out"
+        monkeypatch.setattr("sitl.emulators.autopilots.program._PORTS", range(port, port + 1))
+        with pytest.raises(Recoverable, match=f"each port from {port} to {port}"), reserved_port():
+            pass
+    with reserved_port() as again:
+        assert again == port
 
 
 async def test_what_is_no_program_of_this_machine_is_refused(tmp_path: Path) -> None:

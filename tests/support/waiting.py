@@ -1,0 +1,67 @@
+"""Waiting for what happens: a condition, or a server that listens. Nothing here waits for a fixed time."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager
+from typing import Protocol
+
+from sitl.emulators.autopilots.program import reserved_port
+
+PATIENCE_S = 60.0
+"""Time limit for anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""
+_POLL_S = 0.005
+_RESERVED = ExitStack()
+"""Ports that stay reserved until this process ends."""
+
+
+def free_port() -> int:
+    """Return a port of the loopback that nobody else is given as long as this process lives."""
+    return _RESERVED.enter_context(reserved_port())
+
+
+async def until(condition: Callable[[], object], limit_s: float = PATIENCE_S) -> None:
+    """Wait for a condition.
+
+    Raises:
+        TimeoutError: it does not come true within `limit_s`.
+    """
+    async with asyncio.timeout(limit_s):
+        while not condition():  # noqa: ASYNC110 - a condition of any kind, also of other processes
+            await asyncio.sleep(_POLL_S)
+
+
+def wait_until(condition: Callable[[], object], limit_s: float = PATIENCE_S) -> None:
+    """Wait for a condition on a thread of one's own.
+
+    Raises:
+        TimeoutError: it does not come true within `limit_s`.
+    """
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end_s:
+            raise TimeoutError
+        time.sleep(_POLL_S)
+
+
+class Serving(Protocol):
+    """A part that listens on a port."""
+
+    port: int | None
+
+    async def run(self) -> None:
+        """Serve until cancelled."""
+        ...
+
+
+@asynccontextmanager
+async def listening(part: Serving) -> AsyncIterator[int]:
+    """Run a part, and yield its port once it listens. Its errors are raised here, before it listens and afterwards."""
+    async with asyncio.TaskGroup() as group:
+        running = group.create_task(part.run())
+        await until(lambda: part.port is not None)
+        assert part.port is not None
+        try:
+            yield part.port
+        finally:
+            running.cancel()
