@@ -17,7 +17,6 @@ from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.restart import RestartOptions
-from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
@@ -31,11 +30,12 @@ from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
+from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
 SIM = load("sim")
 EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
-CLOCK = SystemClock()
+CLOCK = PatientClock()
 SEA = np.full((360, 640, 3), (90, 60, 20), np.uint8)
 
 

@@ -1,6 +1,5 @@
 """Exit code 2 says that the settings are wrong and nothing else: systemd starts the service again after every other end."""
 
-import asyncio
 import configparser
 import errno
 import logging
@@ -21,6 +20,7 @@ from companion.service import assemble as service
 from companion.service.assemble import Proven
 from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
+from tests.support.waiting import free_port, until
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]
 SETTINGS = [errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP]
@@ -154,14 +154,11 @@ async def test_a_port_in_use_is_waited_for(caplog: pytest.LogCaptureFixture) -> 
     from drivers.mavlink.options import LinkLimits
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
-        holder.bind(("127.0.0.1", 0))
-        port = holder.getsockname()[1]
+        port = free_port()
+        holder.bind(("127.0.0.1", port))
         limits = LinkLimits(restart_first_s=0.01, restart_most_s=0.02)
         options = LinkOptions(parse_endpoint(f"udpin://127.0.0.1:{port}"), limits=limits)
         async with open_links([options], SystemClock(), (1, 191)) as links:
-            async with asyncio.timeout(60):
-                while links.all[0].counters.restarts < 2:  # noqa: ASYNC110 (the link says nothing when it fails)
-                    await asyncio.sleep(0.005)
-                holder.close()
-                while links.all[0].local is None:  # noqa: ASYNC110
-                    await asyncio.sleep(0.005)
+            await until(lambda: links.all[0].counters.restarts >= 2)
+            holder.close()
+            await until(lambda: links.all[0].local is not None)

@@ -5,7 +5,6 @@ is that of a machine that is busy elsewhere: what these programs would do withou
 """
 
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.processes import burners, decklander, python, started
+from tests.support.waiting import free_port
 
 BOUND_S = 10.0
 HEAD = """
@@ -350,9 +350,7 @@ def test_the_interpreter_is_not_shut_down_under_a_thread_that_runs(daemon: str, 
 def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return settings of a drone that is not there, with everything on that takes time to end."""
     folder = tmp_path_factory.mktemp("rig")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     file = folder / "rig.toml"
     file.write_text(f"""
 [vehicle]

@@ -11,27 +11,11 @@ from companion.base.health import Health
 from companion.base.supervise import contain, keep_alive, run
 from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.time import MonoNs
-
-
-class FakeClock:
-    """Time passes only by sleeping."""
-
-    def __init__(self) -> None:
-        self.t = 0
-        self.slept: list[float] = []
-
-    def now(self) -> MonoNs:
-        return MonoNs(self.t)
-
-    async def sleep(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.t += round(seconds * 1e9)
-        await asyncio.sleep(0)
+from tests.support.clocks import SleepingClock
 
 
 async def test_a_recoverable_failure_restarts_that_part_alone_with_growing_rests() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     health = Health(clock)
     lives = {"weak": 0, "strong": 0}
 
@@ -52,14 +36,14 @@ async def test_a_recoverable_failure_restarts_that_part_alone_with_growing_rests
 
 
 async def test_a_part_that_was_healthy_for_long_rests_shortly_again() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     lives = 0
 
     async def body() -> None:
         nonlocal lives
         lives += 1
         if lives == 3:
-            clock.t += 10_000_000_000
+            clock.advance(10.0)
         if lives < 5:
             raise Recoverable("gone")
 
@@ -68,7 +52,7 @@ async def test_a_part_that_was_healthy_for_long_rests_shortly_again() -> None:
 
 
 async def test_a_recoverable_inside_a_task_group_of_the_part_counts_as_recoverable() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     lives = 0
 
     async def body() -> None:
@@ -87,7 +71,7 @@ async def test_a_recoverable_inside_a_task_group_of_the_part_counts_as_recoverab
 
 
 async def test_a_bug_takes_everything_down() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     stopped = asyncio.Event()
 
     async def buggy() -> None:
@@ -107,7 +91,7 @@ async def test_a_bug_takes_everything_down() -> None:
 
 
 async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
 
     async def body() -> None:
         raise ExceptionGroup("both", [Recoverable("socket"), KeyError("ours")])
@@ -122,7 +106,7 @@ async def test_a_cancellation_that_nobody_requested_is_a_bug_of_a_vital_part_and
         raise asyncio.CancelledError
 
     with pytest.raises(ExceptionGroup) as caught:
-        await run({"vehicle": body}, RestartOptions(), Health(FakeClock()), FakeClock())
+        await run({"vehicle": body}, RestartOptions(), Health(SleepingClock()), SleepingClock())
     assert caught.value.subgroup(RuntimeError) is not None
 
 
@@ -144,8 +128,9 @@ def test_a_vital_part_whose_task_calls_sys_exit_ends_loudly_after_the_others_hav
             await asyncio.sleep(0)
             ended.append("guidance")
 
+    clock = SleepingClock()
     with pytest.raises(ExceptionGroup) as caught:
-        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, RestartOptions(), Health(FakeClock()), FakeClock()))
+        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, RestartOptions(), Health(clock), clock))
     assert [str(why) for why in caught.value.exceptions] == ["vehicle called sys.exit(0)"]
     assert ended == ["guidance"]
 
@@ -165,7 +150,7 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
         await asyncio.sleep(0)
 
     before = asyncio.all_tasks()
-    await run({"vital": vital}, RestartOptions(), Health(FakeClock()), FakeClock(), beside={"stubborn": stubborn})
+    await run({"vital": vital}, RestartOptions(), Health(SleepingClock()), SleepingClock(), beside={"stubborn": stubborn})
     assert swallowed == 1
     assert "stubborn did not end within 1.0 s and is abandoned" in caplog.text
     swallowed = 1000
@@ -185,18 +170,18 @@ async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> 
 
     ended = asyncio.Event()
     asyncio.get_running_loop().call_soon(ended.set)
-    parts = {"vehicle": lambda: part("vehicle")}
-    await run(parts, RestartOptions(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
+    parts, clock = {"vehicle": lambda: part("vehicle")}, SleepingClock()
+    await run(parts, RestartOptions(), Health(clock), clock, until=ended, beside={"mqtt": lambda: part("mqtt")})
     assert output == ["vehicle", "mqtt"]
 
 
 async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fails(caplog: pytest.LogCaptureFixture) -> None:
-    health = Health(FakeClock())
+    health = Health(SleepingClock())
 
     async def body() -> None:
         raise KeyError("ours")
 
-    await contain("mqtt", body, RestartOptions(), health, FakeClock())
+    await contain("mqtt", body, RestartOptions(), health, SleepingClock())
     assert sum(record.exc_info is not None for record in caplog.records) == 1
     assert health.contained["mqtt"] == 10
     assert health.flight_fault() is None

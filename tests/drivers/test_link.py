@@ -19,7 +19,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from tests.drivers.test_video import clip
 from tests.support.fake_ardrone import HOST, FakeArDrone
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
 
@@ -227,7 +227,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
         async with linked(fake) as drone:
             await until(lambda: drone.ready)
             monkeypatch.setattr("drivers.ardrone.command_streamer.CommandStreamer.command", mistaken)
-            await asyncio.sleep(5)
+            await asyncio.sleep(PATIENCE_S)
 
     with pytest.raises(ExceptionGroup) as caught:
         await fly()

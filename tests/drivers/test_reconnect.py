@@ -9,27 +9,13 @@ import pytest
 
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.time import MonoNs
-
-
-class FakeClock:
-    def __init__(self) -> None:
-        self.t = 0
-        self.slept: list[float] = []
-
-    def now(self) -> MonoNs:
-        return MonoNs(self.t)
-
-    async def sleep(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.t += round(seconds * 1e9)
-        await asyncio.sleep(0)
+from tests.support.clocks import SleepingClock
 
 
 class Body:
     """Fails as the list says: an error, or a number of seconds to be up before it fails. It returns when the list is over."""
 
-    def __init__(self, clock: FakeClock, runs: list[BaseException | float]) -> None:
+    def __init__(self, clock: SleepingClock, runs: list[BaseException | float]) -> None:
         self.clock, self.runs = clock, runs
 
     async def __call__(self) -> None:
@@ -38,7 +24,7 @@ class Body:
         run = self.runs.pop(0)
         if isinstance(run, BaseException):
             raise run
-        self.clock.t += round(run * 1e9)
+        self.clock.advance(run)
         raise OSError("unplugged")
 
 
@@ -46,7 +32,7 @@ BACK_OFF = BackOff(0.5, 4.0, healthy_after_s=10.0)
 
 
 async def test_rests_grow_to_the_cap_and_begin_again_after_a_healthy_run() -> None:
-    clock, failures = FakeClock(), list[Any]()
+    clock, failures = SleepingClock(), list[Any]()
     body = Body(clock, [*[Recoverable("absent")] * 6, 9.9, 10.0, Recoverable("absent")])
     await reconnect("camera", body, BACK_OFF, clock, failures.append)
     assert clock.slept == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0, 4.0, 0.5, 1.0]
@@ -55,7 +41,7 @@ async def test_rests_grow_to_the_cap_and_begin_again_after_a_healthy_run() -> No
 
 async def test_an_absent_device_is_logged_twice_in_an_hour_and_once_when_it_is_back(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "drivers.reconnect")
-    clock = FakeClock()
+    clock = SleepingClock()
     await reconnect("camera", Body(clock, [*[Recoverable("absent")] * 900, 11.0]), BACK_OFF, clock)
     assert clock.t > 3600e9 - 4e9
     assert caplog.messages == [
@@ -80,12 +66,12 @@ async def test_a_recovery_is_logged_while_the_body_runs(caplog: pytest.LogCaptur
         await up.wait()
 
     async with asyncio.timeout(60.0):
-        await reconnect("link", body, BackOff(0.5, 4.0, healthy_after_s=0.01), FakeClock())
+        await reconnect("link", body, BackOff(0.5, 4.0, healthy_after_s=0.01), SleepingClock())
     assert caplog.messages[-1] == "link: up again after 1 failed attempts"
 
 
 async def test_reasons_that_never_repeat_do_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     await reconnect("link", Body(clock, [Recoverable(f"silent for {i} s") for i in range(500)]), BACK_OFF, clock)
     assert len([r for r in caplog.records if r.levelno >= logging.INFO]) == 5
 
@@ -93,19 +79,19 @@ async def test_reasons_that_never_repeat_do_not_fill_the_log(caplog: pytest.LogC
 @pytest.mark.parametrize("error", [BadInput("no such size"), ValueError("a bug"), asyncio.CancelledError()])
 async def test_any_other_error_passes_through_as_it_is(error: BaseException) -> None:
     with pytest.raises(type(error)) as raised:
-        await reconnect("camera", Body(FakeClock(), [Recoverable("absent"), error]), BACK_OFF, FakeClock())
+        await reconnect("camera", Body(SleepingClock(), [Recoverable("absent"), error]), BACK_OFF, SleepingClock())
     assert raised.value is error or isinstance(error, asyncio.CancelledError)
 
 
 async def test_a_group_with_a_bug_in_it_passes_through() -> None:
-    body = Body(FakeClock(), [ExceptionGroup("both", [Recoverable("absent"), ValueError("a bug")])])
+    body = Body(SleepingClock(), [ExceptionGroup("both", [Recoverable("absent"), ValueError("a bug")])])
     with pytest.raises(ExceptionGroup) as raised:
-        await reconnect("camera", body, BACK_OFF, FakeClock())
+        await reconnect("camera", body, BACK_OFF, SleepingClock())
     assert [type(e) for e in raised.value.exceptions] == [ValueError]
 
 
 async def test_jitter_shortens_each_rest_by_at_most_its_part() -> None:
-    clock = FakeClock()
+    clock = SleepingClock()
     await reconnect("broker", Body(clock, [Recoverable("refused")] * 50), BackOff(1.0, 1.0, 10.0, jitter=0.5), clock)
     assert all(0.5 <= s <= 1.0 for s in clock.slept)
     assert len({round(s, 6) for s in clock.slept}) > 25

@@ -28,6 +28,7 @@ from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
 from tests.drivers.test_link import be_patient, steer
+from tests.support.clocks import SteppedClock
 from tests.support.fake_ardrone import HOST, FakeArDrone
 from tests.support.waiting import until
 
@@ -78,16 +79,6 @@ def alive(pid: int) -> bool:
 
 def stopped(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] == "T"
-
-
-class Stopwatch(SystemClock):
-    """Stands still unless it is moved."""
-
-    def __init__(self) -> None:
-        self.instant = super().now()
-
-    def now(self) -> MonoNs:
-        return self.instant
 
 
 @asynccontextmanager
@@ -205,7 +196,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
-        port, past, clock = drone.getsockname()[1], list[None](), Stopwatch()
+        port, past, clock = drone.getsockname()[1], list[None](), SteppedClock()
         client = await SenderClient.start(
             SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None)
         )
@@ -220,10 +211,10 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
             os.kill(client.pid, signal.SIGSTOP)
             await until(lambda: stopped(client.pid))
             flies()  # what it had said before it stopped is read now
-            clock.instant = after(clock.instant, 0.09)
+            clock.advance(0.09)
             flies()
             assert not past
-            clock.instant = after(clock.instant, 0.03)
+            clock.advance(0.03)
             flies()
             assert len(past) == 1
             drone.setblocking(False)
@@ -251,7 +242,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.setblocking(False)
-        port, clock = drone.getsockname()[1], Stopwatch()
+        port, clock = drone.getsockname()[1], SteppedClock()
         client = await SenderClient.start(
             SenderOptions(HOST, port, port, 0.03, 60.0, replaces=replaces), clock, lambda a, b: None
         )
@@ -260,7 +251,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
             for dt_s in (0.09, 0.03):
                 with pytest.raises(BlockingIOError):
                     drone.recv(2048)
-                clock.instant = after(clock.instant, dt_s)
+                clock.advance(dt_s)
                 client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD, STAY_UP, watchdog=True))
             if replaces:
                 hover = at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import wires
-from drivers.clock import SystemClock
 from drivers.endpoint import Address, Endpoint
 from drivers.resolve import resolve
 from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import NS_PER_S, MonoNs
+from tests.support.clocks import SteppedClock
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -63,20 +63,11 @@ def test_what_cannot_be_packed_costs_no_other_message() -> None:
     assert queue.take(at(0.0)) == b"next"
 
 
-class Stopwatch(SystemClock):
-    """The real clock, put ahead by hand."""
-
-    ahead_s = 0.0
-
-    def now(self) -> MonoNs:
-        return MonoNs(super().now() + round(self.ahead_s * NS_PER_S))
-
-
 async def test_a_serial_line_that_stood_still_carries_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
     far, near = os.openpty()
     tty.setraw(far)
     os.set_blocking(far, False)
-    clock, counts, gone, kept = Stopwatch(), WireCounts(), [0], bytearray()
+    clock, counts, gone, kept = SteppedClock(), WireCounts(), [0], bytearray()
 
     def empty(fd: int, which: int) -> None:
         while _read(far):
@@ -91,14 +82,14 @@ async def test_a_serial_line_that_stood_still_carries_nothing_old(monkeypatch: p
         monkeypatch.setattr(wires, "_in_kernel", lambda fd: wire._total - gone[0])  # type: ignore[attr-defined]
         monkeypatch.setattr(termios, "tcflush", empty)
         for n in range(1200):  # 12 s of 100 messages a second
-            clock.ahead_s += 0.01
+            clock.advance(0.01)
             assert wire.send(message, None, "velocity" if n % 4 == 0 else "")
         assert counts.late > 1100
         goes_on_ms = round(clock.now() / 1e6)
         for _ in range(20):
             kept += _read(far)
             gone[0] = wire._total  # type: ignore[attr-defined]
-            clock.ahead_s += 0.01
+            clock.advance(0.01)
             wire.send(message, None)
         kept += _read(far)
     times_ms = [int(kept[i - 12 : i]) for i in range(12, len(kept)) if kept[i : i + 88] == 88 * b"." and kept[i - 1 : i] != b"."]
@@ -129,13 +120,13 @@ def served() -> Iterator[tuple[Endpoint, Callable[[], socket.socket]]]:
 
 
 async def test_a_tcp_peer_that_does_not_read_is_given_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, counts, got = Stopwatch(), WireCounts(), bytearray()
+    clock, counts, got = SteppedClock(), WireCounts(), bytearray()
     with served() as (endpoint, accept):
         async with open_wire(endpoint, clock, nobody, counts) as wire:
             peer = accept()
             monkeypatch.setattr(wires, "_in_kernel", lambda fd: wire._total - len(got))  # type: ignore[attr-defined]
             for _ in range(1200):
-                clock.ahead_s += 0.01
+                clock.advance(0.01)
                 wire.send(lambda: 100 * b".", None)
             before = wire._total  # type: ignore[attr-defined]
             assert before < 60 * 100, "half a second of 100 messages a second, and some more"
@@ -186,7 +177,7 @@ def heard(sock: socket.socket) -> bool:
 
 async def test_a_host_that_moved_is_found_again(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wires, "_WATCH_S", 0.01)
-    clock, counts = Stopwatch(), WireCounts()
+    clock, counts = SteppedClock(), WireCounts()
     old = udp(HOST)
     port = old.getsockname()[1]
     with udp("127.0.0.2", port) as new:
@@ -202,7 +193,7 @@ async def test_a_host_that_moved_is_found_again(names: dict[str, list[str]], mon
                 wire.send(lambda: b"two", None)
                 await asyncio.sleep(0.002)
             assert counts.refused > 0
-            clock.ahead_s = 3.0
+            clock.advance(3.0)
             with pytest.raises(Recoverable, match=r"127\.0\.0\.1 refuses.*autopilot\.local is 127\.0\.0\.2 now"):
                 await broken
         async with open_wire(endpoint, clock, nobody, counts) as wire:
@@ -212,7 +203,7 @@ async def test_a_host_that_moved_is_found_again(names: dict[str, list[str]], mon
 
 async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wires, "_WATCH_S", 0.01)
-    clock, counts, used = Stopwatch(), WireCounts(), list[str]()
+    clock, counts, used = SteppedClock(), WireCounts(), list[str]()
     with udp("127.0.0.3") as third:
         port = third.getsockname()[1]
         names["ship"] = ["127.0.0.1", "127.0.0.2", "127.0.0.3"]
@@ -220,7 +211,7 @@ async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str
             async with open_wire(Endpoint("udpout", "ship", port), clock, nobody, counts) as wire:
                 used.append(wire._transport.get_extra_info("peername")[0])  # type: ignore[attr-defined]
                 await asyncio.sleep(0.01)  # the watch begins
-                clock.ahead_s += 11.0
+                clock.advance(11.0)
                 with pytest.raises(Recoverable, match="not a byte"):
                     await wire.broken()
         assert used == ["127.0.0.1", "127.0.0.2", "127.0.0.3", "127.0.0.1"]
@@ -242,11 +233,11 @@ async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str
 
 async def test_a_silent_udp_peer_with_one_address_is_kept(names: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wires, "_WATCH_S", 0.01)
-    clock = Stopwatch()
+    clock = SteppedClock()
     async with open_wire(Endpoint("udpout", HOST, 9), clock, nobody) as wire:
         broken = asyncio.ensure_future(wire.broken())
         for _ in range(3):
-            clock.ahead_s += 11.0
+            clock.advance(11.0)
             await asyncio.sleep(0.05)
         assert not broken.done(), "it may come, and a router knows it by its port"
         broken.cancel()
@@ -254,16 +245,16 @@ async def test_a_silent_udp_peer_with_one_address_is_kept(names: dict[str, list[
 
 async def test_a_tcp_server_that_forgot_us_is_connected_to_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wires, "_WATCH_S", 0.01)
-    clock, got = Stopwatch(), list[bytes]()
+    clock, got = SteppedClock(), list[bytes]()
     with served() as (endpoint, accept):
         async with open_wire(endpoint, clock, lambda data, when, who: got.append(data)) as wire:
             accept().send(b"hello")
             await until(lambda: got)
-            clock.ahead_s = 9.5
+            clock.advance(9.9)
             broken = asyncio.ensure_future(wire.broken())
             await asyncio.sleep(0.05)
             assert not broken.done()
-            clock.ahead_s = 11.0
+            clock.advance(0.2)
             with pytest.raises(Recoverable, match=r"not a byte of 127\.0\.0\.1 for 10 s"):
                 await broken
 

@@ -21,13 +21,13 @@ from companion.parts.page.make import make_page
 from companion.settings.load import load
 from companion.settings.page import PageSettings
 from companion.settings.recorder import RecorderOptions
-from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Frame, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detection import Detection
+from tests.support.clocks import PatientClock
 from tests.support.waiting import listening, until
 
 TOKEN = "a-token-of-sixteen-and-more"
@@ -54,7 +54,7 @@ class PageService:
         if autopilot is not None:
             self.settings = structs.replace(self.settings, vehicle=AutopilotOptions("udpin://127.0.0.1:0"))
         self.pilot: Pilot = make_pilot(self.settings)
-        self.clock = SystemClock()
+        self.clock = PatientClock()
         self.health = Health(self.clock)
         args = self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, settings_file, limits
         self.page = make_page(*args)

@@ -4,7 +4,6 @@ import asyncio
 import math
 import socket
 import struct
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
@@ -17,15 +16,14 @@ import companion.settings.load as settings_of
 from companion.parts.mavlink.bridge import VehicleBridge
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.mavlink.parameters import Tunables
-from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
 from tests.companion.mavlink.test_component_parts import Tower
+from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -85,8 +83,11 @@ class Border:
         wire: the autopilot's socket.
     """
 
-    def __init__(self, autopilot: Autopilot, component: Component, bridge: VehicleBridge, tower: Tower) -> None:
+    def __init__(
+        self, autopilot: Autopilot, component: Component, bridge: VehicleBridge, tower: Tower, clock: PatientClock
+    ) -> None:
         self.autopilot, self.component, self.bridge, self.tower = autopilot, component, bridge, tower
+        self.clock = clock
         self.links = autopilot.links
         self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wire.setblocking(False)
@@ -138,25 +139,23 @@ class Border:
     async def told_of_the_pad(self) -> None:
         """Fail unless an autopilot that flies and tells its attitude is sent LANDING_TARGETs, whatever it said before."""
         flies = mav.MAVLink_extended_sys_state_message(0, mav.MAV_LANDED_STATE_IN_AIR)
-        got: list[str] = []
-        began = time.monotonic()
+        clock, got = self.clock, set[str]()
+        began = clock.now()
         # What two autopilots with one id seem to have said counts for some seconds.
-        while time.monotonic() - began < 20.0:
+        while "LANDING_TARGET" not in got:
+            assert seconds_between(began, clock.now()) < 20.0, f"no target: {self.component.outputs.withheld}"
             # The autopilot's clock runs as fast as ours, however seldom a busy machine lets it speak.
-            boot_ms = 20_000 + round(1000 * (time.monotonic() - began))
+            boot_ms = 20_000 + round(1000 * seconds_between(began, clock.now()))
             level = mav.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             await self.send(mav.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3), flies, level)
             await asyncio.sleep(0.02)
-            got += [m.get_type() for m in self.answers()]
-            if "LANDING_TARGET" in got:
-                return
-        raise AssertionError(f"no target: {self.component.outputs.withheld}")
+            got |= {m.get_type() for m in self.answers()}
 
 
 @asynccontextmanager
-async def bordered(*more_links: str, clock: Clock | None = None, **options: Any) -> AsyncIterator[Border]:
+async def bordered(*more_links: str, clock: PatientClock | None = None, **options: Any) -> AsyncIterator[Border]:
     """Yield the service's MAVLink side with its autopilot found on the first of its links."""
-    clock, tower = clock or SystemClock(), Tower()
+    clock, tower = clock or PatientClock(), Tower()
     pad = np.array([0.3, -0.2, 4.0])
 
     def believe(now: MonoNs) -> RelativeState:
@@ -175,7 +174,7 @@ async def bordered(*more_links: str, clock: Clock | None = None, **options: Any)
         await until(lambda: autopilot.links.all[0].local is not None)
         bridge = VehicleBridge(autopilot.links.send, lambda command: None)
         autopilot.add_listener(lambda received: bridge.on_message(received, AUTOPILOT[0], clock.now()))
-        border = Border(autopilot, component, bridge, tower)
+        border = Border(autopilot, component, bridge, tower, clock)
 
         async def pump() -> None:
             async for sample in autopilot.samples:

@@ -14,7 +14,6 @@ from companion.parts.mavlink.component import Component, ComponentOptions, speak
 from companion.parts.mavlink.parameters import Tunables
 from companion.settings.mavlink import OutputOptions
 from companion.settings.model import Settings
-from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
@@ -23,6 +22,7 @@ from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.test_component_parts import Tower
+from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -64,7 +64,7 @@ async def staged(
     fake: MiniatureAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, operators: str = "", **options: Any
 ) -> AsyncIterator[Stage]:
     """Autopilot found, component speaking, guidance deciding at 50 Hz."""
-    clock = SystemClock()
+    clock = fake.clock = PatientClock()
     component_options = ComponentOptions(0.39, 0.5, OutputOptions(**(outputs or {})), **options)
     autopilot_options = AutopilotOptions(
         ", ".join((f"udpin://{HOST}:0", *more_links)),

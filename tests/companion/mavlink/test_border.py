@@ -66,6 +66,7 @@ def test_any_command(border: tuple[asyncio.AbstractEventLoop, Border], data: byt
 
 def test_and_the_service_goes_on_answering(border: tuple[asyncio.AbstractEventLoop, Border]) -> None:
     loop, service = border
+    service.clock.leap(30.0)  # what other autopilots with its id seem to have said counts for seconds
     loop.run_until_complete(service.alive())
     loop.run_until_complete(service.told_of_the_pad())
 

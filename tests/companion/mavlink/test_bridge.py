@@ -25,7 +25,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.mavlink.border import HOST, frame
-from tests.support.waiting import free_port, until
+from tests.support.waiting import PATIENCE_S, free_port, until
 
 S = 1_000_000_000
 
@@ -240,7 +240,7 @@ async def test_mavsdk_flies_it() -> None:
         tasks = [group.create_task(live()), group.create_task(part.run())]
         async with mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station:
             await station.add_any_connection(f"udpin://{HOST}:{port}")
-            system = await station.first_autopilot(timeout_s=10.0)
+            system = await station.first_autopilot(timeout_s=PATIENCE_S)
             assert system is not None
             action = ActionAsync(system)
             await action.arm()

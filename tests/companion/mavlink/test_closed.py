@@ -7,11 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.clock import SystemClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.time import MonoNs
 from tests.companion.mavlink.border import AUTOPILOT, HOST, STATION, US, Border, bordered
+from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
 DENIED, ACCEPTED = int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_ACCEPTED)
@@ -33,15 +32,6 @@ def command(number: int, *params: float) -> Message:
 EVERY_COMMAND = [command(n) for n in (21, 193, 191, 31010, 2510, 2511, 511, 512)] + [
     mav.MAVLink_param_set_message(*US, b"PID_H_KP", 0.9, 9)
 ]
-
-
-class LeapingClock(SystemClock):
-    """This host's clock, put ahead when a silence is to be long."""
-
-    ahead_ns = 0
-
-    def now(self) -> MonoNs:
-        return MonoNs(super().now() + self.ahead_ns)
 
 
 def setting(border: Border) -> float:
@@ -105,7 +95,7 @@ async def test_nobody_is_the_autopilot_from_another_port(stranger: socket.socket
 
 
 async def test_an_autopilot_that_moved_is_accepted_once_it_is_silent_where_it_was(stranger: socket.socket) -> None:
-    clock = LeapingClock()
+    clock = PatientClock()
     async with bordered(clock=clock) as border:
         beat = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
         await border.send(beat, FLIES)
@@ -113,7 +103,7 @@ async def test_an_autopilot_that_moved_is_accepted_once_it_is_silent_where_it_wa
         assert border.autopilot.connected
         assert border.links.access.autopilot is not None
         assert border.links.access.autopilot[0][1] == (HOST, border.wire.getsockname()[1])
-        clock.ahead_ns += 10 * 10**9
+        clock.leap(10.0)
         await until(lambda: not border.autopilot.connected)
         await border.send(beat, LANDED, wire=stranger, source=AUTOPILOT)
         assert border.autopilot.connected

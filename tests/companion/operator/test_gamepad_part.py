@@ -3,8 +3,8 @@
 import asyncio
 import fcntl
 import os
+import select
 import struct
-import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -16,13 +16,13 @@ from companion.guidance.make_pilot import make_pilot
 from companion.parts.operator.gamepad_part import GamepadPart
 from companion.settings.gamepad import mapping_of
 from companion.settings.load import load
-from drivers.clock import SystemClock
 from drivers.gamepad.device import AxisRange, InputDevice, gamepads
 from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from tests.support.waiting import until
+from tests.support.clocks import PatientClock
+from tests.support.waiting import until, wait_until
 
 THESIS = mapping_of("thesis")
 
@@ -73,7 +73,7 @@ class Rig:
 
     def __init__(self, wanted: str = "any") -> None:
         self.pilot = make_pilot(load("sim"))
-        self.clock = SystemClock()
+        self.clock = PatientClock()
         self.plugged: list[PipeDevice] = []
         self.part = GamepadPart(THESIS, wanted, self.pilot, self.clock, self._find)
         self.orders: list[HandledOrder] = []
@@ -112,7 +112,7 @@ async def test_it_flies_by_hand_holds_when_unplugged_and_comes_back(monkeypatch:
         await until(lambda: isinstance(flown.command, Velocity))
         assert isinstance(flown.command, Velocity)
         assert flown.command.v_level.tolist() == [1.0, 0.0, 0.0]
-        await asyncio.sleep(0.7)
+        await flown.clock.sleep(0.7)
         assert isinstance(flown.command, Velocity), "a stick that is held still sends no events and is no silence"
         os.close(pad.person)
         await until(lambda: isinstance(flown.command, Hover))
@@ -171,16 +171,17 @@ def test_a_gamepad_of_the_kernels_is_found_and_read() -> None:
             fcntl.ioctl(made, _UI_ABS_SETUP, struct.pack("Hxx6i", AXES[axis], 7, -100, 100, 0, 0, 0))
         fcntl.ioctl(made, _UI_DEV_SETUP, struct.pack("4H80sI", 3, 1, 1, 1, b"decklander test pad", 0))
         fcntl.ioctl(made, _UI_DEV_CREATE)
-        time.sleep(0.3)
-        (pad,) = [d for d in gamepads() if d.name == "decklander test pad"]
+        found: list[InputDevice] = []
+        wait_until(lambda: found.extend(d for d in gamepads() if d.name == "decklander test pad") or found)
+        pad = found[0]
         assert pad.axis(AXES["ABS_X"])[:3] == (7, -100, 100)
         assert {AXES["ABS_X"], AXES["ABS_Y"]} == pad.axes
         os.write(made, EVENT.pack(0, 0, EV_KEY, BUTTONS["BTN_TL"], 1) + EVENT.pack(0, 0, EV_SYN, 0, 0))
-        time.sleep(0.1)
+        wait_until(lambda: select.select([pad], [], [], 0)[0])
         assert EVENT.unpack_from(pad.read())[2:] == (EV_KEY, BUTTONS["BTN_TL"], 1)
         os.close(made)
         made = -1
-        time.sleep(0.1)
+        wait_until(lambda: select.select([pad], [], [], 0)[0])
         with pytest.raises(OSError, match="No such device"):
             pad.read()
         pad.close()

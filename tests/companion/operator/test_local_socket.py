@@ -8,7 +8,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -27,12 +26,12 @@ from companion.guidance.pilot import Pilot
 from companion.parts.operator.client import answers, connected, running, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.settings.load import load
-from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from tests.support.waiting import until
+from tests.support.clocks import PatientClock
+from tests.support.waiting import PATIENCE_S, until
 
 
 @pytest.fixture
@@ -56,7 +55,7 @@ class Service:
 
     def __init__(self, path: Path) -> None:
         self.pilot: Pilot = make_pilot(load("sim"))
-        self.clock = SystemClock()
+        self.clock = PatientClock()
         self.served = OperatorSocket(path, self.pilot, self.clock)
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self.orders.append
@@ -164,7 +163,7 @@ async def test_the_client_says_that_the_service_is_gone(folder: Path) -> None:
                 assert (await client.order(OperatorOrder.HOLD)).accepted
                 for connection in list(service.served.connections):
                     connection.close()
-                await asyncio.sleep(5.0)
+                await asyncio.sleep(PATIENCE_S)
         except* Recoverable as why:
             lost = str(why.exceptions[0])
         assert lost == "the service has closed the connection"
@@ -198,7 +197,7 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
     assert main(["fly", "--config", "sim"]) == 2, "no terminal"
     assert main(["fly", "hold", "--wait", "3"]) == 2
     capsys.readouterr()
-    commands: list[object] = []
+    commands: list[Velocity] = []
 
     async def terminal() -> list[tuple[OperatorOrder, bool]]:
         async with serving(path) as service:
@@ -215,14 +214,14 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
             await _screen(parent, "watching")
             os.write(parent, b"m")
             await _screen(parent, "manual: accepted")
-            for _ in range(10):
+            while not isinstance(service.command, Velocity):
                 os.write(parent, b"\x1b[A")
                 await asyncio.sleep(0.05)
-                commands.append(service.command)
+            commands.append(service.command)
             await until(lambda: isinstance(service.command, Hover))  # the key is let go
             assert service.pilot.operator.hand is not None
             os.write(parent, b"q")
-            assert await asyncio.to_thread(process.wait, 10) == 0
+            assert await asyncio.to_thread(process.wait, PATIENCE_S) == 0
             os.close(parent)
             return [(handled.order, handled.accepted) for handled in service.orders]
 
@@ -233,17 +232,20 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
         (OperatorOrder.MANUAL, True),
         (OperatorOrder.RELEASE, True),
     ]
-    assert [c.v_level.tolist() for c in commands if isinstance(c, Velocity)][-1] == [0.5, 0.0, 0.0]
+    assert [c.v_level.tolist() for c in commands] == [[0.5, 0.0, 0.0]]
 
 
 async def _screen(parent: int, text: str) -> None:
     """Wait until the terminal shows the text."""
-    shown, end = "", time.monotonic() + 10.0
-    while text not in shown:
-        assert time.monotonic() < end, shown
+    shown = ""
+
+    def shows() -> bool:
+        nonlocal shown
         if select.select([parent], [], [], 0)[0]:
             shown += os.read(parent, 4096).decode(errors="replace")
-        await asyncio.sleep(0.02)
+        return text in shown
+
+    await until(shows)
 
 
 def test_keys_are_sticks_with_a_dead_man() -> None:

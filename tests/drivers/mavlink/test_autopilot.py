@@ -19,6 +19,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.stand_in.base import EPOCH_NS, MiniatureAutopilot
+from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -28,7 +29,8 @@ HOST = "127.0.0.1"
 async def flown(fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
     quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
-    async with open_autopilot(given, SystemClock(), parameters=parameters) as autopilot:
+    fake.clock = PatientClock()
+    async with open_autopilot(given, fake.clock, parameters=parameters) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
         async with fake.talking_to(f"udpout://{host}:{port}"):
@@ -63,7 +65,7 @@ async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: S
         assert autopilot.links.identity == (7, 191)
         assert autopilot.identity is not None
         assert autopilot.identity.stack is stack
-        offset = autopilot.sync.offset_ns(SystemClock().now()) if autopilot.sync else None
+        offset = autopilot.sync.offset_ns(fake.clock.now()) if autopilot.sync else None
         assert offset is not None
         assert abs(offset[0] - EPOCH_NS) < 3e6
         assert all(s.stamp.measured_at <= s.stamp.received_at for s in samples)
@@ -207,11 +209,11 @@ async def test_leaving_holds_the_vehicle() -> None:
             autopilot.command(Land())
 
 
-async def told(autopilot: Autopilot, taken: Callable[[str | None], bool]) -> float:
+async def told(fake: MiniatureAutopilot, autopilot: Autopilot, taken: Callable[[str | None], bool]) -> float:
     """Return after how many seconds the vehicle's status says so."""
-    began = asyncio.get_running_loop().time()
+    began_s = fake.now_s
     await until(lambda: any(taken(s.taken) for s in drain(autopilot) if isinstance(s, VehicleStatus)))
-    return asyncio.get_running_loop().time() - began
+    return fake.now_s - began_s
 
 
 async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_given_back() -> None:
@@ -224,11 +226,11 @@ async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_g
         fake.text(2, "Maximum flight time reached")
         fake.mode = "auto.loiter"
         text = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
-        assert await told(autopilot, lambda taken: taken == text) < 0.5
+        assert await told(fake, autopilot, lambda taken: taken == text) < 0.5
         fake.mode = "offboard"
-        assert await told(autopilot, lambda taken: taken is None) < 0.5
+        assert await told(fake, autopilot, lambda taken: taken is None) < 0.5
         autopilot.texts.clear()
         fake.mode = "posctl"
-        assert await told(autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
+        assert await told(fake, autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
         autopilot.engage()
-        assert await told(autopilot, lambda taken: taken is None) < 0.1
+        assert await told(fake, autopilot, lambda taken: taken is None) < 0.1

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import select
 import socket
 import tty
 from typing import Any
@@ -135,7 +136,7 @@ async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
         os.write(master, b"\r\n\x00" + codec.pack(heartbeat(2)))
         assert (await ours.received.get()).message.type == 2
         assert ours.send(heartbeat())
-        await asyncio.sleep(0.01)
+        await until(lambda: select.select([master], [], [], 0)[0])
         assert codec.feed(os.read(master, 100))[0].type == 18
         os.close(slave)
         os.close(master)

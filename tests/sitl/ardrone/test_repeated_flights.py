@@ -19,7 +19,7 @@ from sitl.scenario.scenario import Start
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import faulty, real_time
 from sitl.world.world import World
-from tests.sitl.ardrone.patient_clock import PatientClock
+from tests.support.clocks import PatientClock
 
 CLOCK = SystemClock()
 NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, pad_right_m=0.1, pad_forward_m=0.1))

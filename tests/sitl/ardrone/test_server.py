@@ -20,9 +20,10 @@ from sitl.emulators.ardrone import truth_log
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.faults.kinds import FrameStream, NavdataStream
 from sitl.world.world import World
-from tests.sitl.ardrone.patient_clock import PatientClock
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass
+from tests.support.clocks import PatientClock
+from tests.support.waiting import PATIENCE_S, until
 
 HOST = "127.0.0.1"
 ANY = Ports(0, 0, 0, 0)
@@ -243,15 +244,13 @@ async def test_navdata_clients_are_forgotten_in_the_end(server, monkeypatch, sta
         await asyncio.sleep(1.3)
         await peer.on_message()
         assert server.counters["navdata_client_expired"] == 0, "commands from its host keep it"
-    async with asyncio.timeout(60):
-        while server.counters["navdata_client_expired"] == 0:  # noqa: ASYNC110 (it is forgotten without a word)
-            await asyncio.sleep(0.02)
+    await until(lambda: server.counters["navdata_client_expired"] > 0)
     assert server.counters["navdata_client_expired"] == 1
 
 
 async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
-    await asyncio.sleep(0.05)
+    await until(lambda: server.drone.state.config["video:video_channel"] == "1")
     watcher = Watcher(HOST, server.ports)
     stack.callback(watcher.close)
     decoder = av.CodecContext.create("h264", "r")
@@ -297,14 +296,11 @@ async def test_the_front_camera_is_what_a_drone_shows_unasked(server: ArDroneSer
 async def test_a_slow_client_loses_frames_not_freshness(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
     peer.say(at.Config("video:max_bitrate", "20000"))
-    await asyncio.sleep(0.05)
+    await until(lambda: server.drone.state.config["video:max_bitrate"] == "20000")
     slow = Watcher(HOST, server.ports, receive_buffer=4096)
     stack.callback(slow.close)
     await slow.frame()
-    for _ in range(200):
-        await asyncio.sleep(0.05)
-        if server.counters["video_dropped"] >= 20:
-            break
+    await until(lambda: server.counters["video_dropped"] >= 20)
     numbers = [(await slow.frame()).header.frame_number]
     while numbers[-1] - numbers[0] < 20:
         numbers.append((await slow.frame()).header.frame_number)
@@ -346,8 +342,9 @@ async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> No
 
 
 async def test_a_request_that_overtakes_its_connection_is_answered(server: ArDroneServer, peer: Peer) -> None:
+    taken = server.drone.state.counters["at_taken"]
     peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
-    await asyncio.sleep(0.05)
+    await until(lambda: server.drone.state.counters["at_taken"] > taken)
     reader, writer = await asyncio.open_connection(HOST, server.ports.control)
     async with asyncio.timeout(60):
         assert b"general:num_version_soft = 2.4.8\n" in await reader.readuntil(b"\0")
@@ -392,9 +389,7 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
         await asyncio.sleep(0.3)
         sent = server.counters["navdata_sent"], server.counters["video_sent"]
     world.failing.now = []
-    async with asyncio.timeout(60):
-        while server.counters["navdata_sent"] <= sent[0] + 20 or server.counters["video_sent"] <= sent[1]:  # noqa: ASYNC110
-            await asyncio.sleep(0.02)  # what is sent is in the socket
+    await until(lambda: server.counters["navdata_sent"] > sent[0] + 20 and server.counters["video_sent"] > sent[1])
     assert (await watcher.frame()).header.frame_number >= 1
 
 
@@ -443,4 +438,4 @@ async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: p
     with pytest.RaisesGroup(ZeroDivisionError):
         async with serving(world):
             monkeypatch.setattr(world, "advance", broken)
-            await asyncio.sleep(5)
+            await asyncio.sleep(PATIENCE_S)

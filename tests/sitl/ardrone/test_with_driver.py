@@ -16,6 +16,7 @@ from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World
 from tests.sitl.ardrone.point_mass import PointMass
+from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 
@@ -26,19 +27,11 @@ def options_for(server: ArDroneServer) -> ArDroneOptions:
 
 
 async def reach(world: PointMass, phase: VehiclePhase) -> None:
-    for _ in range(6000):
-        if world.phase is phase:
-            return
-        await asyncio.sleep(0.01)
-    raise TimeoutError(f"the drone is {world.phase!r}, not {phase!r}")
+    await until(lambda: world.phase is phase)
 
 
 async def ready(drone: ArDrone) -> None:
-    for _ in range(6000):
-        if drone.ready:
-            return
-        await asyncio.sleep(0.01)
-    raise TimeoutError(f"not configured: {drone.down}")
+    await until(lambda: drone.ready)
 
 
 async def test_it_configures_flies_and_lands_the_drone() -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Velocity
@@ -22,6 +21,7 @@ from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import CommandStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
+from tests.support.clocks import PatientClock
 from tests.support.waiting import free_port, until
 
 HOST = "127.0.0.1"
@@ -42,16 +42,16 @@ class Linked:
         if begins:
             self.timer.update(1.0, 3.0, None)
         had = len(self.samples)
-        await asyncio.sleep(seconds)
+        await self.fake.clock.sleep(seconds)
         return self.samples[had:]
 
 
 @asynccontextmanager
 async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
-    clock, relay_port, port = SystemClock(), free_port(), free_port()
+    clock, relay_port, port = PatientClock(), free_port(), free_port()
     timer = FaultTimer(faults, 1)
     link = FaultyLink(VehicleStreams(timer, 1), clock)
-    fake = MiniatureAutopilot()
+    fake = MiniatureAutopilot(clock=clock)
     samples: list[Sample] = []
     async with (
         asyncio.timeout(60),
