@@ -9,6 +9,7 @@ from aiohttp import web
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.server_log import make_runner
 from fuzz.connections import upgrade
+from tests.support.waiting import PATIENCE_S
 
 
 async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) -> list[bytes]:
@@ -31,7 +32,7 @@ async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) ->
             writer.write(piece)
             if hang_up:
                 writer.write_eof()
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE_S):
                 answers.append(await reader.read(4096))
             writer.close()
         await asyncio.sleep(0.1)

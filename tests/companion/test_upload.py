@@ -2,12 +2,10 @@
 
 import hashlib
 import os
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -16,6 +14,7 @@ from companion.cli.main import main
 from companion.parts.recorder.storage_policy import Folder, digest_file
 from companion.parts.recorder.upload import Storage, storage, upload
 from companion.recording.container import MAGIC
+from tests.support.waiting import accepts, free_port, wait_until
 
 FIRST, SECOND = (f"decklander-20261120T050000Z-000{i}.mcap" for i in (1, 2))
 
@@ -30,8 +29,7 @@ def written(folder: Path, name: str, size: int = 300_000) -> bytes:
 @pytest.fixture
 def s3(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
     """The URL of a bucket of an S3 server on loopback."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     for name, value in (
         ("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}"), ("AWS_ACCESS_KEY_ID", "drone"), ("AWS_SECRET_ACCESS_KEY", "secret"),
         ("AWS_DEFAULT_REGION", "us-east-1"),
@@ -40,13 +38,8 @@ def s3(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
     server = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     with (tmp_path / "moto.log").open("wb") as log, subprocess.Popen(server, stdout=log, stderr=log) as process:
         try:
-            give_up_s = time.monotonic() + 60.0
-            while True:
-                assert process.poll() is None
-                assert time.monotonic() < give_up_s, (tmp_path / "moto.log").read_text()
-                with suppress(OSError), socket.create_connection(("127.0.0.1", port)):
-                    break
-                time.sleep(0.05)
+            wait_until(lambda: process.poll() is not None or accepts(port))
+            assert process.poll() is None, (tmp_path / "moto.log").read_text()
             storage("s3://ship").system.mkdir("ship")
             yield "s3://ship/drone_1"
         finally:

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ import pytest
 
 from companion.cli.main import main
 from tests.support.processes import started
+from tests.support.waiting import free_port
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
@@ -56,10 +56,8 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
     with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
         assert emulator.stdout is not None
         ports = json.loads(emulator.stdout.readline())["ports"]
-        with socket.create_server(("127.0.0.1", 0)) as free_port:
-            free = free_port.getsockname()[1]
         text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
-        text = text.replace("192.168.1.1", "127.0.0.1").replace("[page]\n", f"[page]\nport = {free}\n")
+        text = text.replace("192.168.1.1", "127.0.0.1").replace("[page]\n", f"[page]\nport = {free_port()}\n")
         text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
         (tmp_path / "rig.toml").write_text(text)
         todo = commands()

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import AsyncIterator
@@ -15,7 +14,7 @@ import pytest
 
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
 from companion.settings.mqtt import MqttSettings
-from tests.support.waiting import free_port
+from tests.support.waiting import accepts, free_port, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
 
@@ -97,14 +96,9 @@ class Broker:
             [MOSQUITTO, "-c", str(self.folder / "mosquitto.conf")], stdout=log, stderr=subprocess.STDOUT
         )
         log.close()
-        end = time.monotonic() + 60
-        while True:
-            try:
-                socket.create_connection(("127.0.0.1", self.port), timeout=1).close()
-                return
-            except OSError:
-                assert time.monotonic() < end, (self.folder / "log").read_text()
-                time.sleep(0.02)
+        process = self.process
+        wait_until(lambda: process.poll() is not None or accepts(self.port))
+        assert process.poll() is None, (self.folder / "log").read_text()
 
     def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
         if self.process is not None:

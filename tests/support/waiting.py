@@ -1,6 +1,7 @@
 """Waiting for what happens: a condition, or a server that listens. Nothing here waits for a fixed time."""
 
 import asyncio
+import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager
@@ -42,6 +43,15 @@ def wait_until(condition: Callable[[], object], limit_s: float = PATIENCE_S) -> 
         if time.monotonic() > end_s:
             raise TimeoutError
         time.sleep(_POLL_S)
+
+
+def accepts(port: int) -> bool:
+    """Return whether a program listens at a TCP port of the loopback."""
+    try:
+        socket.create_connection(("127.0.0.1", port), PATIENCE_S).close()
+    except OSError:
+        return False
+    return True
 
 
 class Serving(Protocol):

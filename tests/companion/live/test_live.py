@@ -36,7 +36,7 @@ from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from tests.support.recorded_flight import SCENARIO, sim_settings
-from tests.support.waiting import listening, until
+from tests.support.waiting import PATIENCE_S, listening, until
 
 TOKEN = "a-token-of-more-than-sixteen"
 
@@ -104,7 +104,7 @@ class Client:
         await self.socket.send_str(json.dumps(fields))
 
     async def read(self) -> aiohttp.WSMessage:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             message = await self.socket.receive()
         if message.type is aiohttp.WSMsgType.TEXT:
             text = json.loads(message.data)
@@ -251,7 +251,7 @@ async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> No
                 for output in flood:
                     if not client.socket.closed:
                         await client.socket.send_str(output)
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(PATIENCE_S):
                     while (await client.socket.receive()).type not in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED):
                         pass
             await until(lambda: service.counted("viewers") == 1)

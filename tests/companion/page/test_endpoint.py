@@ -31,7 +31,7 @@ from tests.support import processed_frames
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, browsing, serving
 from tests.support.recorded_flight import record_to
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 
 async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ async def test_things_are_shown_while_frames_are_searched(tmp_path: Path, monkey
             pass
         assert state["things"][0]["width_m"] == 0.25
         service.found = None
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while (await browser.read("state"))["things"] != []:
                 pass
 
@@ -310,7 +310,7 @@ async def test_a_silent_connection_must_send_its_token_in_time(tmp_path: Path) -
     limits = ConnectionLimits(connection_s=0.3)
     async with serving(tmp_path, limits) as service, aiohttp.ClientSession() as session:
         socket = await session.ws_connect(f"{service.address}/live", origin=service.address)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             assert (await socket.receive()).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
         assert limits.overdue == 1
 

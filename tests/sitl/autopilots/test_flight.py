@@ -6,7 +6,6 @@ import os
 import signal
 import stat
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from companion.recording.reading import open_recording
 from companion.recording.records import TruthRecord
 from tests.sitl.near import NEAR
 from tests.support.processes import gone, started
+from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[3]
 REAL = os.environ.get("DECKLANDER_ARDUCOPTER", "")
@@ -111,9 +111,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
     binary = program(tmp_path, f"echo $$ > {begun}.new; mv {begun}.new {begun}; exec sleep 60")
     words = [sys.executable, "-m", "companion.cli.main", "simulate", near, "--autopilot", "arducopter", "--binary", binary]
     with started(words, env=os.environ | {"TMPDIR": str(folders)}) as process:
-        end = time.monotonic() + 60
-        while not begun.exists() and time.monotonic() < end:
-            time.sleep(0.05)
+        wait_until(begun.exists)
         assert list(folders.iterdir())
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 143

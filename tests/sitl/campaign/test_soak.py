@@ -5,7 +5,6 @@ import mmap
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
 from tests.sitl.near import NEAR
 from tests.support.processes import started
+from tests.support.waiting import wait_until
 
 BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replace("height_m = 2.0", "height_m = 3.0")
 """Flights that are over before they come down: what is tested here is not how they end."""
@@ -135,9 +135,7 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     words = ["--virtual", "--hours", "1", "--no-faults", "--no-cpu", "--json", "--readings", str(readings)]
     command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--soak", *words]
     with started(command) as soak:
-        end = time.monotonic() + 60
-        while not (readings.exists() and readings.read_text()) and time.monotonic() < end:
-            time.sleep(0.1)
+        wait_until(lambda: readings.exists() and readings.read_text())
         soak.send_signal(signal.SIGTERM)
         out, _ = soak.communicate(timeout=60)
     assert soak.returncode == 143
