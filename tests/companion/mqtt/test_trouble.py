@@ -23,6 +23,8 @@ from tests.support.waiting import until
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
 
 
+HANG_S = 20.0
+"""Time for which a disk or a resolver hangs in these tests, s."""
 BLOCKING = ("socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "os.truncate", "os.remove", "os.rename")
 
 
@@ -243,12 +245,13 @@ async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[
 
 
 async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(tmp_path, monkeypatch):
-    hang, asked = threading.Event(), 0
+    hang, asked, returned = threading.Event(), 0, 0
 
     def never(*_: object, **__: object) -> list[object]:
-        nonlocal asked
+        nonlocal asked, returned
         asked += 1
-        hang.wait(20.0)
+        hang.wait(HANG_S)
+        returned += 1
         return []
 
     monkeypatch.setattr(socket, "getaddrinfo", never)
@@ -258,10 +261,10 @@ async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(tmp
         undisturbed(flight)
         assert asked == 1, "one thread, however often it is tried"
         hang.set()
-        await asyncio.sleep(0.1)
+        await until(lambda: returned == 1)
         hang.clear()
         slow = msgspec.structs.replace(settings, timeout_s=15.0)
-        assert await ended_after_s(slow, tmp_path / "again", lambda _: asked == 2) < 5.0
+        assert await ended_after_s(slow, tmp_path / "again", lambda _: asked == 2) < slow.timeout_s
     finally:
         hang.set()
         await asyncio.sleep(0.05)
@@ -284,7 +287,7 @@ async def test_a_broker_that_never_answers_does_not_hold_up_the_end(certificates
         port = silent.getsockname()[1]
         ca = str(certificates / "ca.crt") if transport == "tls" else ""
         settings = MqttSettings(transport=transport, host="127.0.0.1", port=port, timeout_s=20.0, ca_file=ca)
-        assert await ended_after_s(settings, tmp_path / "spool", accepted) < 10.0
+        assert await ended_after_s(settings, tmp_path / "spool", accepted) < settings.timeout_s
     for connection in ours:
         connection.close()
 
@@ -327,13 +330,13 @@ async def test_a_disk_that_stands_still_does_not_hold_up_the_end(broker, tmp_pat
 
     def hanging(*_: object) -> int:
         stuck.set()
-        moving.wait(20.0)
+        moving.wait(HANG_S)
         return 0
 
     monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", hanging)
     try:
         took_s = await ended_after_s(broker.settings(), tmp_path / "spool", lambda _: stuck.is_set())
-        assert took_s < 10.0
+        assert took_s < HANG_S
     finally:
         monkeypatch.undo()
         moving.set()
