@@ -100,7 +100,7 @@ class Outlet:
         return self._queues[-1]
 
     def _muxed(self, folder: Path, n: int, stack: ExitStack) -> str:
-        port = free_port() & ~1
+        port = next(port for port in iter(free_port, None) if port % 2 == 0)
         form, scheme = ("rtp", "rtp") if self._kind.startswith("rtp") else ("mpegts", "udp")
         out = stack.enter_context(
             av.open(f"{scheme}://{HOST}:{port}?pkt_size=1316", "w", format=form, options={"flush_packets": "1"})

@@ -231,7 +231,7 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     assert child.stderr is not None
     assert child.stderr.readline() == "50 flights to fly, by 1 process; results in c\n"
     child.send_signal(signal.SIGINT)
-    _, output = child.communicate(timeout=30)
+    _, output = child.communicate(timeout=60)
     assert child.returncode == 130
     assert " flights are kept in c; the same command goes on from there" in output
 
