@@ -171,9 +171,8 @@ def test_a_gamepad_of_the_kernels_is_found_and_read() -> None:
             fcntl.ioctl(made, _UI_ABS_SETUP, struct.pack("Hxx6i", AXES[axis], 7, -100, 100, 0, 0, 0))
         fcntl.ioctl(made, _UI_DEV_SETUP, struct.pack("4H80sI", 3, 1, 1, 1, b"decklander test pad", 0))
         fcntl.ioctl(made, _UI_DEV_CREATE)
-        found: list[InputDevice] = []
-        wait_until(lambda: found.extend(d for d in gamepads() if d.name == "decklander test pad") or found)
-        pad = found[0]
+        wait_until(lambda: any(d.name == "decklander test pad" for d in gamepads()))
+        (pad,) = [d for d in gamepads() if d.name == "decklander test pad"]
         assert pad.axis(AXES["ABS_X"])[:3] == (7, -100, 100)
         assert {AXES["ABS_X"], AXES["ABS_Y"]} == pad.axes
         os.write(made, EVENT.pack(0, 0, EV_KEY, BUTTONS["BTN_TL"], 1) + EVENT.pack(0, 0, EV_SYN, 0, 0))
