@@ -17,11 +17,11 @@ from companion.settings.load import load, shipped_response
 from companion.settings.response import Response
 from estimator.contracts.motion import G_M_S2
 from sitl.flight.flight import Timing
-from sitl.flight.safety import SLIDE_MAX_M_S
-from sitl.vehicle.airframe import Feet
+from sitl.vehicle.airframe import ContactSettings, Feet
 from sitl.vessel.seakeeping import smooth_step
 
 FRAME_S, SIGMA_M, SIGMAS = 1.0 / 30.0, 0.001, 3.0
+SLIDE_MAX_M_S = ContactSettings().along_deck_max_m_s
 STEP_S, WINDOW_S = 0.001, (0.05, 0.95)
 AFT_M, TURN_RAD_S, OVER_S = 3.2, math.radians(120.0), 0.5
 

@@ -187,6 +187,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_response_watch.py",
     ),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
+    "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
+    "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
+    "sitl/flight/sight.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (
         "tests/drivers/test_landing_watch_bounds.py",

@@ -15,7 +15,7 @@ import msgspec
 from companion.base.mission import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
-from sitl.flight.safety import AtEnd, Grade, grade
+from sitl.flight.grade import AtEnd, Grade, grade
 
 T = TypeVar("T")
 STARVED_MAX = 0.5

@@ -208,7 +208,7 @@ def _quantile(values: list[float], q: float) -> float | None:
     return round(float(np.quantile(values, q)), 4) if values else None
 
 
-def _unsafe(flight: Flight, begins: str) -> bool:
+def _unsafe(flight: Flight, *begins: str) -> bool:
     return any(line.startswith(begins) for line in flight["unsafe"])
 
 
@@ -226,7 +226,8 @@ RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (
         "struck the deck beside the pad, then landed on the pad",
         lambda f: bool(f["landed_on_pad"]) and any(not contact["on_pad"] for contact in f["contacts"]),
     ),
-    ("touched the pad outside commit", lambda f: bool(f["contacts_outside_commit"]) and all(c["on_pad"] for c in f["contacts"])),
+    ("a person was overruled", lambda f: _unsafe(f, "a person ordered", "nobody ordered it")),
+    ("touched the pad harder than it bears", lambda f: _unsafe(f, "a foot struck the pad", "touched the pad")),
     ("landed beside the pad", lambda f: f["outcome"] == "landed" and f["touchdown"] is not None and not f["touchdown"]["on_pad"]),
     ("struck the deck beside the pad and did not land", lambda f: any(not contact["on_pad"] for contact in f["contacts"])),
     ("gave up, though it should land", lambda f: f["outcome"] == "gave up"),
@@ -235,16 +236,11 @@ RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (
 """Name of the cause, and whether it fits a failed flight; in order of severity."""
 
 
-def _phases(flight: Flight) -> str:
-    """Return the phases of guidance in which contacts happened that it did not intend."""
-    return ", ".join(dict.fromkeys(re.findall(r"outside commit \(([^)]*)\)", " ".join(flight["unsafe"]))))
-
-
 def cause_of(flight: Flight) -> str:
     """Return the cause of a failed flight."""
     for name, fits in RULES:
         if fits(flight):
-            reason = _rest(flight) if name.startswith("gave up") else _phases(flight) if "outside commit" in name else ""
+            reason = _rest(flight) if name.startswith("gave up") else ""
             return f"{name}: {reason}" if reason else name
     return f"ended otherwise: {flight['outcome']}"
 

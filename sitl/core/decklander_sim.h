@@ -90,8 +90,8 @@ typedef struct {
     int64_t phase, tied, ditched, touched_what, touched_phase, pending_at, ship_known;
     double seconds, p[3], v[3], q[4], R[9], w[3], a[3], thrust_n, torque_n_m[3], flow[2], integral[3], unasked_w[3],
         unasked[3], z_hold, attached_d[3], attached_q[4], contact_s, airborne_s, touched_s, touched_d[3], touched_v[3],
-        touched_yaw, gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u[2], air_v[2], air_w[2], eddy[3], ship[2], air[3],
-        driven_n, driven_n_m[3], rough[3], cushion, climb_error, revolutions, command[5], pending[5 * COMMANDS_MAX];
+        touched_R[9], touched_w[3], gust[3], flow_error[2], tilt_bias[2], tilt_drift[2], air_u[2], air_v[2], air_w[2], eddy[3],
+        ship[2], air[3], driven_n, driven_n_m[3], rough[3], cushion, climb_error, revolutions, command[5], pending[5 * COMMANDS_MAX];
 } sim_vehicle;
 
 typedef struct {

@@ -3,6 +3,7 @@
 import math
 from typing import Annotated, Literal, get_args
 
+from companion.base.orders import StickPositions
 from estimator.contracts.keys import choice, number, text
 from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import Fault
@@ -234,10 +235,10 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
 
     order: Annotated[
-        Literal["hold", "manual", "abort", "land", "begin", "clear"],
+        Literal["hold", "manual", "abort", "land", "emergency", "begin", "clear"],
         choice(
-            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is; give it "
-            "back and let guidance begin; or say that the pad is clear"
+            "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is, cut the "
+            "motors; give it back and let guidance begin; or say that the pad is clear"
         ),
     ] = "hold"
     forward: Annotated[float, number("stick forward, with manual", "1", -1.0, 1.0)] = 0.0
@@ -248,10 +249,20 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     def check(self) -> None:
         if self.order != "manual" and any((self.forward, self.right, self.climb, self.turn)):
             raise ValueError(f"forward, right, climb and turn are sticks: they go with order manual, not with {self.order}")
-        if self.order in ("abort", "land") and self.for_s is not None:
+        if self.order in ("abort", "land", "emergency") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, which ends the flight")
         if self.order in ("begin", "clear") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, after which guidance flies on")
+
+    @property
+    def sticks(self) -> StickPositions:
+        """The sticks, with manual."""
+        return StickPositions(self.forward, self.right, self.climb, self.turn)
+
+    @property
+    def words(self) -> str:
+        """The fault in words."""
+        return f"a person orders {self.order}"
 
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):

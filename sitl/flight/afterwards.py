@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.flight.safety import MotionWatch, dangers
+from sitl.flight.referee import Referee
+from sitl.vehicle.airframe import Feet
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
 
@@ -29,6 +30,9 @@ class Standing:
     after_s: float
     """Time since the contact."""
     on_pad: bool
+    """True if all feet are over the pad's disc."""
+    centre_on_pad: bool
+    """True if the body's origin is."""
     lateral_m: float
     """Distance of the body's origin from the pad's centre, along the deck."""
     p_pad_m: tuple[float, float]
@@ -42,6 +46,7 @@ class Standing:
         """Return plain values: m, degrees, s."""
         return {
             "on_pad": self.on_pad,
+            "centre_on_pad": self.centre_on_pad,
             "lateral_m": round(self.lateral_m, 4),
             "p_pad_m": [round(x, 4) for x in self.p_pad_m],
             "yaw_deg": round(math.degrees(self.yaw_rad), 2),
@@ -51,7 +56,7 @@ class Standing:
 
     def in_words(self) -> str:
         """Return one line for people."""
-        beside = "" if self.on_pad else ", off the pad"
+        beside = "" if self.on_pad else ", a foot over the rim" if self.centre_on_pad else ", off the pad"
         return f"stands {100 * self.lateral_m:.1f} cm from the pad's centre, {100 * self.slid_m:.1f} cm from its contact{beside}"
 
 
@@ -75,7 +80,7 @@ class Aftermath:
     unsafe: tuple[str, ...]
     """Unsafe events after the outcome, one line each."""
     at_most_m: float = -math.inf
-    """Highest height over the pad of the whole flight, as `MotionWatch` measures it."""
+    """Highest height over the pad of the whole flight, as the referee measures it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""
@@ -99,12 +104,13 @@ class Aftermath:
         )
 
 
-def standing_of(truth: Truth, disc_radius_m: float) -> Standing | None:
+def standing_of(truth: Truth, disc_radius_m: float, feet: Feet) -> Standing | None:
     """Return where a vehicle stands; None where it does not stand on the deck.
 
     Args:
         truth: the true state, `STANDS_AFTER_S` after the newest contact or later.
         disc_radius_m: radius of the pad.
+        feet: the vehicle's.
     """
     touch = truth.touchdown
     if touch is None or touch.surface == "water" or truth.phase not in _ON_DECK:
@@ -117,7 +123,9 @@ def standing_of(truth: Truth, disc_radius_m: float) -> Standing | None:
     lateral_m = math.hypot(forward, starboard)
     slid_m = math.hypot(forward - touch.p_body_pad[0], starboard - touch.p_body_pad[1])
     since_s = seconds_between(touch.at, truth.at)
-    return Standing(since_s, lateral_m <= disc_radius_m, lateral_m, (forward, starboard), truth.yaw_rad, slid_m)
+    at_m = d + feet.corners_m @ (R.T @ truth.R_ned_body.matrix).T
+    on_pad = bool(np.hypot(at_m[:, 0], at_m[:, 1]).max() <= disc_radius_m)
+    return Standing(since_s, on_pad, lateral_m <= disc_radius_m, lateral_m, (forward, starboard), truth.yaw_rad, slid_m)
 
 
 class AftermathWatch:
@@ -126,43 +134,33 @@ class AftermathWatch:
     Args:
         truth: its state then.
         outcome: in words.
-        motion: goes on watching its height and standing, stepped by its owner.
+        referee: goes on counting, stepped by its owner.
     """
 
-    def __init__(self, truth: Truth, outcome: str, motion: MotionWatch) -> None:
+    def __init__(self, truth: Truth, outcome: str, referee: Referee) -> None:
         self._began, self._known, self._outcome = truth.at, len(truth.contacts), outcome
-        self._motion, self._before = motion, motion.unsafe
+        self._referee = referee
+        self._before = {name for name, count in referee.counts.items() if count.over}
         self._lowest_m, self._highest_m, self._farthest_m = math.inf, -math.inf, 0.0
-        self._reached = True
-        self.step(truth, reached=True)
+        self.step(truth)
 
     @property
     def ends(self) -> MonoNs:
         """Instant at which the watch ends."""
         return after(self._began, WATCHED_S)
 
-    def step(self, truth: Truth, *, reached: bool) -> None:
-        """Note the true state at an instant; call it in order of time.
-
-        Args:
-            reached: whether the service's commands reach the vehicle.
-        """
+    def step(self, truth: Truth) -> None:
+        """Note the true state at an instant; call it in order of time."""
         d = truth.d_body_pad_level
         self._lowest_m, self._highest_m = min(self._lowest_m, float(d[2])), max(self._highest_m, float(d[2]))
         self._farthest_m = max(self._farthest_m, float(np.hypot(d[0], d[1])))
-        self._reached = self._reached and reached
 
-    def result(self, truth: Truth, phase: str | None, died: str | None) -> Aftermath:
-        """Return what became of it.
-
-        Args:
-            phase: of guidance, None without a service.
-            died: why the service died meanwhile, None if it did not.
-        """
-        self.step(truth, reached=self._reached)
+    def result(self, truth: Truth, phase: str | None) -> Aftermath:
+        """Return what became of it; `phase` is that of guidance, None without a service."""
+        self.step(truth)
         new = truth.contacts[self._known :]
         water = any(contact.surface == "water" for contact in new)
-        unsafe = dangers(None, new if self._reached else (), died, motion=self._motion)
+        over = {name: count for name, count in self._referee.counts.items() if count.over and name not in self._before}
         d = truth.d_body_pad_level
         return Aftermath(
             seconds_between(self._began, truth.at),
@@ -174,6 +172,6 @@ class AftermathWatch:
             float(np.hypot(d[0], d[1])),
             len(new),
             water,
-            tuple(f"{self._outcome}, and then {line}" for line in unsafe if line not in self._before),
-            self._motion.highest_m,
+            tuple(f"{self._outcome}, and then {count.in_words()}" for count in over.values()),
+            self._referee.highest_m,
         )

@@ -57,6 +57,7 @@ class Load:
 
 _ZERO = MonoNs(0)
 _WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the water"}
+_OVER_RIM = "over the pad's rim"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +79,16 @@ class Contact:
     """Phase of guidance just before the contact."""
     p_pad_m: tuple[float, float] | None = None
     """Position on the pad: along the arrow, and to starboard of it; None if it is not known."""
+    centre_on_pad: bool = False
+    """True if the body's origin is over the pad, whatever its feet are."""
+    tilt_rad: float = 0.0
+    over_rim_m: float = 0.0
+    foot_speed_m_s: float = 0.0
+    """Tilt, farthest foot beyond the rim and closing speed of the fastest foot, as of `sitl.world.truth.Touchdown`."""
 
     @property
     def on_pad(self) -> bool:
-        """True if the contact is on the pad."""
+        """True if all feet were over the pad."""
         return self.surface == "pad"
 
 
@@ -108,6 +115,8 @@ class FlightGrade:
     """Highest height over the pad while guidance commanded, also after the outcome; None if it never did."""
     named: tuple[tuple[str, float], ...] = ()
     """Untrusted sensors in words, each with the time in s; see `FlightResult`."""
+    counts: Mapping[str, list[float]] = field(default_factory=dict)
+    """What the referee counted, each beside its limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +213,7 @@ class Ending:
                 "go_arounds": j.go_arounds,
                 "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
                 "named": [{"text": said, "at_s": round(at_s, 3)} for said, at_s in j.named],
+                "referee": dict(j.counts),
                 "cpu_s": round(j.cpu_s, 2),
             }
         return out
@@ -276,16 +286,20 @@ def _plain(c: Contact) -> dict[str, Any]:
     return {
         "surface": c.surface,
         "on_pad": c.on_pad,
+        "centre_on_pad": c.centre_on_pad,
         "lateral_m": round(c.lateral_m, 4),
         "p_pad_m": None if c.p_pad_m is None else [round(x, 4) for x in c.p_pad_m],
         "yaw_deg": round(math.degrees(c.yaw_rad), 2),
         "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
         "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),
+        "foot_speed_m_s": round(c.foot_speed_m_s, 4),
+        "tilt_deg": round(math.degrees(c.tilt_rad), 2),
+        "over_rim_m": round(c.over_rim_m, 4),
     }
 
 
 def _in_words(c: Contact) -> str:
     return (
-        f"{_WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
+        f"{_OVER_RIM if c.centre_on_pad and not c.on_pad else _WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
         f"descending at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
     )

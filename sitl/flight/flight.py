@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from companion.base.health import Health
 from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
-from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.arbiter import OperatorArbiter
 from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.guidance.precedence import ControlSituation
@@ -48,7 +48,7 @@ from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.faults.timer import FaultTimer
 from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
 from sitl.flight.grader import FlightGrader, FlightResult
-from sitl.flight.safety import IN_THE_AIR
+from sitl.flight.hands import MOTORS_TURN
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, camera_model
@@ -65,10 +65,11 @@ class SimulatedPerson:
 
     Args:
         faults: which faults are active.
+        on_act: receives each order with its answer, and the sticks.
     """
 
-    def __init__(self, faults: FaultTimer) -> None:
-        self._faults = faults
+    def __init__(self, faults: FaultTimer, on_act: Callable[[HandledOrder, StickPositions], None]) -> None:
+        self._faults, self._on_act = faults, on_act
         self._doing: OperatorActs | None = None
 
     def act(self, arbiter: OperatorArbiter, now: MonoNs) -> None:
@@ -76,17 +77,15 @@ class SimulatedPerson:
         active = self._faults.on(OperatorActs)
         wanted = active[-1][0] if active else None
         if wanted is not self._doing:
-            if self._doing is not None and wanted is None:
-                if self._doing.order == "manual":
-                    arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
-                arbiter.take(OperatorOrder.BEGIN, _SENDER, now)
-            elif wanted is not None:
-                if wanted.order == "begin" and self._doing is not None and self._doing.order == "manual":
-                    arbiter.take(OperatorOrder.RELEASE, _SENDER, now)
-                arbiter.take(OperatorOrder(wanted.order), _SENDER, now)
+            by_hand = self._doing is not None and self._doing.order == "manual"
+            orders = [OperatorOrder.BEGIN if wanted is None else OperatorOrder(wanted.order)]
+            if by_hand and orders[0] is OperatorOrder.BEGIN:
+                orders.insert(0, OperatorOrder.RELEASE)
+            for order in orders:
+                self._on_act(arbiter.take(order, _SENDER, now), CENTRED if wanted is None else wanted.sticks)
             self._doing = wanted
         if wanted is not None and wanted.order == "manual":
-            arbiter.move(_SENDER, StickPositions(wanted.forward, wanted.right, wanted.climb, wanted.turn), now)
+            arbiter.move(_SENDER, wanted.sticks, now)
 
 
 NAVDATA_DELAY_S = 0.004
@@ -161,7 +160,7 @@ class Flight:
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
         self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
-        self._person = SimulatedPerson(self.world.faults)
+        self._person = SimulatedPerson(self.world.faults, self._grader.on_act)
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
@@ -185,7 +184,7 @@ class Flight:
         self._commands_under_way: InTransit[bytes] = InTransit(streams.commands)
         self._looking: tuple[MonoNs, ProcessedFrame] | None = None
         self._due_guidance = self._due_frame = self._due_command = start
-        self._gone = False
+        self._gone, self._phase = False, self.world.phase
         self._begin_service(pilot)
         self.health = Health(self._clock)
         if not self._on_fusion:
@@ -222,16 +221,16 @@ class Flight:
         """
         world, flown, outcome = self.world, None, self._pilot.outcome
         self._observers, self._on_fusion = (), []
-        if outcome is not None and world.phase in IN_THE_AIR and not self._gone:
-            watch, going = AftermathWatch(world.truth(), outcome.value, self._grader.motion), True
+        if outcome is not None and world.phase in MOTORS_TURN and not self._gone:
+            watch, going = AftermathWatch(world.truth(), outcome.value, self._grader.referee), True
             while going and world.at < watch.ends:
                 going = self._tick() is not None
                 if self._ticks % _WATCH_EACH == 0:
-                    watch.step(world.truth(), reached=world.reached)
-            flown = watch.result(world.truth(), world.guidance_phase, None if going else self._grader.died)
+                    watch.step(world.truth())
+            flown = watch.result(world.truth(), world.guidance_phase)
         elif (touch := world.truth().touchdown) is not None:
             world.advance(after(touch.at, STANDS_AFTER_S))
-        return standing_of(world.truth(), world.pad.disc_radius_m), flown
+        return standing_of(world.truth(), world.pad.disc_radius_m, self._grader.feet), flown
 
     def _tick(self) -> MonoNs | None:
         """Run one tick; return its instant, None where the service died in it."""
@@ -240,7 +239,8 @@ class Flight:
         self._deliver_commands(now)
         self._drone.tick(now)
         self._ticks += 1
-        if self._ticks % _WATCH_EACH == 0:
+        if self._ticks % _WATCH_EACH == 0 or self.world.phase is not self._phase:
+            self._phase = self.world.phase
             self._grader.step()
         if self._killed():
             self.world.guidance_phase = None
@@ -254,7 +254,7 @@ class Flight:
             if not self.contained:
                 raise
             place = traceback.extract_tb(why.__traceback__)[-1]
-            self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+            self._grader.referee.died(f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})")
             return None
         return now
 
@@ -330,6 +330,7 @@ class Flight:
         return at.encode(self._sequence, command)
 
     def _send(self, commands: Sequence[at.AtCommand]) -> None:
+        self._grader.on_sent(commands, self._clock.t)
         for command in commands:
             self._commands_under_way.send(partial(bytes, self._encoded(command)), self._clock.t)
         self._deliver_commands(self._clock.t)

@@ -1,38 +1,35 @@
 """Watch a flight by the simulator's truth while it is flown, and grade it."""
 
 import math
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
+from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings
+from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.solids import Solid
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.faults.timer import FaultTimer
-from sitl.flight.safety import (
-    BLIND_DESCENT_MAX_M,
-    GO_AROUND_PHASES,
-    AtEnd,
-    BlindDescent,
-    Grade,
-    MotionWatch,
-    SightWatch,
-    UnreachedContacts,
-    called_for_m,
-    dangers,
-    grade,
-    on_pad_m,
-    unreached_descent_max_m,
-)
-from sitl.scenario.scenario import Scenario
+from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m
+from sitl.flight.hands import of_at
+from sitl.flight.referee import Errand, Referee
+from sitl.flight.sight import BlindDescent
+from sitl.scenario.scenario import Scenario, pad_model, vehicle_model
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
+GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
+"""The phases of guidance that end an attempt by climbing."""
+RECEIVERS_M = 10.0
+"""Error of a place over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
+UNREACHED_STOP_M = 0.3
+"""Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 _FEET_M = 0.12
 """Reach of a vehicle's feet from its body's origin, m."""
 _BLAMES = frozenset(
@@ -110,14 +107,50 @@ class FlightResult:
     """Highest height over the highest level of the pad so far, while guidance commanded."""
     named: tuple[tuple[str, float], ...] = ()
     """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
+    counts: dict[str, list[float]] = field(default_factory=dict)
+    """What the referee counted, each beside its limit."""
 
     @property
     def landed_on_pad(self) -> bool:
         return self.outcome is FlightOutcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
 
 
+def errand_of(scenario: Scenario, settings: Settings, com_watchdog_s: float) -> Errand:
+    """Return what a flight calls for.
+
+    Without commands an AR.Drone flies on for `com_watchdog_s`, at most at the fastest rate of the way down against the deck, and
+    then hovers; a landing that it begins by itself goes deeper.
+    """
+    g, start = settings.guidance, scenario.start
+    in_air = start.where == "air"
+    heights, distance_m = [start.height_m if in_air else 0.0, g.tries.safe_height_m], 0.0
+    if in_air:
+        distance_m = math.hypot(start.pad_forward_m, start.pad_right_m)
+    rate_m_s, speed_m_s = g.cone.descent_rate_m_s, g.cone.intercept_speed_m_s
+    if g.mission == "thesis":
+        heights.append(g.thesis.approach_height_m)
+        rate_m_s = g.thesis.speed_m_s
+    if g.controller == "pid":
+        rate_m_s = min(rate_m_s, g.pid.descent_rate_max_m_s)
+    if g.rendezvous.enabled:
+        heights.append(g.rendezvous.height_m + RECEIVERS_M)
+        distance_m += RECEIVERS_M
+        speed_m_s = max(speed_m_s, g.rendezvous.speed_m_s)
+    if not start.with_vessel:
+        speed_m_s += scenario.vessel.speed_m_s
+    return Errand(
+        max(heights),
+        distance_m,
+        speed_m_s,
+        (com_watchdog_s * rate_m_s + UNREACHED_STOP_M, com_watchdog_s),
+        takes_off=not in_air,
+        unreached_contacts=scenario.unreached_contacts,
+        battery_life_s=scenario.sensors.battery_life_s,
+    )
+
+
 class FlightGrader:
-    """Watches one flight and grades it.
+    """Feeds the referee of one flight, and grades the flight by what it found.
 
     Args:
         world: the flight's world.
@@ -126,54 +159,64 @@ class FlightGrader:
     """
 
     def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
-        self.died: str | None = None
-        """Reason for which the service died; None if it did not."""
-        self._world = world
-        self._watch = SightWatch(world.now)
-        self._unreached = UnreachedContacts()
-        start = world.scenario.start
-        highest_m = called_for_m(settings.guidance, start.height_m if start.where == "air" else 0.0)
-        self.motion = MotionWatch(highest_m, settings.guidance.cone.feet_below_m)
-        """Watches height and standing, also after the outcome."""
-        self._unreached_max_m = partial(unreached_descent_max_m, settings.guidance, com_watchdog_s)
+        self._world, scenario = world, world.scenario
+        vehicle = vehicle_model(scenario)
+        self.feet = vehicle.airframe().feet
+        """The vehicle's."""
+        self.referee = Referee(
+            world.now,
+            errand_of(scenario, settings, com_watchdog_s),
+            vehicle.contact,
+            self.feet,
+            pad_model(scenario).disc_radius_m,
+        )
+        """Counts, also after the outcome."""
         self._reason = ""
         self._go_arounds = 0
         self._named: dict[str, float] = {}
-        self._on_things: list[str] = []
-        """Contacts with things on the pad and about it."""
-        self._flew_into: str | None = None
+        self._met: set[str] = set()
+        """Kinds of things that the vehicle flew into."""
         self._contacts = 0
 
     def step(self) -> None:
         """Note the true state; call it in order of time."""
-        truth, reached = self._world.truth(), self._world.reached
-        self._watch.step(truth, reached=reached)
-        self._unreached.step(truth, reached=reached)
-        self.motion.step(truth, self._world.guidance_phase, reached=reached)
+        truth = self._world.truth()
+        served = self._world.guidance_phase is not None
+        self.referee.step(truth, reached=self._world.reached, served=served)
         self._meet(truth)
 
     def _meet(self, truth: Truth) -> None:
         """Note the new contacts where something lies, and the drone's first way into something that stands or flies there."""
-        if self._flew_into is None and (bodies := self._world.faults.on(Bystander)):
+        if not self._met and (bodies := self._world.faults.on(Bystander)):
             x, y, z = (truth.R_ned_pad.matrix.T @ (truth.p_body_ned - truth.p_pad_ned)).tolist()
             for fault, _ in bodies:
                 at = Solid.of(fault).place_m(seconds_between(self._world.started, truth.at))
                 off_m = math.hypot(x - float(at[0]), y - float(at[1]))
                 over = -z < fault.height_m + _FEET_M and (fault.thing in ("box", "person") or -z > fault.height_m - _FEET_M)
                 if over and off_m < 0.5 * fault.width_m + _FEET_M:
-                    self._flew_into = f"flew into a {fault.thing}, {off_m:.2f} m from its middle"
-                    self._on_things.append(self._flew_into)
+                    self._met.add(fault.thing)
+                    self.referee.hit(f"flew into a {fault.thing}, {off_m:.2f} m from its middle")
         new, self._contacts = truth.contacts[self._contacts :], len(truth.contacts)
         for contact in new:
             x, y, _ = contact.p_body_pad.tolist()
             for thing, _ in self._world.faults.on(ObjectOnPad):
                 off_m = math.hypot(x - thing.forward_m, y - thing.right_m)
                 if thing.thing != "wet patch" and off_m < 0.5 * thing.size_m + _FEET_M:
-                    self._on_things.append(f"touched a {thing.thing} on the {contact.surface}, {off_m:.2f} m from its middle")
+                    self.referee.hit(f"touched a {thing.thing} on the {contact.surface}, {off_m:.2f} m from its middle")
+
+    def on_sent(self, commands: Sequence[AtCommand], now: MonoNs) -> None:
+        """Note a datagram that was sent to an AR.Drone."""
+        if (wire := of_at(commands, now)) is not None:
+            self.referee.hands.sent(wire)
+
+    def on_act(self, handled: HandledOrder, sticks: StickPositions) -> None:
+        """Note an order of a person and its answer; one that was refused with a reason commands nothing, but EMERGENCY does."""
+        if handled.accepted or handled.order is OperatorOrder.EMERGENCY:
+            self.referee.hands.acts(handled.order.value, handled.at, sticks)
 
     def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
         """Note the service's verdict on a frame."""
-        self._watch.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
+        self.referee.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
 
     def on_decision(self, decision: Decision) -> None:
         """Note a guidance cycle's decision, before the world learns its phase."""
@@ -192,22 +235,11 @@ class FlightGrader:
             situation: who commands now.
             health: of the service.
         """
-        world, truth, unreached_m = self._world, self._world.truth(), self._watch.unreached_m
+        self.step()
+        world, truth, referee = self._world, self._world.truth(), self.referee
         scenario, refused = world.scenario, self._refused(outcome)
-        self._unreached.step(truth, reached=world.reached)
-        unreached = self._unreached.at if scenario.unreached_contacts else ()
-        unreached_max_m = self._unreached_max_m(self._watch.deck_fell_m_s)
-        self._meet(truth)
-        unsafe = dangers(
-            self._watch.worst,
-            truth.contacts,
-            self.died,
-            unreached_m,
-            unreached_max_m,
-            unreached=unreached,
-            motion=self.motion,
-        )
-        unsafe = (*unsafe, *self._on_things)
+        unreached = referee.unreached.at if scenario.unreached_contacts else ()
+        unsafe, unreached_m = referee.unsafe, referee.sight.unreached_m
         worth, because = grade(
             outcome,
             on_pad_m(truth.contacts),
@@ -217,12 +249,13 @@ class FlightGrader:
                 left_alone=world.active("service_killed") or world.active("link_lost"),
                 asks=world.guidance_phase == State.ANOTHER_PAD.value,
                 held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
+                theirs=referee.hands.act or "",
                 go_arounds=self._go_arounds,
                 refusal=(scenario.refusal, refused or ""),
                 put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
             ),
         )
-        if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
+        if unreached_m > referee.counts["blind_m"].limit.most and not unsafe:
             because += f"; came down {unreached_m:.2f} m while nothing reached it"
         if unreached and not unsafe:
             because += (
@@ -238,22 +271,23 @@ class FlightGrader:
             truth.touchdown,
             health,
             truth,
-            self._watch.worst,
+            referee.sight.worst,
             unsafe,
             worth,
             because,
             refused,
             self._go_arounds,
             tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
-            self.motion.highest_m,
+            referee.highest_m,
             tuple(self._named.items()),
+            referee.as_json(),
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:
         """Return why the pilot gave up; None if it did not."""
         if outcome not in REFUSALS:
             return None
-        frames = self._watch.since_sight
+        frames = self.referee.sight.since_sight
         counts = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
         reason = self._reason or outcome.value
         return f"{reason}; frames since the pad was last truly seen: {counts or 'none'}"

@@ -24,8 +24,8 @@ from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
 from sitl.flight.ending import Contact, Ending, FlightGrade
 from sitl.flight.flight import Flight, Timing
+from sitl.flight.grade import outside_commit
 from sitl.flight.grader import FlightResult
-from sitl.flight.safety import outside_commit
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import Scenario, vehicle_model
@@ -192,6 +192,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         cpu_s,
         round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
         result.named,
+        result.counts,
     )
     frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
     return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)
@@ -210,6 +211,10 @@ def contact_of(t: Touchdown) -> Contact:
         t.motors,
         t.guidance_phase,
         (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
+        t.centre_on_pad,
+        t.tilt_rad,
+        t.over_rim_m,
+        t.foot_speed_m_s,
     )
 
 

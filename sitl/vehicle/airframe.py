@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 
 from companion.settings.load import read_toml
 from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2
 from sitl.vehicle.effects import EffectSettings
@@ -88,6 +90,17 @@ class Feet:
     """Damping over critical damping: there is nearly no rebound."""
     friction: float = 0.6
     """Coulomb's coefficient, foam or rubber on painted steel (assumed)."""
+
+    @property
+    def corners_m(self) -> F64:
+        """(4, 3) places of the feet in body axes."""
+        a, z = self.half_base_m, self.below_m
+        return np.array([[a, a, z], [a, -a, z], [-a, -a, z], [-a, a, z]])
+
+    @property
+    def tips_over_deg(self) -> float:
+        """Tilt beyond which the vehicle falls over: its centre of gravity, at the body's origin, is past two of its feet."""
+        return math.degrees(math.atan2(self.half_base_m, self.below_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +182,20 @@ class FeetSettings(Struct, frozen=True, forbid_unknown_fields=True):
     friction: Annotated[float, number("Coulomb's coefficient of friction", "1", 0.05, 2.0)] = 0.6
 
 
+class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the vehicle bears at a contact with the deck.
+
+    The defaults: a foot strikes at twice the rate of ArduPilot's own landing (LAND_SPEED 0.5 m/s), which is a drop from 5 cm;
+    along the deck at under a third of the speed at which the slimmest shipped vehicle tips over a foot that catches (1.7 m/s, by
+    the energy of its turn about the foot); tilted by half of the 39 degrees at which that one falls over (FAA-H-8083-21B,
+    chapter 11, warns of rolling over about a skid from 15 degrees on, and with thrust earlier).
+    """
+
+    into_deck_max_m_s: Annotated[float, number("speed of a foot into the deck", "m/s", 0.1, 5.0)] = 1.0
+    along_deck_max_m_s: Annotated[float, number("speed along the deck", "m/s", 0.1, 5.0)] = 0.5
+    tilt_max_deg: Annotated[float, number("tilt against the deck", "deg", 1.0, 60.0)] = 19.0
+
+
 class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Values of a full stick until the configuration changes them."""
 
@@ -199,6 +226,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
     loops: LoopSettings
     feet: FeetSettings
     limits: LimitSettings
+    contact: ContactSettings = ContactSettings()
     ground_effect: Annotated[
         Literal["body", "rotors"],
         choice("ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"),

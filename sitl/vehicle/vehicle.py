@@ -71,7 +71,8 @@ class Vehicle:
         touched_phase: phase before that contact.
         touched_d: body's origin from the pad's centre in the pad frame at that contact, m.
         touched_v: velocity against the deck (against the water) just before it, in the pad frame, m/s.
-        touched_yaw: heading against the arrow at it, rad.
+        touched_rows: R_pad_body at it, rows of the matrix.
+        touched_w: turn rates against the deck just before it, in the pad frame, rad/s.
         tilt_max_rad: largest roll or pitch that any loop requests.
         extra_wind: m/s in ned, on top of the wind: a single gust as it passes.
         current: velocity of the water, m/s north and east, against which the optical flow measures beside the deck.
@@ -99,7 +100,8 @@ class Vehicle:
     touched_s = Number("state", "touched_s")
     touched_d = Numbers("state", "touched_d")
     touched_v = Numbers("state", "touched_v")
-    touched_yaw = Number("state", "touched_yaw")
+    touched_rows = Numbers("state", "touched_R")
+    touched_w = Numbers("state", "touched_w")
     tilt_max_rad = Number("params", "tilt_max_rad")
     extra_wind = Numbers("params", "extra_wind")
     current = Numbers("params", "current")
@@ -130,7 +132,7 @@ class Vehicle:
         """The core's `sim_vehicle_params`."""
         self.state = SIM.new(
             "sim_vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3), attached_q=(1.0, 0.0, 0.0, 0.0),
-            touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_yaw=math.nan,
+            touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_R=math.nan, touched_w=math.nan,
         )  # fmt: skip
         """The core's `sim_vehicle`."""
         self._deck = SIM.new("sim_deck")

@@ -11,7 +11,7 @@ Commands take effect at the next step; requesting readings, frames or truth chan
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -26,13 +26,13 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.core.library import SIM
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, OtherPad, PictureFault, TiltLimited, WeakRotor
+from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, LowBattery, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
-from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.manoeuvre import Manoeuvre
 from sitl.vessel.vessel import Mounted
@@ -50,7 +50,7 @@ from sitl.world.stage import (
     wind,
     wind_from,
 )
-from sitl.world.truth import RenderedFrame, Touchdown, Truth
+from sitl.world.truth import RenderedFrame, Touchdown, Truth, touchdown_of
 
 _SEA_EVERY = 5
 """Steps from one look at the water's level to the next; in between it moves with its velocity."""
@@ -387,6 +387,7 @@ class World:
             contacts=tuple(self._contacts),
             a_body_ned=v.a_ned,
             w_body=v.w_body,
+            battery=min(self._sensors.state.battery, *(f.fraction for f, _ in self.faults.on(LowBattery)), 1.0),
         )
 
     def pad_ahead(self, ahead_s: F64) -> Mounted:
@@ -459,21 +460,9 @@ class World:
     def _contact(self) -> Touchdown:
         """Return the contact of the newest step of the physics."""
         v = self._vehicle
-        d, u, phase = np.array(v.touched_d), v.touched_v, _PHASES[int(v.touched_phase)]
-        lateral = math.hypot(d[0], d[1])
-        deck: Literal["pad", "deck"] = "pad" if lateral <= self.pad.disc_radius_m else "deck"
-        return Touchdown(
-            at=MonoNs(self.started + round(v.touched_s * NS_PER_S)),
-            surface="water" if v.touched_what == SEA else deck,
-            p_body_pad=d,
-            lateral_m=lateral,
-            yaw_rad=v.touched_yaw,
-            vertical_speed_m_s=u[2],
-            lateral_speed_m_s=math.hypot(u[0], u[1]),
-            phase=phase,
-            motors=phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY),
-            guidance_phase=self.guidance_phase,
-        )
+        at, phase = MonoNs(self.started + round(v.touched_s * NS_PER_S)), _PHASES[int(v.touched_phase)]
+        motors = phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+        return touchdown_of(v, at, self.pad.disc_radius_m, phase, self.guidance_phase, motors=motors)
 
 
 def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:

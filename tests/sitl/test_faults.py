@@ -46,7 +46,7 @@ from sitl.faults.sensors import (
 )
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
-from sitl.flight.safety import Grade
+from sitl.flight.grade import Grade
 from sitl.scenario.scenario import Scenario, Start
 from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings

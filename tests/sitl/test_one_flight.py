@@ -12,8 +12,8 @@ from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.flight.flight import Flight
+from sitl.flight.grade import Grade
 from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
-from sitl.flight.safety import Grade
 from sitl.scenario.scenario import Scenario, from_mapping, load
 from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth

@@ -14,7 +14,7 @@ from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import KINDS, STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
 from sitl.flight.flight import Flight
-from sitl.flight.safety import AtEnd, Grade, grade
+from sitl.flight.grade import AtEnd, Grade, grade
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World

@@ -17,11 +17,12 @@ from estimator.contracts.time import MonoNs, after
 from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
-from sitl.flight.safety import MotionWatch
+from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import Scenario, from_mapping, load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
 from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
+from sitl.vehicle.airframe import ContactSettings, Feet
 from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.logged_motion import read_log
 from sitl.world.stage import airframe, true_camera
@@ -185,13 +186,20 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ending["duration_s"] < 40.0
 
 
+FEET = Feet()
+
+
+def referee_of(highest_m: float) -> Referee:
+    return Referee(MonoNs(0), Errand(highest_m, 10.0, 2.0), ContactSettings(), FEET, 0.39)
+
+
 def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
     scenario = near()
     ending = fly("near", scenario, 1, settings_for(scenario, None), "truth")
     assert ending.judged is not None
     assert (ending.judged.grade, ending.aftermath) == ("on pad", None)
     world = World(CALM, seed=1)
-    flies = AftermathWatch(world.truth(), "landed", MotionWatch(7.0, 0.1)).result(world.truth(), "landed", None)
+    flies = AftermathWatch(world.truth(), "landed", referee_of(7.0)).result(world.truth(), "landed")
     assert flies.unsafe == ()
     for flown, why in ((flies, "it does not stan"), (None, "it left the deck")):
         again = ending.followed(None, flown, 0.0)
@@ -199,40 +207,29 @@ def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
         assert (again.judged.grade, again.judged.because[:16]) == ("failed", why)
 
 
-def test_a_refused_vehicle_that_falls_is_unsafe() -> None:
-    world = World(CALM, seed=1)
-    watch = AftermathWatch(world.truth(), "refused", MotionWatch(7.0, 0.1))
-    world.land()
-    run(world, 12.0)
-    watch.step(world.truth(), reached=True)
-    reported = watch.result(world.truth(), "refused", None)
-    assert reported.contacts == 1
-    assert [line[:29] for line in reported.unsafe] == ["refused, and then touched the"]
+def test_a_refused_vehicle_that_falls_climbs_or_stands_with_turning_motors_is_unsafe() -> None:
+    start = World(CALM, seed=1).truth()
+    referee = referee_of(highest_m=1.0)
 
-
-def test_a_refused_vehicle_that_climbs_or_stands_with_turning_motors_is_unsafe() -> None:
-    world = World(CALM, seed=1)
-    motion = MotionWatch(1.0, 0.1)
-    start = world.truth()
-    start = msgspec.structs.replace(start, contacts=(Touchdown(start.at, "pad", np.zeros(3), 0.0, 0.0, 0.2, 0.1),))
-
-    def step(at_s: float, height_m: float) -> Truth:
-        at = np.array([0.0, 0.0, -height_m])
+    def step(at_s: float, height_m: float, *contacts: Touchdown) -> Truth:
+        at, still = np.array([0.0, 0.0, -height_m]), np.zeros(3)
         now = msgspec.structs.replace(
-            start, at=after(start.at, at_s), p_body_ned=at, p_pad_ned=np.zeros(3), v_body_ned=np.zeros(3)
+            start, at=after(start.at, at_s), p_body_ned=at, p_pad_ned=still, v_body_ned=still, contacts=contacts
         )
-        motion.step(now, "gave_up", reached=True)
+        referee.step(now, reached=True, served=True)
         return now
 
-    step(0.0, 4.5)
-    watch = AftermathWatch(start, "gave_up", motion)
-    high = watch.result(step(1.0, 4.6), "gave_up", None).unsafe
-    assert high == ("gave_up, and then flew 4.6 m high, where 1.0 m are the most that is called for",)
+    watch = AftermathWatch(step(0.0, 4.5), "gave_up", referee)
+    assert watch.result(step(1.0, 4.6), "gave_up").unsafe == (), "it was too high before"
+    stray = Touchdown(after(start.at, 2.0), "deck", np.zeros(3), 0.9, 0.0, 0.2, 0.1, over_rim_m=0.6)
     for n in range(8):
-        last = step(2.0 + 0.5 * n, 0.12)
-    reported = watch.result(last, "gave_up", None)
-    assert reported.at_most_m == pytest.approx(4.6)
-    assert reported.unsafe[1:] == ("gave_up, and then stood on the deck for 3.5 s with turning motors",)
+        last = step(2.0 + 0.5 * n, FEET.below_m, stray)
+    reported = watch.result(last, "gave_up")
+    assert (reported.contacts, reported.at_most_m) == (1, pytest.approx(4.6))
+    assert reported.unsafe == (
+        "gave_up, and then touched the deck 0.90 m from the pad's centre, a foot 0.60 m over the rim, 1 times so",
+        "gave_up, and then stood on the deck for 3.5 s with turning motors",
+    )
 
 
 def log_line(t_s: float, north_m: float, height_m: float, quality: int = 4) -> str:

@@ -13,7 +13,7 @@ from estimator.contracts.time import MonoNs, after
 from sitl.emulators.ardrone.truth_log import record
 from sitl.faults.kinds import KINDS, Gust, WeakRotor
 from sitl.faults.sensors import Magnetometer, Ultrasound
-from sitl.flight.safety import outside_commit
+from sitl.flight.grade import outside_commit
 from sitl.scenario.scenario import Scenario, Start, load
 from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings

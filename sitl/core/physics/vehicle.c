@@ -431,7 +431,8 @@ static void record_contact(sim_vehicle *v, const step *s)
     v->touched_s = v->seconds;
     memcpy(v->touched_d, s->r.d, sizeof v->touched_d);
     memcpy(v->touched_v, s->r.v, sizeof v->touched_v);
-    v->touched_yaw = atan2(s->r.R[3], s->r.R[0]);
+    memcpy(v->touched_R, s->r.R, sizeof v->touched_R);
+    memcpy(v->touched_w, s->r.w, sizeof v->touched_w);
 }
 
 /* Timers, record of the contact, resting, changes of phase. */

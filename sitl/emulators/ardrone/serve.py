@@ -27,8 +27,8 @@ from estimator.contracts.time import seconds_between
 from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import AIRBORNE
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
-from sitl.flight.safety import dangers
-from sitl.scenario.scenario import Scenario, camera_model, load, with_ardrone1
+from sitl.flight.referee import unsafe_contacts
+from sitl.scenario.scenario import Scenario, camera_model, load, vehicle_model, with_ardrone1
 from sitl.scenario.with_fault import VIRTUAL_ONLY, faulty, real_time
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World
@@ -101,7 +101,7 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
 
 def _result(world: World) -> dict[str, Any]:
     """Return what the simulator knows of the flight's result."""
-    truth, scenario = world.truth(), world.scenario
+    truth, scenario, vehicle = world.truth(), world.scenario, vehicle_model(world.scenario)
     touched = truth.touchdown
     return {
         "title": scenario.title,
@@ -110,7 +110,7 @@ def _result(world: World) -> dict[str, Any]:
         "surface": None if touched is None else touched.surface,
         "on_pad": touched is not None and touched.on_pad,
         "lateral_m": None if touched is None else round(touched.lateral_m, 4),
-        "unsafe": list(dangers(None, truth.contacts, None, phases_known=False)),
+        "unsafe": list(unsafe_contacts(truth.contacts, vehicle.contact, vehicle.airframe().feet)),
         "left_alone": world.active("link_lost"),
     }
 

@@ -31,7 +31,7 @@ from sitl.world.stage import (
     true_camera,
     wind,
 )
-from sitl.world.truth import RenderedFrame
+from sitl.world.truth import RenderedFrame, Touchdown, touchdown_of
 
 _CHUNK_S = 0.25
 _SEA_S = 0.02
@@ -62,7 +62,7 @@ class BodyTouchdown:
     t_s: float
     on_deck: bool
     on_pad: bool
-    """True if the vehicle is on deck with the body's origin over the pad's disc."""
+    """True if the vehicle is on deck with all feet over the pad's disc."""
     lateral_m: float
     """Distance from the pad's centre along the deck, m."""
     yaw_rad: float
@@ -153,11 +153,14 @@ class Body:
         v = self._vehicle
         if v.touched_what not in (DECK, SEA):
             return None
-        d, u = np.array(v.touched_d), np.array(v.touched_v)
-        on_deck, lateral_m = v.touched_what == DECK, float(np.hypot(d[0], d[1]))
-        on_pad = on_deck and lateral_m <= self.pad.disc_radius_m
-        slide_m_s = float(np.hypot(u[0], u[1]))
-        return BodyTouchdown(v.touched_s, on_deck, on_pad, lateral_m, v.touched_yaw, float(u[2]), slide_m_s)
+        t = self.touchdown(MonoNs(0), None)
+        on_deck = t.surface != "water"
+        return BodyTouchdown(v.touched_s, on_deck, t.on_pad, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s)
+
+    def touchdown(self, at: MonoNs, guidance_phase: str | None) -> Touchdown:
+        """Return the newest contact, which began at an instant and in a phase of guidance that the caller knows."""
+        radius_m = self.pad.disc_radius_m
+        return touchdown_of(self._vehicle, at, radius_m, VehiclePhase.FLYING, guidance_phase, motors=True)
 
     @property
     def upright(self) -> bool:

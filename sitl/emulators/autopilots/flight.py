@@ -51,7 +51,7 @@ from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
 from sitl.flight.grader import FlightResult
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.sensors.gnss import ORIGIN
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
@@ -305,7 +305,9 @@ class AutopilotFlight:
             self.graded.result(pilot, health),
             stopped,
             tuple(self._silences),
-            None if self.body is None else standing_of(self.graded.truth(), self.body.pad.disc_radius_m),
+            None
+            if self.body is None
+            else standing_of(self.graded.truth(), self.body.pad.disc_radius_m, vehicle_model(self.scenario).airframe().feet),
             self._from_elsewhere_m(service),
         )
 

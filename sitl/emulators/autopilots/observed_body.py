@@ -5,7 +5,6 @@ The faults of the streams around it are here too.
 
 import math
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +100,7 @@ class GradedBody(NullObserver):
             self.guidance_phase = None
         if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
             self._newest = landing
-            self._contacts.append(self._contact(body, landing, now))
+            self._contacts.append(body.touchdown(now, self.guidance_phase))
         if not self.faults:
             return
         if self._grader is None:
@@ -139,13 +138,6 @@ class GradedBody(NullObserver):
         if self._grader is not None:
             self._grader.on_decision(decision)
         self.guidance_phase = decision.phase
-
-    def _contact(self, body: Body, t: BodyTouchdown, now: MonoNs) -> Touchdown:
-        surface: Literal["pad", "deck", "water"] = "pad" if t.on_pad else "deck" if t.on_deck else "water"
-        p_pad = body.R_ned_pad.inv @ (body.state().p_ned - body.p_pad_ned)
-        return Touchdown(
-            now, surface, p_pad, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s, VehiclePhase.FLYING, True, self.guidance_phase
-        )
 
 
 class PerceivedBody:

@@ -15,8 +15,8 @@ from companion.settings.load import response_model, shipped_response
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import ServiceKilled
+from sitl.flight.grade import Grade
 from sitl.flight.one_flight import settings_for
-from sitl.flight.safety import Grade
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
 

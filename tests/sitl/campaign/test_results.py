@@ -128,11 +128,8 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
         "in the water": {**bad, "in_water": True, "unsafe": ["came down 2 m"]},
         "came down without sight of the pad": {**bad, "unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
         "struck the deck beside the pad, then landed on the pad": {**bad, "contacts": [off, *fine["contacts"]]},
-        "touched the pad outside commit: descend, gate": {
-            **bad,
-            "contacts_outside_commit": 2,
-            "unsafe": [f"touched the pad, outside commit ({phase})" for phase in ("descend", "gate")],
-        },
+        "a person was overruled": {**bad, "unsafe": ["a person ordered hold, and was sent: move, still 0.4 s later"]},
+        "touched the pad harder than it bears": {**bad, "unsafe": ["a foot struck the pad at 1.29 m/s"]},
         "landed beside the pad": {**bad, "landed_on_pad": False, "touchdown": off, "contacts": [off]},
         "struck the deck beside the pad and did not land": {
             **bad,
@@ -158,7 +155,7 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
 
 def test_unsafe_flights_are_counted_and_named() -> None:
     """A flight that landed well after a contact that nobody intended is no good flight, and one can find it again."""
-    stray = "touched the pad 0.10 m from the pad's centre, outside commit (descend)"
+    stray = "touched the pad at 0.55 m/s along it"
     flights = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(15)]
     flights[RAISES] = flown(20)
     for seed in (4, 1):
@@ -170,7 +167,7 @@ def test_unsafe_flights_are_counted_and_named() -> None:
     assert f"UNSAFE near seed 1, wind.speed_m_s 1.0: {stray}\nUNSAFE near seed 4" in in_words(summary)
     page = render_report({**manifest_of_plan(plan(), range(15), None)}, flights, 1.0)
     assert page.count(escape(stray)) == 2
-    assert "touched the pad outside commit: descend" in page
+    assert "touched the pad harder than it bears" in page
     many = tally({**flights[1], "seed": seed} for seed in range(2500))
     assert (many.unsafe, [one["seed"] for one in many.unsafe_flights]) == (2500, list(range(100)))
     assert "and 2490 more unsafe flights" in in_words(many.summary("near", "truth", 1.0))

@@ -1,0 +1,153 @@
+"""Compare what a person ordered with what was sent to the vehicle: the instant of each act against the packets after it."""
+
+from collections.abc import Iterable
+from enum import Enum
+from typing import NamedTuple
+
+from companion.base.orders import CENTRED, StickPositions
+from drivers.ardrone.at import PCMD_PROGRESSIVE, AtCommand, Pcmd, Ref
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Truth
+
+MOTORS_TURN = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+"""Phases of a vehicle in which its motors turn."""
+_CLEAR_M = 1.0
+"""Height up to which a vehicle that is to hold its place may be sent upward: a deck heaves."""
+_CENTRED = 0.02
+"""A stick below this fraction commands nothing."""
+STAYS_UP = ("hold", "abort")
+HANDS_ON = ("manual", "land", "emergency")
+"""Acts after which the flight is the person's, until he gives it back."""
+GIVES_BACK = ("begin", "release", "takeoff", "reset")
+
+
+class Asks(Enum):
+    """What a packet asks of the vehicle."""
+
+    HOVER = "hover"
+    MOVE = "move"
+    LAND = "land"
+    STOP = "stop the motors"
+    MODE = "change the mode"
+    ARM = "arm"
+
+
+class Wire(NamedTuple):
+    """One packet that was sent to the vehicle, whether it arrives or not."""
+
+    at: MonoNs
+    asks: Asks
+    sticks: StickPositions = CENTRED
+    """Of MOVE: forward, right, up, clockwise, as fractions of the most, or with the signs of a velocity."""
+
+
+def of_at(commands: Iterable[AtCommand], at: MonoNs) -> Wire | None:
+    """Return what a datagram of AT commands asks; None where it steers nothing."""
+    words = [command for command in commands if isinstance(command, Ref)]
+    sticks = [command for command in commands if isinstance(command, Pcmd)]
+    if any(word.emergency for word in words):
+        return Wire(at, Asks.STOP)
+    if words and not words[-1].take_off:
+        return Wire(at, Asks.LAND)
+    if not sticks:
+        return None
+    p = sticks[-1]
+    if not p.flags & PCMD_PROGRESSIVE:
+        return Wire(at, Asks.HOVER)
+    return Wire(at, Asks.MOVE, StickPositions(*(max(-1.0, min(1.0, x)) for x in (-p.pitch, p.roll, p.gaz, p.yaw))))
+
+
+class HandsWatch:
+    """Watches whether the newest act of a person is obeyed, and whether anything starts that nobody ordered.
+
+    Acts are named as `companion.base.orders` and as a remote control has them: `mode` and `disarm` besides.
+
+    Args:
+        takes_off: whether the flight begins on the deck, so that its first take-off is called for.
+    """
+
+    def __init__(self, *, takes_off: bool) -> None:
+        self.late_s = 0.0
+        """Longest time after an act at which the vehicle was still sent something else, or nothing."""
+        self.disobeyed = ""
+        """That act, and what was sent."""
+        self.unordered: list[str] = []
+        """What started although nobody had ordered it."""
+        self.act: str | None = None
+        """The newest act that stands."""
+        self._since = MonoNs(0)
+        self._sticks = CENTRED
+        self._answered = True
+        self._may_start = takes_off
+        self._motors = False
+        self._clearance_m = 0.0
+
+    @property
+    def hands_on(self) -> bool:
+        """True while the flight is the person's."""
+        return self.act in HANDS_ON
+
+    def acts(self, act: str, at: MonoNs, sticks: StickPositions = CENTRED) -> None:
+        """Note an act of a person that was not refused with a reason."""
+        if act in GIVES_BACK:
+            self.act, self._may_start = None, True
+        elif act in (*STAYS_UP, *HANDS_ON, "mode", "disarm"):
+            self.act, self._since, self._sticks, self._answered = act, at, sticks, False
+            self._may_start = False
+
+    def sent(self, wire: Wire) -> None:
+        """Note a packet; call it in order of time."""
+        if self.act is None:
+            return
+        if self._agrees(self.act, wire):
+            self._answered = True
+        elif self._motors:
+            self._note(wire.at, wire.asks.value)
+
+    def step(self, truth: Truth, clearance_m: float, *, served: bool) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            clearance_m: height of the lowest foot over the deck.
+            served: whether a service runs; a new one knows nothing of the acts before it.
+        """
+        motors, self._clearance_m = truth.phase in MOTORS_TURN, clearance_m
+        if motors and not self._motors and truth.phase is VehiclePhase.TAKING_OFF:
+            if not self._may_start:
+                self.unordered.append("the motors started")
+            self._may_start = False
+        self._motors = motors
+        if not served and self.act not in (None, "emergency"):
+            self.act = None
+        if not motors:
+            self._answered = True
+        if self.act is not None and not self._answered:
+            self._note(truth.at, "nothing that obeys")
+
+    def _note(self, at: MonoNs, asks: str) -> None:
+        late_s = seconds_between(self._since, at)
+        if self.act in ("mode", "disarm"):
+            if asks in (Asks.MODE.value, Asks.ARM.value):
+                self.unordered.append(f"{asks} after a person's {self.act}")
+        elif late_s > self.late_s:
+            self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {asks}"
+
+    def _agrees(self, act: str, wire: Wire) -> bool:
+        up = wire.asks is Asks.MOVE and wire.sticks.climb > _CENTRED and self._clearance_m < _CLEAR_M
+        match act:
+            case "emergency":
+                return wire.asks is Asks.STOP
+            case "land":
+                return wire.asks is Asks.LAND
+            case "manual":
+                return wire.asks in (Asks.HOVER, Asks.MOVE) and _with(self._sticks, wire.sticks)
+            case "hold" | "abort":
+                return wire.asks is Asks.HOVER or up or self._clearance_m <= 0.0
+        return wire.asks not in (Asks.MODE, Asks.ARM)
+
+
+def _with(person: StickPositions, sent: StickPositions) -> bool:
+    """Return whether what is sent goes where the person's sticks point; centred ones say nothing."""
+    pairs = [(getattr(person, name), getattr(sent, name)) for name in ("forward", "right", "climb", "turn")]
+    return all(abs(asked) < _CENTRED or asked * got > 0.0 for asked, got in pairs)

@@ -1,0 +1,345 @@
+"""The referee of simulated flights: it counts what hurts, from the truth and from the wires alone, each count with a limit.
+
+It takes the true motion of body, feet, deck and motors, the packets that were sent to the vehicle and the acts of a person with
+their instants. It knows no state, phase or setting of guidance; what a flight calls for is given to it as figures (`Errand`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.flight.hands import MOTORS_TURN, STAYS_UP, HandsWatch
+from sitl.flight.sight import SightWatch
+from sitl.vehicle.airframe import ContactSettings, Feet
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Touchdown, Truth
+
+ON_DECK_M = 0.03
+"""Height of the lowest foot over the deck up to which the vehicle stands on it: uneven feet, and springs that give."""
+LOW_M = 1.0
+"""Height of the lowest foot under which a rotor reaches a person who kneels or an object that stands there."""
+LOW_WITHIN_M = 10.0
+"""Distance from the pad within which there is deck under a low vehicle; beyond it is water, and `away` counts."""
+ENDING = 0.1
+"""Charge of a battery that ends."""
+_HOP_M = 0.05
+"""Height of the lowest foot from which on the vehicle has left the deck."""
+_BOUNCE_MAX_M = 0.5
+"""Height beyond which leaving the deck is a go-around and no bounce."""
+_CLIMB_OUT_S = 1.0
+"""Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
+
+
+class Errand(NamedTuple):
+    """What a flight calls for, as figures of its scenario and of the way that is ordered; the margins are the limits'."""
+
+    highest_m: float
+    """Highest height over the pad at its highest."""
+    farthest_m: float
+    """Largest horizontal distance from the pad."""
+    fastest_m_s: float
+    """Largest horizontal speed against the ship."""
+    unreached_m: tuple[float, float] = (0.3, 2.0)
+    """Way down while nothing reaches the vehicle, and for how long a deck that falls at its beginning adds to it, s."""
+    takes_off: bool = False
+    unreached_contacts: bool = False
+    """Contacts are excused that no order could prevent, because nothing reached the vehicle."""
+    battery_life_s: float = 1200.0
+    """Flight time of a full battery."""
+
+
+class Limit(NamedTuple):
+    """The most that a count may be."""
+
+    most: float
+    words: str
+    """The line for people: {value}, {most}, and what the count notes beside its value."""
+    source: str
+
+
+def limits_of(errand: Errand, contact: ContactSettings, feet: Feet) -> dict[str, Limit]:
+    """Return the limit of each count."""
+    c = contact
+    drop_m = c.into_deck_max_m_s**2 / (2.0 * G_M_S2)
+    return {
+        "died": Limit(0, "the service died in flight: {why}", "nobody flies then"),
+        "blind_m": Limit(
+            0.5, "came down {value:.2f} m, to {lowest:.2f} m over the deck, without true sight of the pad for {blind:.1f} s",
+            "what wind and the vehicle's own landing cause",
+        ),
+        "unreached_m": Limit(
+            errand.unreached_m[0], "came down {value:.2f} m while nothing reached it",
+            "the fastest way down until the vehicle's own timeout, and 0.3 m to stop",
+        ),
+        "in_water": Limit(0, "in the water, {lateral:.2f} m from the pad's centre", "it is lost"),
+        "off_pad": Limit(
+            0, "touched the deck {lateral:.2f} m from the pad's centre, a foot {over:.2f} m over the rim, {value:.0f} times so",
+            "people and things stand beside a pad",
+        ),
+        "into_deck_m_s": Limit(
+            c.into_deck_max_m_s, "a foot struck the {surface} at {value:.2f} m/s, where {most:g} m/s is the most",
+            "the vehicle's file",
+        ),
+        "along_deck_m_s": Limit(c.along_deck_max_m_s, "touched the {surface} at {value:.2f} m/s along it", "the vehicle's file"),
+        "contact_tilt_deg": Limit(
+            c.tilt_max_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:g} are the most",
+            "the vehicle's file",
+        ),
+        "tipped_deg": Limit(feet.tips_over_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet and height"),
+        "bounces": Limit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
+        "motors_off_m": Limit(
+            drop_m, "the motors stopped {value:.2f} m over the deck, where {most:.2f} m are the most",
+            "the drop to the most speed into the deck",
+        ),
+        "on_deck_s": Limit(
+            3.0, "stood on the deck for {value:.1f} s with turning motors", "several times what pressing on and a landing take"
+        ),
+        "low_outside_s": Limit(
+            5.0, "flew lower than 1 m beside the pad for {value:.1f} s", "twice a climb of 1 m at 0.5 m/s, and as much to decide"
+        ),
+        "away_m": Limit(
+            errand.farthest_m + 20.0, "flew {value:.0f} m away from the pad, where {most:.0f} m are the most",
+            "the length of a small ship, within which a person sees and reaches it",
+        ),
+        "fast_m_s": Limit(
+            errand.fastest_m_s + 3.0, "flew at {value:.1f} m/s against the ship, where {most:.1f} m/s are the most",
+            "a gust of three standard deviations of a Beaufort 6",
+        ),
+        "high_m": Limit(
+            errand.highest_m + 3.0, "flew {value:.1f} m high, where {called:.1f} m are the most that is called for",
+            "gusts do not carry a vehicle there",
+        ),
+        "ending_battery": Limit(
+            0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
+        ),
+        "disobeyed_s": Limit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
+        "unordered": Limit(0, "nobody ordered it: {what}", "the person's hand wins"),
+        "flew_into": Limit(0, "{what}", "the thing is hit"),
+    }  # fmt: skip
+
+
+@dataclass(slots=True)
+class Count:
+    """One count of a flight."""
+
+    limit: Limit
+    value: float = 0.0
+    facts: dict[str, object] = field(default_factory=dict)
+
+    def note(self, value: float, **facts: object) -> None:
+        """Keep a value where it is the worst so far."""
+        if value > self.value:
+            self.value, self.facts = value, facts
+
+    @property
+    def over(self) -> bool:
+        return self.value > self.limit.most
+
+    def in_words(self) -> str:
+        """Return the line for people."""
+        return self.limit.words.format(value=self.value, most=self.limit.most, **self.facts)
+
+
+class Moment(NamedTuple):
+    """The true state at an instant as the counts need it."""
+
+    clearance_m: float
+    """Height of the lowest foot over the deck's plane."""
+    lowest_m: float
+    """Height of the lowest part, feet or hull."""
+    aside_m: float
+    """Distance of the body's origin from the pad's centre along the deck."""
+    tilt_deg: float
+    """Tilt against the deck."""
+    motors: bool
+
+
+def moment_of(truth: Truth, feet: Feet) -> Moment:
+    """Return the moment of a true state."""
+    R_ned_pad = truth.R_ned_pad.matrix
+    R = R_ned_pad.T @ truth.R_ned_body.matrix
+    d = R_ned_pad.T @ (truth.p_body_ned - truth.p_pad_ned)
+    clearance_m = -float((d + feet.corners_m @ R.T)[:, 2].max())
+    top_m = -float(d[2] - feet.top_m * R[2, 2])
+    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(R[2, 2])))))
+    motors = truth.phase in MOTORS_TURN
+    return Moment(clearance_m, min(clearance_m, top_m), math.hypot(d[0], d[1]), tilt_deg, motors)
+
+
+class UnreachedContacts:
+    """Notes the contacts that no order could prevent, because nothing reached the vehicle when it came down.
+
+    A contact is one of them while nothing reaches the vehicle, for `_CLIMB_OUT_S` after that, and until a landing that the
+    vehicle began meanwhile has ended.
+    """
+
+    def __init__(self) -> None:
+        self.at: list[MonoNs] = []
+        """Instants of these contacts."""
+        self._count = 0
+        self._until: MonoNs | None = None
+        self._lands = False
+
+    def step(self, truth: Truth, *, reached: bool) -> None:
+        """Note the true state at an instant; call it in order of time."""
+        if not reached:
+            self._until = after(truth.at, _CLIMB_OUT_S)
+        until = self._until
+        self._lands |= truth.phase is VehiclePhase.LANDING and until is not None and truth.at <= until
+        for contact in truth.contacts[self._count :]:
+            lands = self._lands and contact.phase is VehiclePhase.LANDING
+            if lands or (until is not None and contact.at <= until):
+                self.at.append(contact.at)
+        self._count = len(truth.contacts)
+        self._lands &= truth.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
+
+
+class Referee:
+    """Counts what hurts in one flight. Call `step` in order of time.
+
+    Args:
+        start: the first instant.
+        errand: what the flight calls for.
+        contact: what the vehicle bears.
+        feet: the vehicle's.
+        disc_radius_m: of the pad.
+    """
+
+    def __init__(self, start: MonoNs, errand: Errand, contact: ContactSettings, feet: Feet, disc_radius_m: float) -> None:
+        self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, feet).items()}
+        self.sight = SightWatch(start)
+        self.hands = HandsWatch(takes_off=errand.takes_off)
+        self.unreached = UnreachedContacts()
+        self.highest_m = -math.inf
+        """Highest height over the highest level of the pad so far, while the flight was ours."""
+        self._errand, self._feet, self._disc_radius_m = errand, feet, disc_radius_m
+        self._contacts = self._bounced = 0
+        self._crest_m = -math.inf
+        self._at, self._before = start, Moment(math.inf, math.inf, 0.0, 0.0, motors=False)
+        self._was_standing = self._was_low = self._was_ending = False
+        self._stood_s = self._low_s = self._flown_s = 0.0
+        self._charge: float | None = None
+        self._hop_m: float | None = None
+        """Height that the vehicle has reached since it left the deck; None while it has not touched it."""
+
+    @property
+    def unsafe(self) -> tuple[str, ...]:
+        """One line for each count that is over its limit."""
+        return tuple(count.in_words() for count in self.counts.values() if count.over)
+
+    def as_json(self) -> dict[str, list[float]]:
+        """Return each count that is not zero, beside its limit."""
+        return {n: [round(c.value, 3), round(c.limit.most, 3)] for n, c in self.counts.items() if c.value != 0.0}
+
+    def died(self, why: str) -> None:
+        """Note that the service died."""
+        self.counts["died"].note(1, why=why)
+
+    def hit(self, what: str) -> None:
+        """Note that the vehicle met a thing that stood, lay or flew there."""
+        count = self.counts["flew_into"]
+        count.note(count.value + 1, what="; ".join((*filter(None, [count.facts.get("what")]), what)))
+
+    def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
+        """Note a frame and whether it was used."""
+        self.sight.frame(exposed_at, verdict, true_view=true_view, stamp_error_s=stamp_error_s)
+
+    def step(self, truth: Truth, *, reached: bool, served: bool) -> None:
+        """Note the true state at an instant.
+
+        Args:
+            reached: whether commands reach the vehicle.
+            served: whether a service runs; without one nobody decides, and the vehicle hovers by itself.
+        """
+        moment, dt_s = moment_of(truth, self._feet), max(0.0, seconds_between(self._at, truth.at))
+        self.hands.step(truth, moment.clearance_m, served=served)
+        self.sight.step(truth, reached=reached)
+        self.unreached.step(truth, reached=reached and served)
+        for contact in truth.contacts[self._contacts :]:
+            self._touch(contact)
+        self._contacts = len(truth.contacts)
+        # What held at the step before held until now.
+        self._deck(moment, dt_s)
+        self._low_s += dt_s if self._was_low else 0.0
+        self.counts["low_outside_s"].note(self._low_s)
+        ours = reached and served and not self.hands.hands_on and moment.motors
+        if ours:
+            self._way(truth)
+        self._battery(truth, dt_s, hovers=ours and self.hands.act not in STAYS_UP and moment.clearance_m > ON_DECK_M)
+        self._wires()
+        self._was_standing = ours and abs(moment.clearance_m) < ON_DECK_M
+        self._stood_s = self._stood_s if self._was_standing else 0.0
+        self._was_low = ours and moment.clearance_m < LOW_M and self._disc_radius_m < moment.aside_m < LOW_WITHIN_M
+        self._at, self._before = truth.at, moment
+
+    def _touch(self, t: Touchdown) -> None:
+        """Judge a contact."""
+        if self.hands.hands_on:
+            return
+        if t.surface == "water":
+            self.counts["in_water"].note(1, lateral=t.lateral_m)
+            return
+        if self._errand.unreached_contacts and t.at in self.unreached.at:
+            return
+        if t.surface == "deck":
+            self.counts["off_pad"].note(self.counts["off_pad"].value + 1, lateral=t.lateral_m, over=t.over_rim_m)
+        self.counts["into_deck_m_s"].note(max(t.foot_speed_m_s, t.vertical_speed_m_s), surface=t.surface)
+        self.counts["along_deck_m_s"].note(t.lateral_speed_m_s if t.motors else 0.0, surface=t.surface)
+        self.counts["contact_tilt_deg"].note(math.degrees(t.tilt_rad), surface=t.surface)
+
+    def _deck(self, m: Moment, dt_s: float) -> None:
+        """Count what happens on the deck: standing, bounces, motors that stop over it, tipping over."""
+        self._stood_s += dt_s if self._was_standing else 0.0
+        self.counts["on_deck_s"].note(self._stood_s)
+        stands, person_cut = abs(m.clearance_m) < ON_DECK_M, self.hands.act == "emergency"
+        if self._before.motors and not m.motors and not person_cut:
+            self.counts["motors_off_m"].note(m.clearance_m)
+        if abs(m.lowest_m) < 2 * ON_DECK_M and not person_cut:
+            self.counts["tipped_deg"].note(m.tilt_deg)
+        if m.motors and stands:
+            if self._hop_m is not None and _HOP_M < self._hop_m <= _BOUNCE_MAX_M:
+                self._bounced += 1
+                self.counts["bounces"].note(self._bounced)
+            self._hop_m = 0.0
+        elif self._hop_m is not None:
+            self._hop_m = max(self._hop_m, m.clearance_m)
+
+    def _way(self, truth: Truth) -> None:
+        """Count where and how fast the vehicle flies."""
+        d, v = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned
+        self.counts["away_m"].note(math.hypot(d[0], d[1]))
+        self.counts["fast_m_s"].note(math.hypot(v[0], v[1]))
+        # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
+        self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
+        self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)
+        self.counts["high_m"].note(self.highest_m, called=self._errand.highest_m)
+
+    def _battery(self, truth: Truth, dt_s: float, *, hovers: bool) -> None:
+        """Count the time in the air with a battery that ends."""
+        self._flown_s += dt_s if self._was_ending else 0.0
+        self._was_ending = hovers and truth.battery <= ENDING
+        if self._was_ending and self._charge is None:
+            self._charge = truth.battery
+        gives_s = max(1.0, (self._charge or 0.0) * self._errand.battery_life_s)
+        self.counts["ending_battery"].note(self._flown_s / gives_s, flown=self._flown_s, gives=gives_s)
+
+    def _wires(self) -> None:
+        """Take over what the watches of sight and hands have found."""
+        worst, hands = self.sight.worst, self.hands
+        self.counts["blind_m"].note(worst.descent_m, lowest=worst.lowest_m, blind=worst.blind_s)
+        falls_m = self._errand.unreached_m[1] * self.sight.deck_fell_m_s
+        self.counts["unreached_m"].note(self.sight.unreached_m - falls_m)
+        self.counts["disobeyed_s"].note(hands.late_s, what=hands.disobeyed)
+        self.counts["unordered"].note(len(hands.unordered), what="; ".join(hands.unordered))
+
+
+def unsafe_contacts(contacts: Sequence[Touchdown], contact: ContactSettings, feet: Feet) -> tuple[str, ...]:
+    """Return what was unsafe about the contacts of a flight that was not watched, one line each."""
+    referee = Referee(MonoNs(0), Errand(math.inf, math.inf, math.inf), contact, feet, math.inf)
+    for one in contacts:
+        referee._touch(one)
+    return referee.unsafe

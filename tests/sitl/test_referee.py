@@ -1,0 +1,440 @@
+"""The referee of simulated flights, by crafted truths: each count just inside and just outside its limit, and invariances."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from companion.base.mission import FlightOutcome
+from companion.base.orders import StickPositions
+from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.settings.guidance import GuidanceOptions, PidOptions
+from companion.settings.load import load as load_settings
+from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, ComWdg, Pcmd, Ref
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.time import MonoNs, after
+from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
+from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
+from sitl.flight.hands import Asks, Wire, of_at
+from sitl.flight.referee import Errand, Referee, limits_of, unsafe_contacts
+from sitl.flight.sight import SightWatch
+from sitl.scenario.scenario import load
+from sitl.vehicle.airframe import ContactSettings, Feet
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Touchdown, Truth
+
+START = MonoNs(0)
+FEET, CONTACT, RADIUS_M = Feet(half_base_m=0.12, below_m=0.1, top_m=0.08), ContactSettings(), 0.39
+ERRAND = Errand(highest_m=7.0, farthest_m=5.0, fastest_m_s=1.5, unreached_m=(1.7, 2.0), battery_life_s=1000.0)
+FLIES, LANDS, LANDED, CUT = VehiclePhase.FLYING, VehiclePhase.LANDING, VehiclePhase.LANDED, VehiclePhase.EMERGENCY
+STARTS = VehiclePhase.TAKING_OFF
+
+
+@dataclass(frozen=True)
+class Step:
+    """One instant of a crafted flight: lengths in m, in the pad frame of a deck at rest unless it says otherwise."""
+
+    at_s: float
+    clearance: float = 3.0
+    aside: float = 0.0
+    tilt_deg: float = 0.0
+    v: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    deck_up: float = 0.0
+    deck_falls: float = 0.0
+    phase: VehiclePhase = FLIES
+    battery: float = 0.9
+    reached: bool = True
+    served: bool = True
+    seen: bool = True
+    contacts: tuple[Touchdown, ...] = ()
+    acts: tuple[tuple[str, StickPositions], ...] = ()
+    sent: tuple[Wire, ...] = field(default=())
+
+    def truth(self, yaw_rad: float = 0.0, at_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
+        """Return the true state, with the whole world turned and moved."""
+        turned = Rotation.from_rpy(0.0, 0.0, yaw_rad)
+        R = turned @ Rotation.from_rpy(math.radians(self.tilt_deg), 0.0, 0.0)
+        lowest = float((R.matrix @ FEET.corners_m.T)[2].max())
+        pad = np.array([0.0, 0.0, -self.deck_up]) + at_ned
+        body = pad + turned.matrix @ np.array([self.aside, 0.0, -self.clearance - lowest])
+        v_pad = np.array([0.0, 0.0, self.deck_falls])
+        return Truth(
+            after(START, self.at_s), body, turned.matrix @ np.array(self.v), R, pad, v_pad, turned, self.phase,
+            self.contacts[-1] if self.contacts else None, self.contacts, battery=self.battery,
+        )  # fmt: skip
+
+
+def judged(steps: list[Step], errand: Errand = ERRAND, **world: Any) -> Referee:
+    """Return a referee that saw all steps."""
+    referee = Referee(START, errand, CONTACT, FEET, RADIUS_M)
+    for step in steps:
+        at = after(START, step.at_s)
+        for act, sticks in step.acts:
+            referee.hands.acts(act, at, sticks)
+        for wire in step.sent:
+            referee.hands.sent(wire)
+        if step.seen:
+            referee.frame(at, Verdict.FUSED, true_view=True, stamp_error_s=0.0)
+        referee.step(step.truth(**world), reached=step.reached, served=step.served)
+    return referee
+
+
+def touched(surface: Literal["pad", "deck", "water"] = "pad", at_s: float = 0.0, **over: Any) -> Touchdown:
+    base = Touchdown(after(START, at_s), surface, np.zeros(3), 0.1, 0.0, 0.4, 0.0, LANDS, True, "commit", over_rim_m=-0.1)
+    return replace(base, **over)
+
+
+def contact(**over: Any) -> list[Step]:
+    return [Step(0.0, contacts=(touched(**over),))]
+
+
+def holds(seconds: float, **of: Any) -> list[Step]:
+    """Return steps in one state for this long, and one in the safe air after it."""
+    return [*(Step(0.25 * n, **of) for n in range(round(4 * seconds))), Step(seconds)]
+
+
+def bounced(times: int, height: float = 0.2) -> list[Step]:
+    heights = [0.0, *([height, 0.0] * times)]
+    return [Step(0.1 * n, clearance) for n, clearance in enumerate(heights)]
+
+
+def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
+    """Return a flight in which the last packet of a kind that does not obey is sent this long after an act."""
+    act_at = Step(1.0, acts=((act, StickPositions()),))
+    return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(Wire(after(START, 1.0 + sent_s), asks),))]
+
+
+TIPS = FEET.tips_over_deg
+DROP_M = CONTACT.into_deck_max_m_s**2 / (2 * 9.80665)
+EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
+    "in_water": (lambda n: contact(surface="water") if n else [Step(0.0)], 0, 1),
+    "off_pad": (lambda n: contact(surface="deck", over_rim_m=0.02) if n else contact(), 0, 1),
+    "into_deck_m_s": (lambda v: contact(foot_speed_m_s=v), 1.0, 1.01),
+    "along_deck_m_s": (lambda v: contact(lateral_speed_m_s=v), 0.5, 0.51),
+    "contact_tilt_deg": (lambda tilt: contact(tilt_rad=math.radians(tilt)), 18.9, 19.1),
+    "tipped_deg": (lambda tilt: [Step(0.0, 0.0, tilt_deg=tilt, phase=LANDED)], TIPS - 0.1, TIPS + 0.1),
+    "bounces": (lambda n: bounced(round(n)), 2, 3),
+    "motors_off_m": (lambda h: [Step(0.0, h), Step(0.05, h, phase=CUT)], DROP_M - 1e-3, DROP_M + 1e-3),
+    "on_deck_s": (lambda s: holds(s, clearance=0.0, aside=0.1), 3.0, 3.25),
+    "low_outside_s": (lambda s: holds(s, clearance=0.9, aside=RADIUS_M + 0.01), 5.0, 5.25),
+    "away_m": (lambda d: [Step(0.0, aside=d)], 24.9, 25.1),
+    "fast_m_s": (lambda v: [Step(0.0, v=(0.0, v, 0.0))], 4.5, 4.6),
+    "high_m": (lambda h: [Step(0.0, h - FEET.below_m)], 9.99, 10.01),
+    "ending_battery": (lambda s: holds(s, battery=0.05), 25.0, 25.25),
+    "disobeyed_s": (lambda s: ordered("land", s, Asks.MOVE), 0.3, 0.31),
+    "unordered": (lambda n: [Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS if n else LANDED)], 0, 1),
+    "blind_m": (lambda h: [Step(0.0), Step(1.5, seen=False), Step(1.6, 3.0 - h, seen=False)], 0.49, 0.51),
+    "unreached_m": (lambda h: [Step(0.0), Step(0.5, reached=False), Step(0.6, 3.0 - h, reached=False)], 1.69, 1.71),
+}  # fmt: skip
+"""For each count a flight by its value, and values just inside and just outside the limit."""
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_each_count_is_safe_just_inside_its_limit_and_unsafe_just_outside(name: str) -> None:
+    flight, inside, outside = EDGES[name]
+    within, beyond = judged(flight(inside)), judged(flight(outside))
+    assert within.unsafe == ()
+    assert [count for count, of in beyond.counts.items() if of.over] == [name]
+    assert len(beyond.unsafe) == 1
+    assert beyond.as_json()[name][0] > beyond.as_json()[name][1]
+
+
+def test_every_count_has_a_source_and_an_edge() -> None:
+    limits = limits_of(ERRAND, CONTACT, FEET)
+    assert limits.keys() == EDGES.keys() | {"died", "flew_into"}, "those two are events that are handed in"
+    assert all(limit.source for limit in limits.values())
+    referee = judged([])
+    referee.died("KeyError: 'x' (pilot.py:3)")
+    referee.hit("flew into a bird, 0.20 m from its middle")
+    referee.hit("touched a vest on the pad, 0.01 m from its middle")
+    assert referee.unsafe == (
+        "the service died in flight: KeyError: 'x' (pilot.py:3)",
+        "flew into a bird, 0.20 m from its middle; touched a vest on the pad, 0.01 m from its middle",
+    )
+
+
+@pytest.mark.parametrize("name", ["on_deck_s", "low_outside_s", "away_m", "fast_m_s", "high_m", "ending_battery"])
+@pytest.mark.parametrize("whose", [{"reached": False}, {"served": False}, {"phase": LANDED}])
+def test_what_nobody_can_answer_is_not_charged(name: str, whose: dict[str, Any]) -> None:
+    flight, _, outside = EDGES[name]
+    assert name not in judged([replace_step(step, **whose) for step in flight(outside)]).as_json()
+
+
+def replace_step(step: Step, **over: Any) -> Step:
+    return Step(**{**step.__dict__, **over})
+
+
+NOBODYS = {"disobeyed_s", "unordered", "blind_m", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
+"""Counts that go on whoever flies."""
+
+
+@pytest.mark.parametrize("act", ["manual", "land", "emergency"])
+@pytest.mark.parametrize("name", sorted(EDGES.keys() - NOBODYS))
+def test_a_flight_that_a_person_has_is_his(name: str, act: str) -> None:
+    flight, _, outside = EDGES[name]
+    obeyed = {"manual": Asks.HOVER, "land": Asks.LAND, "emergency": Asks.STOP}[act]
+    first = Step(-0.1, acts=((act, StickPositions()),), sent=(Wire(START, obeyed),))
+    assert judged([first, *flight(outside)]).unsafe == ()
+    assert len(judged([first, Step(-0.05, acts=(("begin", StickPositions()),)), *flight(outside)]).unsafe) == 1, "given back"
+
+
+def test_a_cut_that_a_person_ordered_is_no_stop_of_ours_and_one_that_the_service_sends_is() -> None:
+    cut = EDGES["motors_off_m"][0](3.0)
+    assert judged(cut).unsafe == ("the motors stopped 3.00 m over the deck, where 0.05 m are the most",)
+    his = Step(-0.1, acts=(("emergency", StickPositions()),), sent=(Wire(START, Asks.STOP),))
+    assert judged([his, *cut]).unsafe == ()
+
+
+STILL, GOES = Pcmd(0, 0.0, 0.0, 0.0, 0.0), Pcmd(1, 0.1, -0.2, 0.3, 0.4)
+UP = Ref(REF_BASE | REF_TAKE_OFF)
+
+
+def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
+    assert of_at([ComWdg()], START) is None
+    assert of_at([UP, STILL], START) == Wire(START, Asks.HOVER)
+    assert of_at([UP, GOES], START) == Wire(START, Asks.MOVE, StickPositions(0.2, 0.1, 0.3, 0.4))
+    assert of_at([Ref(REF_BASE), GOES], START) == Wire(START, Asks.LAND)
+    assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == Wire(START, Asks.STOP)
+
+
+@pytest.mark.parametrize(
+    ("act", "obeys", "not_"),
+    [
+        ("hold", [Asks.HOVER], [Asks.MOVE, Asks.LAND, Asks.STOP]),
+        ("abort", [Asks.HOVER], [Asks.MOVE, Asks.LAND, Asks.STOP]),
+        ("land", [Asks.LAND], [Asks.MOVE, Asks.HOVER, Asks.STOP]),
+        ("emergency", [Asks.STOP], [Asks.MOVE, Asks.HOVER, Asks.LAND]),
+        ("manual", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
+    ],
+)
+def test_an_act_is_obeyed_by_what_it_means_from_a_third_of_a_second_on(act: str, obeys: list[Asks], not_: list[Asks]) -> None:
+    for asks in obeys:
+        assert judged([*ordered(act, 0.1, asks), *ordered(act, 9.0, asks)[2:]]).unsafe == ()
+    for asks in not_:
+        assert judged(ordered(act, 0.29, asks)).unsafe == ()
+        (line,) = judged(ordered(act, 5.0, asks)).unsafe
+        assert line == f"a person ordered {act}, and was sent: {asks.value}, still 5.0 s later"
+    late = Step(6.0, sent=(Wire(after(START, 6.0), not_[0]),))
+    assert len(judged([*ordered(act, 0.1, obeys[0]), late]).unsafe) == 1, "to the end"
+
+
+def test_silence_is_no_obedience_unless_the_motors_stand_or_no_service_runs() -> None:
+    order = Step(0.0, acts=(("hold", StickPositions()),))
+    assert judged([order, Step(0.4)]).unsafe == ("a person ordered hold, and was sent: nothing that obeys, still 0.4 s later",)
+    assert judged([replace_step(order, clearance=0.0), Step(0.4, 0.0, phase=LANDED)]).unsafe == ()
+    assert judged([order, Step(0.1, served=False), Step(0.5)]).unsafe == (), "a new service knows of no act"
+
+
+def test_a_held_vehicle_may_climb_clear_of_the_deck_and_sticks_go_where_they_point() -> None:
+    def held(clearance: float, climb: float) -> Referee:
+        wires = [Wire(after(START, at_s), Asks.MOVE, StickPositions(climb=climb)) for at_s in (0.1, 5.0)]
+        act = Step(0.0, clearance, acts=(("hold", StickPositions()),))
+        return judged([act, *(Step(0.1 + 4.9 * n, clearance, sent=(wire,)) for n, wire in enumerate(wires))])
+
+    assert held(0.5, 0.3).unsafe == ()
+    assert len(held(0.5, -0.3).unsafe) == len(held(1.5, 0.3).unsafe) == 1
+    right = StickPositions(right=0.4)
+    act = Step(0.0, acts=(("manual", right),))
+    for sent, lines in ((right, 0), (StickPositions(right=-0.4), 1), (StickPositions(forward=0.4), 1)):
+        flown = Step(5.0, sent=(Wire(after(START, 5.0), Asks.MOVE, sent),))
+        assert len(judged([act, Step(0.1, sent=(Wire(after(START, 0.1), Asks.MOVE, right),)), flown]).unsafe) == lines
+
+
+def test_nothing_starts_that_nobody_ordered() -> None:
+    down, up = Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS)
+    again = [Step(2.0), Step(3.0, 0.0, phase=LANDED), Step(4.0, 0.0, phase=STARTS)]
+    begins = ERRAND._replace(takes_off=True)
+    assert judged([down, up], begins).unsafe == ()
+    assert judged([down, up, *again], begins).unsafe == ("nobody ordered it: the motors started",)
+    ask = replace_step(again[1], acts=(("takeoff", StickPositions()),))
+    assert judged([down, up, again[0], ask, again[2]], begins).unsafe == ()
+    stopped = Step(0.5, 0.0, phase=LANDED, acts=(("emergency", StickPositions()),))
+    assert judged([down, stopped, up], begins).unsafe == ("nobody ordered it: the motors started",), "a cut takes the start back"
+    for act, asks in (("mode", Asks.MODE), ("disarm", Asks.ARM)):
+        taken = [Step(0.0), Step(1.0, acts=((act, StickPositions()),)), Step(1.1, sent=(Wire(after(START, 1.1), asks),))]
+        assert judged(taken).unsafe == (f"nobody ordered it: {asks.value} after a person's {act}",)
+        assert judged([*taken[:2], Step(1.05, acts=(("begin", StickPositions()),)), taken[2]]).unsafe == ()
+
+
+def test_contacts_that_no_order_could_prevent_are_excused_where_the_scenario_says_so_and_water_never() -> None:
+    """The link is lost from 1 s to 4 s; contacts before, then, in the landing begun then, and long after."""
+    excused = ERRAND._replace(unreached_contacts=True)
+
+    def strays(*contacts: Touchdown, landing: tuple[float, float] = (0.0, 0.0), errand: Errand = excused) -> int:
+        steps = [
+            Step(
+                t := 0.05 * n, 1.0, phase=LANDS if landing[0] < t < landing[1] else FLIES, reached=not 1.0 <= t < 4.0,
+                contacts=tuple(c for c in contacts if c.at <= after(START, t)),
+            )
+            for n in range(200)
+        ]  # fmt: skip
+        return len(judged(steps, errand).unsafe)
+
+    def stray(at_s: float, phase: VehiclePhase = FLIES, surface: Literal["deck", "water"] = "deck") -> Touchdown:
+        return touched(surface, at_s, phase=phase, over_rim_m=0.2)
+
+    assert [strays(stray(at_s)) for at_s in (0.5, 2.0, 4.5, 6.0)] == [1, 0, 0, 1]
+    assert strays(stray(6.0, LANDS), landing=(3.9, 6.02)) == 0, "in the landing that it began without us"
+    assert strays(stray(6.0, LANDS), landing=(5.5, 6.02)) == 1, "that landing somebody ordered"
+    assert strays(stray(2.0, surface="water")) == 1
+    assert strays(stray(2.0), errand=ERRAND) == 1
+
+
+def test_a_contact_on_the_pad_within_its_limits_is_safe_whatever_the_phase() -> None:
+    still = touched(phase=CUT, motors=False, guidance_phase="descend")
+    strays = [touched(guidance_phase="descend"), touched(guidance_phase=None)]
+    meant = [touched(), touched(guidance_phase=LANDING_FOR_PERSON), touched(guidance_phase=BY_HAND), still]
+    assert outside_commit([*strays, *meant]) == 2
+    assert unsafe_contacts([*strays, *meant], CONTACT, FEET) == ()
+    assert unsafe_contacts([touched("deck", lateral_m=0.48, over_rim_m=0.21)] * 2, CONTACT, FEET) == (
+        "touched the deck 0.48 m from the pad's centre, a foot 0.21 m over the rim, 2 times so",
+    )
+
+
+steps = st.builds(
+    Step,
+    at_s=st.just(0.0),
+    clearance=st.sampled_from([-0.01, 0.0, 0.02, 0.1, 0.3, 0.9, 1.1, 4.0]),
+    aside=st.sampled_from([0.0, 0.3, 0.5, 9.0, 12.0, 30.0]),
+    tilt_deg=st.sampled_from([0.0, 10.0, 60.0]),
+    v=st.tuples(*[st.floats(-6.0, 6.0)] * 3),
+    phase=st.sampled_from([FLIES, LANDS, LANDED, CUT]),
+    battery=st.sampled_from([0.9, 0.08]),
+    reached=st.booleans(),
+    served=st.booleans(),
+)
+flights = st.lists(st.tuples(st.integers(1, 18), steps), min_size=2, max_size=12)
+
+
+def in_time(flight: list[tuple[int, Step]]) -> list[Step]:
+    """Return the steps, each after a rest of some hundredths of a second."""
+    at = np.cumsum([rest for rest, _ in flight]) * 0.05
+    return [replace_step(step, at_s=float(at_s)) for at_s, (_, step) in zip(at, flight, strict=True)]
+
+
+def values(referee: Referee) -> dict[str, float]:
+    return {name: count.value for name, count in referee.counts.items()}
+
+
+@given(flights, st.floats(-3.1, 3.1), st.tuples(*[st.floats(-100.0, 100.0)] * 3))
+def test_the_world_may_be_turned_and_moved(
+    flight: list[tuple[int, Step]], yaw_rad: float, at: tuple[float, float, float]
+) -> None:
+    assert values(judged(in_time(flight), yaw_rad=yaw_rad, at_ned=at)) == pytest.approx(values(judged(in_time(flight))), abs=1e-6)
+
+
+@given(flights, st.floats(0.1, 0.9))
+def test_a_step_may_be_split_in_two(flight: list[tuple[int, Step]], share: float) -> None:
+    whole = in_time(flight)
+    split = [whole[0]]
+    for step in whole[1:]:
+        last = split[-1]
+        split += [replace_step(last, at_s=last.at_s + share * (step.at_s - last.at_s)), step]
+    assert values(judged(split)) == pytest.approx(values(judged(whole)), abs=1e-6)
+
+
+DOWN = [(0.5 * n, 3.0 - 0.25 * n) for n in range(11)]
+"""Descent from 3 m to 0.5 m in 5 s."""
+
+
+def sight(*frames: tuple[float, Verdict, bool, float], unreached: tuple[float, float] = (9.0, 9.0)) -> SightWatch:
+    watch = SightWatch(START)
+    for at_s, verdict, true_view, error_s in frames:
+        watch.frame(after(START, at_s), verdict, true_view=true_view, stamp_error_s=error_s)
+    for at_s, height_m in DOWN:
+        watch.step(Step(at_s, height_m - FEET.below_m).truth(), reached=not unreached[0] <= at_s < unreached[1])
+    return watch
+
+
+def test_a_blind_descent_counts_from_a_second_without_true_sight_on() -> None:
+    blind = sight()
+    assert blind.worst.descent_m == pytest.approx(3.0 - 0.25 * 3 - 0.5)
+    assert (blind.worst.lowest_m, blind.worst.blind_s) == (pytest.approx(0.5), 5.0)
+    assert sight((4.0, Verdict.FUSED, True, 0.3)).worst.descent_m == 0.0
+    for frame in ((4.0, Verdict.FUSED, False, 0.0), (4.0, Verdict.GATED, True, 0.0), (4.0, Verdict.FUSED, True, -2.0)):
+        assert sight(frame).worst.descent_m > 1.0
+        assert sight(frame).since_sight == {frame[1]: 1}
+
+
+def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
+    """An AR.Drone flies on with its last command for two seconds; no order of the service could end that."""
+    lost, back = sight(unreached=(2.5, 9.0)), sight(unreached=(2.0, 4.0))
+    assert (lost.worst.descent_m, lost.unreached_m) == (pytest.approx(0.25), pytest.approx(1.25))
+    assert back.worst.descent_m == pytest.approx(0.75), "what it did alone is not charged"
+    assert back.unreached_m == pytest.approx(0.75)
+    deck = ((0.0, True, 0.4), (0.1, False, 0.05), (0.5, False, 0.1), (0.7, False, 0.4), (0.8, True, 0.4), (0.9, False, -0.2))
+    falls = [Step(at_s, deck_falls=m_s, reached=reached) for at_s, reached, m_s in deck]
+    assert judged(falls).sight.deck_fell_m_s == pytest.approx(0.1), "as long as the last command was meant to meet the deck"
+    lower = [*falls[:3], Step(0.6, 1.2, reached=False)]
+    assert judged(lower).counts["unreached_m"].value == pytest.approx(1.8 - 2.0 * 0.1)
+
+
+def test_a_heaving_deck_under_a_hovering_vehicle_is_neither_a_descent_nor_a_climb() -> None:
+    heaves = [Step(0.5 * n, 6.0 - 2.0 * math.sin(0.3 * n), deck_up=2.0 * math.sin(0.3 * n), seen=False) for n in range(40)]
+    referee = judged(heaves)
+    assert referee.counts["blind_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert referee.highest_m < 6.2, "over the crests, and not over the troughs"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "contacts", "expect", "worth"),
+    [
+        (FlightOutcome.LANDED, ["pad"], "land", Grade.ON_PAD),
+        (FlightOutcome.LANDED, ["pad"], "refuse", Grade.ON_PAD),
+        (FlightOutcome.LANDED, ["deck"], "either", Grade.FAILED),
+        (FlightOutcome.LANDED, [], "either", Grade.FAILED),
+        (FlightOutcome.GAVE_UP, [], "refuse", Grade.REFUSED_RIGHTLY),
+        (FlightOutcome.GAVE_UP, [], "either", Grade.REFUSED_RIGHTLY),
+        (FlightOutcome.GAVE_UP, [], "land", Grade.FAILED),
+        (FlightOutcome.GAVE_UP, ["water"], "refuse", Grade.FAILED),
+        (FlightOutcome.EMERGENCY, [], "refuse", Grade.FAILED),
+        (FlightOutcome.LANDED_BY_OTHERS, ["pad"], "either", Grade.FAILED),
+        (None, [], "refuse", Grade.FAILED),
+    ],
+)
+def test_a_flight_is_worth_what_its_scenario_expects(outcome, contacts, expect, worth):
+    flown = [touched(surface) for surface in contacts]
+    assert grade(outcome, on_pad_m(flown), unsafe_contacts(flown, CONTACT, FEET), expect)[0] is worth
+
+
+def test_what_ends_a_flight_otherwise() -> None:
+    alone, asks, cut = AtEnd(left_alone=True), AtEnd(asks=True), AtEnd(theirs="emergency")
+    right = Grade.REFUSED_RIGHTLY
+    assert grade(None, None, (), "refuse", alone)[0] is right
+    assert grade(None, None, ("in the water",), "refuse", alone)[0] is Grade.FAILED
+    assert grade(None, None, (), "either", asks) == (right, "hovered and waited for the operator")
+    assert grade(None, None, (), "land", asks)[0] is Grade.FAILED
+    assert grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", asks)[0] is Grade.FAILED
+    put = grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", AtEnd(put_down=True))
+    assert put == (right, "landed by itself while nothing reached it")
+    assert grade(FlightOutcome.EMERGENCY, None, (), "either", cut) == (right, "left to the person who ordered emergency")
+    assert grade(FlightOutcome.EMERGENCY, None, (), "land", cut)[0] is Grade.FAILED
+
+
+def test_the_errand_follows_from_start_mission_and_the_vehicles_own_timeout() -> None:
+    sim, scenario = load_settings("sim"), load("sea_state_4")
+
+    def errand(guidance: GuidanceOptions, watchdog_s: float = 2.0, **start: Any) -> Errand:
+        flown = replace(scenario, start=replace(scenario.start, **start))
+        return errand_of(flown, replace(sim, guidance=guidance), watchdog_s)
+
+    options = GuidanceOptions()
+    cone, rate = options.cone, options.cone.descent_rate_m_s
+    near = errand(options, height_m=6.0, pad_forward_m=3.0, pad_right_m=4.0)
+    assert near[:4] == (6.0, 5.0, cone.intercept_speed_m_s, (pytest.approx(2.0 * rate + UNREACHED_STOP_M), 2.0))
+    assert not near.takes_off
+    assert errand(options, where="pad")[:2] == (options.tries.safe_height_m, 0.0)
+    assert errand(options, where="pad").takes_off
+    there = errand(replace(options, rendezvous=replace(options.rendezvous, enabled=True, height_m=12.0)), height_m=3.0)
+    assert (there.highest_m, there.fastest_m_s) == (12.0 + RECEIVERS_M, options.rendezvous.speed_m_s)
+    slow = GuidanceOptions(controller="pid", pid=PidOptions(descent_rate_max_m_s=0.2))
+    assert errand(slow).unreached_m[0] == pytest.approx(0.7)
+    thesis = GuidanceOptions(mission="thesis")
+    assert errand(thesis).unreached_m[0] == pytest.approx(2.0 * thesis.thesis.speed_m_s + 0.3)
