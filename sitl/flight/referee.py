@@ -242,7 +242,8 @@ class Referee:
     def hit(self, what: str) -> None:
         """Note that the vehicle met a thing that stood, lay or flew there."""
         count = self.counts["flew_into"]
-        count.note(count.value + 1, what="; ".join((*filter(None, [count.facts.get("what")]), what)))
+        before = f"{count.facts['what']}; " if count.facts else ""
+        count.note(count.value + 1, what=before + what)
 
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
         """Note a frame and whether it was used."""
