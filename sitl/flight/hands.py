@@ -12,8 +12,6 @@ from sitl.world.truth import Truth
 
 MOTORS_TURN = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 """Phases of a vehicle in which its motors turn."""
-_CLEAR_M = 1.0
-"""Height up to which a vehicle that is to hold its place may be sent upward: a deck heaves."""
 _CENTRED = 0.02
 """A stick below this fraction commands nothing."""
 STAYS_UP = ("hold", "abort")
@@ -81,7 +79,9 @@ class HandsWatch:
         self._answered = True
         self._may_start = takes_off
         self._motors = False
-        self._clearance_m = 0.0
+        self.sank_m = 0.0
+        """Largest descent after an act that holds the vehicle in place, against the deck or over the ground, the smaller."""
+        self._held_at_m: tuple[float, float] | None = None
 
     @property
     def hands_on(self) -> bool:
@@ -94,7 +94,7 @@ class HandsWatch:
             self.act, self._may_start = None, True
         elif act in (*STAYS_UP, *HANDS_ON, "mode", "disarm"):
             self.act, self._since, self._sticks, self._answered = act, at, sticks, False
-            self._may_start = False
+            self._may_start, self._held_at_m = False, None
 
     def sent(self, wire: Wire) -> None:
         """Note a packet; call it in order of time."""
@@ -105,14 +105,14 @@ class HandsWatch:
         elif self._motors:
             self._note(wire.at, wire.asks.value)
 
-    def step(self, truth: Truth, clearance_m: float, *, served: bool) -> None:
+    def step(self, truth: Truth, *, reached: bool, served: bool) -> None:
         """Note the true state at an instant; call it in order of time.
 
         Args:
-            clearance_m: height of the lowest foot over the deck.
+            reached: whether commands reach the vehicle.
             served: whether a service runs; a new one knows nothing of the acts before it.
         """
-        motors, self._clearance_m = truth.phase in MOTORS_TURN, clearance_m
+        motors = truth.phase in MOTORS_TURN
         if motors and not self._motors and truth.phase is VehiclePhase.TAKING_OFF:
             if not self._may_start:
                 self.unordered.append("the motors started")
@@ -124,6 +124,12 @@ class HandsWatch:
             self._answered = True
         if self.act is not None and not self._answered:
             self._note(truth.at, "nothing that obeys")
+        at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if self.act not in STAYS_UP or not motors or not reached:
+            self._held_at_m = None
+        else:
+            self._held_at_m = self._held_at_m or at_m
+            self.sank_m = max(self.sank_m, descent_m(self._held_at_m, at_m))
 
     def _note(self, at: MonoNs, asks: str) -> None:
         late_s = seconds_between(self._since, at)
@@ -134,7 +140,6 @@ class HandsWatch:
             self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {asks}"
 
     def _agrees(self, act: str, wire: Wire) -> bool:
-        up = wire.asks is Asks.MOVE and wire.sticks.climb > _CENTRED and self._clearance_m < _CLEAR_M
         match act:
             case "emergency":
                 return wire.asks is Asks.STOP
@@ -143,8 +148,16 @@ class HandsWatch:
             case "manual":
                 return wire.asks in (Asks.HOVER, Asks.MOVE) and _with(self._sticks, wire.sticks)
             case "hold" | "abort":
-                return wire.asks is Asks.HOVER or up or self._clearance_m <= 0.0
+                return wire.asks in (Asks.HOVER, Asks.MOVE)  # over a deck its place is held by moving
         return wire.asks not in (Asks.MODE, Asks.ARM)
+
+
+def descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
+    """Return the descent between two pairs of height over the deck and altitude, the smaller of both.
+
+    Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
+    """
+    return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
 
 
 def _with(person: StickPositions, sent: StickPositions) -> bool:

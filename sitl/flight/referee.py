@@ -117,6 +117,7 @@ def limits_of(errand: Errand, contact: ContactSettings, feet: Feet) -> dict[str,
             0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
         ),
         "disobeyed_s": Limit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
+        "held_sank_m": Limit(0.5, "a person held it, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"),
         "unordered": Limit(0, "nobody ordered it: {what}", "the person's hand wins"),
         "flew_into": Limit(0, "{what}", "the thing is hit"),
     }  # fmt: skip
@@ -257,7 +258,7 @@ class Referee:
             served: whether a service runs; without one nobody decides, and the vehicle hovers by itself.
         """
         moment, dt_s = moment_of(truth, self._feet), max(0.0, seconds_between(self._at, truth.at))
-        self.hands.step(truth, moment.clearance_m, served=served)
+        self.hands.step(truth, reached=reached, served=served)
         self.sight.step(truth, reached=reached)
         self.unreached.step(truth, reached=reached and served)
         for contact in truth.contacts[self._contacts :]:
@@ -335,6 +336,7 @@ class Referee:
         falls_m = self._errand.unreached_m[1] * self.sight.deck_fell_m_s
         self.counts["unreached_m"].note(self.sight.unreached_m - falls_m)
         self.counts["disobeyed_s"].note(hands.late_s, what=hands.disobeyed)
+        self.counts["held_sank_m"].note(hands.sank_m)
         self.counts["unordered"].note(len(hands.unordered), what="; ".join(hands.unordered))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.flight.hands import MOTORS_TURN
+from sitl.flight.hands import MOTORS_TURN, descent_m
 from sitl.world.truth import Truth
 
 BLIND_AFTER_S = 1.0
@@ -69,7 +69,7 @@ class SightWatch:
             if seconds_between(self._unreached_since, truth.at) <= MET_AFTER_S:
                 self.deck_fell_m_s = max(self.deck_fell_m_s, float(truth.v_pad_ned[2]))
             if truth.phase in MOTORS_TURN:
-                self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
+                self.unreached_m = max(self.unreached_m, descent_m(self._unreached_at_m, at_m))
             return
         if self._unreached_at_m is not None:
             if self._lost_at_m is not None:
@@ -82,14 +82,6 @@ class SightWatch:
             return
         if self._lost_at_m is None:
             self._lost_at_m = at_m
-        descent_m = _descent_m(self._lost_at_m, at_m)
-        if descent_m > self.worst.descent_m:
-            self.worst = BlindDescent(descent_m, at_m[0], blind_s)
-
-
-def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
-    """Return the descent between two pairs of height over the deck and altitude, the smaller of both.
-
-    Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
-    """
-    return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
+        came_down_m = descent_m(self._lost_at_m, at_m)
+        if came_down_m > self.worst.descent_m:
+            self.worst = BlindDescent(came_down_m, at_m[0], blind_s)

@@ -111,6 +111,7 @@ def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
     return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(Wire(after(START, 1.0 + sent_s), asks),))]
 
 
+HOLD = (("hold", StickPositions()),)
 TIPS = FEET.tips_over_deg
 DROP_M = CONTACT.into_deck_max_m_s**2 / (2 * 9.80665)
 EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
@@ -128,6 +129,7 @@ EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "fast_m_s": (lambda v: [Step(0.0, v=(0.0, v, 0.0))], 4.5, 4.6),
     "high_m": (lambda h: [Step(0.0, h - FEET.below_m)], 9.99, 10.01),
     "ending_battery": (lambda s: holds(s, battery=0.05), 25.0, 25.25),
+    "held_sank_m": (lambda h: [Step(0.0, acts=HOLD), Step(0.1), Step(0.2, 3.0 - h)], 0.49, 0.51),
     "disobeyed_s": (lambda s: ordered("land", s, Asks.MOVE), 0.3, 0.31),
     "unordered": (lambda n: [Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS if n else LANDED)], 0, 1),
     "blind_m": (lambda h: [Step(0.0), Step(1.5, seen=False), Step(1.6, 3.0 - h, seen=False)], 0.49, 0.51),
@@ -171,7 +173,7 @@ def replace_step(step: Step, **over: Any) -> Step:
     return Step(**{**step.__dict__, **over})
 
 
-NOBODYS = {"disobeyed_s", "unordered", "blind_m", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
+NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "blind_m", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
 """Counts that go on whoever flies."""
 
 
@@ -207,8 +209,8 @@ def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
 @pytest.mark.parametrize(
     ("act", "obeys", "not_"),
     [
-        ("hold", [Asks.HOVER], [Asks.MOVE, Asks.LAND, Asks.STOP]),
-        ("abort", [Asks.HOVER], [Asks.MOVE, Asks.LAND, Asks.STOP]),
+        ("hold", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
+        ("abort", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
         ("land", [Asks.LAND], [Asks.MOVE, Asks.HOVER, Asks.STOP]),
         ("emergency", [Asks.STOP], [Asks.MOVE, Asks.HOVER, Asks.LAND]),
         ("manual", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
@@ -232,14 +234,7 @@ def test_silence_is_no_obedience_unless_the_motors_stand_or_no_service_runs() ->
     assert judged([order, Step(0.1, served=False), Step(0.5)]).unsafe == (), "a new service knows of no act"
 
 
-def test_a_held_vehicle_may_climb_clear_of_the_deck_and_sticks_go_where_they_point() -> None:
-    def held(clearance: float, climb: float) -> Referee:
-        wires = [Wire(after(START, at_s), Asks.MOVE, StickPositions(climb=climb)) for at_s in (0.1, 5.0)]
-        act = Step(0.0, clearance, acts=(("hold", StickPositions()),))
-        return judged([act, *(Step(0.1 + 4.9 * n, clearance, sent=(wire,)) for n, wire in enumerate(wires))])
-
-    assert held(0.5, 0.3).unsafe == ()
-    assert len(held(0.5, -0.3).unsafe) == len(held(1.5, 0.3).unsafe) == 1
+def test_a_vehicle_that_is_flown_by_hand_goes_where_the_sticks_point() -> None:
     right = StickPositions(right=0.4)
     act = Step(0.0, acts=(("manual", right),))
     for sent, lines in ((right, 0), (StickPositions(right=-0.4), 1), (StickPositions(forward=0.4), 1)):
