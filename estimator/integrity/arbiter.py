@@ -77,9 +77,10 @@ class Arbiter(Struct, frozen=True):
         dt = (seen.t - self.t) * 1e-9
         return self.n >= _ESTABLISHED and 0.0 < dt <= _FRESH_S and _follows(self.axes, dt, seen)
 
-    def apart(self, now: int) -> bool:
-        """Return whether the estimate has been apart for so long that nobody may steer down by it."""
-        return self.apart_since is not None and self.t - self.apart_since > _APART_S * 1e9 and now - self.t < _RESTART_S * 1e9
+    @property
+    def apart(self) -> bool:
+        """True if the estimate has been apart for so long that nobody may steer down by it."""
+        return self.apart_since is not None and self.t - self.apart_since > _APART_S * 1e9
 
     @property
     def overrules(self) -> bool:

@@ -45,6 +45,8 @@ class Delay(Struct, frozen=True):
     """The newest stamp, ns."""
     newest_at: int = 0
     """Arrival, ns, of the first sample with it."""
+    at: int = 0
+    """Arrival, ns, of the newest sample."""
 
 
 class ClockWatch(Struct, frozen=True):
@@ -59,6 +61,11 @@ class ClockWatch(Struct, frozen=True):
         """Return whether the delay of the newest sample of a kind was refused."""
         delay = self.delays.get(kind)
         return delay is not None and delay.off_since is not None
+
+    def at(self, kind: str) -> int:
+        """Return the arrival of the newest sample of a kind, ns; 0 before the first."""
+        delay = self.delays.get(kind)
+        return 0 if delay is None else delay.at
 
 
 def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float) -> tuple[ClockWatch, Verdict | None]:
@@ -110,22 +117,23 @@ def delay_after(
     received_at = stamp.received_at
     d = (received_at - stamp.measured_at) / NS_PER_S
     if delay is None:
-        return Delay(d, received_at, newest=stamp.measured_at, newest_at=received_at), None
+        return Delay(d, received_at, newest=stamp.measured_at, newest_at=received_at, at=received_at), None
     median_s, n, off_since = delay.median_s, delay.n, delay.off_since
     newest, newest_at = delay.newest, delay.newest_at
     if stamp.measured_at > newest:
         newest, newest_at = stamp.measured_at, received_at
     elif quick and received_at - newest_at > _STANDS_NS:
-        return replace(delay, off_since=received_at if off_since is None else off_since), Verdict.TOO_OLD
+        return replace(delay, off_since=received_at if off_since is None else off_since, at=received_at), Verdict.TOO_OLD
     off_s = d - median_s
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.
         step = max(_MEDIAN_STEP_S, abs(off_s) / (n + 1)) if n < _FIRST_FEW else _MEDIAN_STEP_S
         moved_s = -step if off_s < -step else step if off_s > step else off_s
-        return Delay(median_s + moved_s, delay.since, n + 1, None, newest, newest_at), None
+        return Delay(median_s + moved_s, delay.since, n + 1, None, newest, newest_at, received_at), None
     if n < _FIRST_FEW:
-        return Delay(d, received_at, 1, None, newest, newest_at), None
+        return Delay(d, received_at, 1, None, newest, newest_at, received_at), None
     off_since = received_at if off_since is None else off_since
     if (received_at - off_since) * 1e-9 >= settle_s and (off_since - delay.since) * 1e-9 < keep_s:
-        return Delay(d, received_at, 1, None, newest, newest_at), None
-    return Delay(median_s, delay.since, n, off_since, newest, newest_at), Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW
+        return Delay(d, received_at, 1, None, newest, newest_at, received_at), None
+    kept = Delay(median_s, delay.since, n, off_since, newest, newest_at, received_at)
+    return kept, Verdict.TOO_OLD if off_s > 0.0 else Verdict.TOO_NEW

@@ -28,8 +28,8 @@ from estimator.integrity import arbiter, clock, heading, heights, inertial, sens
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import FrameWatch
 
-_OLD_NS = 1_000_000_000
-"""Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
+_EVIDENCE_NS = 1_000_000_000
+"""Time for which an alert outlives its newest evidence: the silence of a stream is reported by itself."""
 _ABOVE_M = 0.3
 """Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = sensors.SensorWatch()
@@ -134,7 +134,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
     """Check one frame before detection; return REPEATED if its pixels were received before."""
-    watch, repeated = sensors.watch_frame(guard.frames, frame.px)
+    watch, repeated = sensors.watch_frame(guard.frames, frame.px, frame.stamp.received_at)
     return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
 
 
@@ -240,34 +240,43 @@ def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None,
 
 
 def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
-    """Return the reasons not to descend by the estimate."""
+    """Return the reasons not to descend by the estimate.
+
+    Each stands for a second after its newest evidence: what a witness said that has died since, nothing could take back.
+    """
+    return tuple([alert for alert, at in _accused(guard) if now - at <= _EVIDENCE_NS])
+
+
+def _accused(guard: IntegrityGuard) -> list[tuple[IntegrityAlert, int]]:
+    """Return what is accused, with the instant of the newest evidence, ns."""
     found = []
-    if guard.frames.frozen:
-        found.append(IntegrityAlert.CAMERA_FROZEN)
-    if guard.view.bearings and now - guard.view.bearings[-1][0] < _OLD_NS:
-        if guard.view.frozen:
-            found.append(IntegrityAlert.VIEW_FROZEN)
-        if guard.view.reversed:
-            found.append(IntegrityAlert.VIEW_REVERSED)
-        if guard.view.late_s != 0.0:
-            found.append(IntegrityAlert.IMU_LATE)
+    seen, frames, stamps = guard.view, guard.frames, guard.clock
+    if frames.frozen:
+        found.append((IntegrityAlert.CAMERA_FROZEN, frames.at))
+    if seen.bearings:
+        of_view = (
+            (seen.frozen, IntegrityAlert.VIEW_FROZEN),
+            (seen.reversed, IntegrityAlert.VIEW_REVERSED),
+            (seen.late_s != 0.0, IntegrityAlert.IMU_LATE),
+        )
+        found += [(alert, seen.bearings[-1][0]) for held, alert in of_view if held]
     for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
-        seen = guard.sensors.get(kind)
-        if seen is not None and seen.frozen:
-            found.append(alert)
+        watched = guard.sensors.get(kind)
+        if watched is not None and watched.frozen:
+            found.append((alert, stamps.at(kind.__name__)))
     if guard.inertial.attitude_fault is not None:
-        found.append(IntegrityAlert.ATTITUDE)
-    if any(guard.clock.off(kind) for kind in ("Sighting", "Imu", "Attitude")):
-        found.append(IntegrityAlert.STAMPS)
-    if guard.arbiter.apart(now):
-        found.append(IntegrityAlert.APART)
-    if guard.tracks.disputed(now):
-        found.append(IntegrityAlert.ELSEWHERE)
+        found.append((IntegrityAlert.ATTITUDE, stamps.at(Attitude.__name__)))
+    if off := [stamps.at(kind) for kind in ("Sighting", "Imu", "Attitude") if stamps.off(kind)]:
+        found.append((IntegrityAlert.STAMPS, max(off)))
+    if guard.arbiter.apart:
+        found.append((IntegrityAlert.APART, guard.arbiter.t))
+    if guard.tracks.disputed_at is not None:
+        found.append((IntegrityAlert.ELSEWHERE, guard.tracks.disputed_at))
     if guard.heights.contradicted:
-        found.append(IntegrityAlert.RANGE)
+        found.append((IntegrityAlert.RANGE, guard.heights.ranged_at))
     if guard.heights.baro_contradicted:
-        found.append(IntegrityAlert.HEIGHT)
-    return tuple(found)
+        found.append((IntegrityAlert.HEIGHT, guard.heights.weighed_at))
+    return found
 
 
 def _pictured(state: inertial.Inertial, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:

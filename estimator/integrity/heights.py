@@ -47,6 +47,8 @@ class HeightWatch(Struct, frozen=True):
     down_level: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """The body's down axis at that instant."""
     range_at: int = 0
+    ranged_at: int = 0
+    """Instant of the newest range that was compared with the camera, ns."""
     against_s: float = 0.0
     """Time for which ranges have contradicted the camera, s; agreement reduces it."""
     contradicted: bool = False
@@ -56,6 +58,8 @@ class HeightWatch(Struct, frozen=True):
     """Instants (ns) and smoothed barometric height minus camera height, m; one entry per second."""
     rise_now: float = math.nan
     seen_height: tuple[tuple[int, float], ...] = ()
+    weighed_at: int = 0
+    """Instant of the newest barometric height that was compared with the camera, ns."""
     baro_contradicted: bool = False
 
     def confirmed(self, now: int) -> bool:
@@ -93,7 +97,8 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
     step = -dt if agrees else dt * min(off / allowed, _FASTEST)
     against = min(max(0.0, state.against_s + step), 1.5 * o.range_disagree_s)
     contradicted = against >= o.range_disagree_s or (state.contradicted and against > 0.0)
-    return replace(state, range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
+    agreed_at = t if agrees else state.agreed_at
+    return replace(state, range_at=t, ranged_at=t, against_s=against, contradicted=contradicted, agreed_at=agreed_at)
 
 
 def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
@@ -116,7 +121,7 @@ def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch
     if t - rise[0][0] < (_BACK_S + _SHORT_S) * 1e9:
         allowed_m *= 2.0
     against = _beyond(now, [each for at, each in rise if t - at >= _BACK_S * 1e9]) > allowed_m
-    return replace(state, rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)
+    return replace(state, rise=rise, rise_now=now, seen_height=seen, weighed_at=t, baro_contradicted=against)
 
 
 def _beyond(value: float, range_of: list[float]) -> float:

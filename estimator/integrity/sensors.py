@@ -142,6 +142,8 @@ class FrameWatch(NamedTuple):
     digests: tuple[int, ...] = ()
     run: int = 0
     """Number of repeats in a row."""
+    at: int = 0
+    """Arrival of the newest frame, ns."""
 
     @property
     def frozen(self) -> bool:
@@ -155,9 +157,9 @@ def digest(px: NDArray[np.uint8]) -> int:
     return zlib.crc32(np.ascontiguousarray(rows[:1] if rows.strides[0] == 0 else rows).data)
 
 
-def watch_frame(state: FrameWatch, px: NDArray[np.uint8]) -> tuple[FrameWatch, bool]:
-    """Process one frame; return whether it repeats one of the last few."""
+def watch_frame(state: FrameWatch, px: NDArray[np.uint8], at: int = 0) -> tuple[FrameWatch, bool]:
+    """Process one frame that arrived at an instant, ns; return whether it repeats one of the last few."""
     this = digest(px)
     if this in state.digests:
-        return FrameWatch(state.digests, state.run + 1), True
-    return FrameWatch((*state.digests, this)[-_KEPT:]), False
+        return FrameWatch(state.digests, state.run + 1, at), True
+    return FrameWatch((*state.digests, this)[-_KEPT:], 0, at), False

@@ -89,9 +89,10 @@ class Tracks(NamedTuple):
     alone: tuple[Place, F64] | None = None
     """The pad's place when it was last whole and alone in the frame, and the corners, (4, 2) m, of what the frame showed."""
 
-    def disputed(self, now: int) -> bool:
-        """Return whether a pad was repeatedly detected elsewhere within the last second."""
-        return any(c.n >= _SEEN_AT_LEAST and now - c.last.t <= _ALIVE_S * 1e9 for c in self.candidates)
+    @property
+    def disputed_at(self) -> int | None:
+        """Instant at which a pad was last detected elsewhere, ns; None if that was not repeatedly."""
+        return max((c.last.t for c in self.candidates if c.n >= _SEEN_AT_LEAST), default=None)
 
 
 def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptions) -> tuple[Tracks, bool]:

@@ -196,16 +196,20 @@ def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: flo
         assert (found is not None and found.cause is ReasonCause.DECK_TILT) is (off_m > 0.0)
 
 
-def moving(down_m_s: float = 0.0, a_m_s2: float = 0.0, rate_deg_s: float = 0.0, sigma: float = 0.0) -> DeckMotion:
+def moving(
+    down_m_s: float = 0.0, a_m_s2: float = 0.0, roll_deg_s: float = 0.0, pitch_deg_s: float = 0.0, sigma: float = 0.0
+) -> DeckMotion:
     v, a = np.array([9.0, 0.0, down_m_s]), np.array([9.0, 0.0, a_m_s2])
-    return DeckMotion(ns(NOW), v, a, sigma**2 * np.eye(6), 0.0, 0.0, math.radians(rate_deg_s), 0.0, np.zeros((4, 4)))
+    rates = math.radians(roll_deg_s), math.radians(pitch_deg_s)
+    return DeckMotion(ns(NOW), v, a, sigma**2 * np.eye(6), 0.0, 0.0, *rates, np.zeros((4, 4)))
 
 
 @pytest.mark.parametrize(
     ("deck", "impossible"),
     [
-        (moving(2.9, 2.9, 39.0), False), (moving(-3.1), True), (moving(3.1), True), (moving(0.0, 3.1), True),
-        (moving(rate_deg_s=-41.0), True), (moving(4.0, sigma=0.6), False), (moving(4.0, sigma=0.4), True), (None, False),
+        (moving(2.9, 2.9, 39.0, 39.0), False), (moving(-3.1), True), (moving(3.1), True), (moving(0.0, 3.1), True),
+        (moving(roll_deg_s=-41.0), True), (moving(pitch_deg_s=41.0), True), (moving(pitch_deg_s=-41.0), True),
+        (moving(4.0, sigma=0.6), False), (moving(4.0, sigma=0.4), True), (None, False),
     ],
 )  # fmt: skip
 def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotion | None, impossible: bool) -> None:

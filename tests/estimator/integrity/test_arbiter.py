@@ -43,7 +43,7 @@ def followed(
 def test_it_follows_a_swaying_deck_and_leaves_a_right_filter_alone() -> None:
     state, overruled = followed(20.0, swaying)
     assert not overruled
-    assert not state.apart(state.t)
+    assert not state.apart
     assert state.n == 600, "no sighting is lost"
     off = np.array([a.p for a in state.axes]) - swaying(599 / 30.0)
     assert np.abs(off).max() < 0.05
@@ -59,10 +59,9 @@ def test_a_filter_five_sigma_apart_is_reported_after_half_a_second_and_overruled
     _, overruled = followed(20.0, away)
     assert overruled == [pytest.approx(7.8, abs=0.3)]
     reported, _ = followed(7.0, away)
-    assert reported.apart(reported.t)
-    assert not reported.apart(reported.t + 3_000 * MS), "once it is silent it says nothing"
+    assert reported.apart
     early, _ = followed(6.0, away)
-    assert not early.apart(early.t)
+    assert not early.apart
 
 
 def test_a_filter_that_refuses_all_sightings_is_overruled_though_it_is_near() -> None:

@@ -103,12 +103,6 @@ def other(n: int, first: int, last: int, side_m: float = 1.0) -> TrackCandidate:
     return TrackCandidate(first, n, place(last, side_m), n_alone=n)
 
 
-def test_three_looks_within_a_second_dispute_the_track() -> None:
-    assert not followed(20, other(2, T, T)).disputed(T)
-    tracks = followed(20, other(2, T, T), other(3, T, T))
-    assert [tracks.disputed(T + t) for t in (0, S, S + 1)] == [True, True, False]
-
-
 @pytest.mark.parametrize(("track_n", "needs"), [(0, 4), (2, 4), (3, 4), (4, 5), (7, 8)])
 def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad(track_n: int, needs: int) -> None:
     t = T + 500 * MS
