@@ -139,7 +139,8 @@ class Controller(Protocol[Memory]):
     `step` runs in every guidance cycle. With a target it returns the command that goes there; a target needs
     `knowledge.relative`, and it is the mission's to say for how long an estimate without sight will do. Without a target
     somebody else commands (hover, the vehicle's own landing, a person's hand): the law then only keeps what it has learned of
-    wind and trim up to date, so that it takes over without a bump, and returns `Hover`.
+    wind and trim up to date, so that it takes over without a bump, and returns `Hover`. A memory outlives a change of the options
+    in flight: it goes on to a controller of the same class.
     """
 
     @property

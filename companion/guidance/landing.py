@@ -274,10 +274,14 @@ class LandingGuidance:
         self._changes += changes
 
     def retune(self, guidance: GuidanceOptions) -> None:
-        """Use other settings from now on; the present approach continues."""
+        """Use other settings from now on; the present approach continues.
+
+        The law keeps its memory: what it knows of wind and trim does not depend on its options.
+        """
         if guidance != self._guidance:
-            self._law = self._make_law(guidance)
-            self._law_memory = self._law.start()
+            before, self._law = self._law, self._make_law(guidance)
+            if type(before) is not type(self._law):
+                self._law_memory = self._law.start()
             self._response.retune(guidance)
         self._guidance = guidance
 

@@ -5,19 +5,22 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from companion.base.mission import Event
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.make_pilot import field_of_view, law_of
+from companion.guidance.landing import LandingGuidance
+from companion.guidance.make_pilot import field_of_view, law_of, make_pilot
 from companion.guidance.pid_controller import PidController
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, response_model
 from companion.settings.response import response_from_mapping
-from estimator.contracts.commands import Velocity
+from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
+from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.vision.camera import Camera
-from tests.companion.mission_flights import estimate, ns
+from tests.companion.mission_flights import estimate, ns, status
 
 SETTINGS = load("sim")
 RESPONSE = response_model(SETTINGS)
@@ -27,6 +30,47 @@ RESPONSE = response_model(SETTINGS)
 def test_the_setting_chooses_the_law(name: str, kind: type) -> None:
     guidance = GuidanceOptions(controller=name)
     assert isinstance(law_of(structs.replace(SETTINGS, guidance=guidance))(guidance), kind)
+
+
+def over_the_pad() -> LandingGuidance:
+    landing = make_pilot(SETTINGS).landing
+    landing.on_samples([status(0.0, flying=True)])
+    landing.order(Event.BEGIN)
+    return landing
+
+
+def pushed(landing: LandingGuidance, n: int) -> Command | None:
+    """Return the command of a cycle over the pad that a steady wind pushes by 3 m/s^2 forward, held by as much lean."""
+    t = 0.02 * n
+    leaning = Rotation.from_rpy(0.0, math.atan(3.0 / G_M_S2), 0.0)
+    body = BodyMotion(ns(t), 0.0, np.zeros(3), 1e-3 * np.eye(3), np.zeros(3), leaning, 1e-5 * np.eye(3))
+    deck = DeckMotion(ns(t), np.zeros(3), np.zeros(3), 1e-3 * np.eye(6), 0.0, 0.0, 0.0, 0.0, 1e-4 * np.eye(4))
+    return landing.command(Knowledge(ns(t), estimate(t, [0.0, 0.0, 2.0]), body, deck))
+
+
+@pytest.mark.hazard("H3")
+@pytest.mark.parametrize("key", ["tries.give_up_after_s", "pid.speed_max_m_s", "follow_deck.climb_max_m_s"])
+def test_a_parameter_that_is_written_in_flight_makes_the_law_forget_nothing_of_the_wind(key: str) -> None:
+    """WHY: any PARAM_SET took the trim from 3.8 m/s^2 to 0 for a cycle, low over the deck, and saturated the next command."""
+    landing = over_the_pad()
+    before = [pushed(landing, n) for n in range(200)][-1]
+    section, name = key.split(".")
+    table = getattr(SETTINGS.guidance, section)
+    changed = structs.replace(table, **{name: 0.9 * getattr(table, name)})
+    landing.retune(structs.replace(SETTINGS.guidance, **{section: changed}))
+    after = pushed(landing, 200)
+    assert isinstance(before, Lean)
+    assert isinstance(after, Lean)
+    assert before.trim_level[0] < -2.5
+    assert after.trim_level == pytest.approx(before.trim_level, abs=0.05)
+    assert after.a_level == pytest.approx(before.a_level, abs=0.2)
+
+
+def test_another_law_begins_with_a_memory_of_its_own() -> None:
+    landing = over_the_pad()
+    assert isinstance([pushed(landing, n) for n in range(20)][-1], Lean)
+    landing.retune(structs.replace(SETTINGS.guidance, controller="pid"))
+    assert isinstance(pushed(landing, 20), Velocity)
 
 
 def test_a_controller_that_is_not_installed_is_refused_with_those_that_are() -> None:
