@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.settings.load import SHIPPED
-from companion.settings.plain_file import refuse_special
+from companion.settings.plain_file import refuse_special, unzipped
 from estimator.contracts.errors import BadInput, unusable
 
 F32 = NDArray[np.float32]
@@ -33,7 +33,7 @@ STEP_S = 0.02
 _FAR = 10.0
 """A network sees no number farther from its mean than so many standard deviations."""
 _FULL = ("acceleration_m_s2", "place_m")
-_BYTES_MAX = 1_000_000
+_BYTES_MAX, _UNPACKED_MAX = 1_000_000, 4_000_000
 
 
 class Policy:
@@ -125,14 +125,32 @@ def read_policy(file: str | Path, what: str) -> Policy:
     path = Path(file)
     try:
         refuse_special(path, f"{what}: {path}", _BYTES_MAX)
-        with np.load(path, allow_pickle=False) as arrays:
-            weights = {key: np.asarray(arrays[key], np.float32) for key in arrays.files if key != "record"}
-            record = json.loads(arrays["record"].tobytes())
-        return Policy(weights, record)
+        arrays = {name.removesuffix(".npy"): _array(data) for name, data in unzipped(path, _UNPACKED_MAX).items()}
+        record = json.loads(arrays.pop("record").tobytes())
+        return Policy({name: np.asarray(array, np.float32) for name, array in arrays.items()}, record)
     except OSError as why:
         raise unusable(f"{what}: {path}", why) from why
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as why:
+    except (ValueError, KeyError, TypeError, AttributeError) as why:
         raise BadInput(f"{what}: {path}: not a policy ({why}); decklander train writes one") from why
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """Return the array of a file as numpy writes it; it takes no memory beside `data`, whatever shape it announces.
+
+    Raises:
+        ValueError: it is none, or does not hold what it announces.
+    """
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"an array of version {version}")
+    shape, by_columns, dtype = _HEADERS[version](stream)
+    if dtype.hasobject:
+        raise ValueError("an array of objects")
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if by_columns else "C")
+
+
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def kept_share(seconds: float) -> float:

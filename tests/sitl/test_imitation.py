@@ -1,6 +1,8 @@
 """Training by imitation: the teacher lands, its gradient is right, and a student of few rounds flies through the port."""
 
+import contextlib
 import math
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +74,43 @@ def test_the_shipped_policy_lands_in_the_training_worlds() -> None:
     flown = fly_policy(policy, TrainingWorlds(SCENARIO, 24), 77_000)
     assert flown.landed > 0.9
     assert flown.distance_m < 0.09
+
+
+def _announcing(shape: str) -> bytes:
+    """Return an array of one number that announces a shape."""
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(4)
+
+
+@pytest.mark.hazard("H9")
+@pytest.mark.parametrize(
+    ("content", "packing", "said"),
+    [
+        (bytes(30_000_000), zipfile.ZIP_DEFLATED, "unpack to 30000000 bytes, and at most"),
+        (bytes(3_000_000), zipfile.ZIP_BZIP2, "neither stored nor deflated"),
+        (_announcing("(1000000000000,)"), zipfile.ZIP_STORED, "reshape"),
+        (b"", zipfile.ZIP_STORED, "magic"),
+    ],
+    ids=["a thousand times its size", "bzip2", "announces terabytes", "empty"],
+)
+def test_a_policy_is_read_with_a_bound_on_what_it_unpacks_to(tmp_path, content, packing, said):
+    """WHY: a megabyte of packed zeros is a gigabyte, and the service that reads it dies in flight."""
+    path = tmp_path / "mine.npz"
+    with zipfile.ZipFile(path, "w", packing) as archive, archive.open("w0.npy", "w", force_zip64=True) as file:
+        file.write(content)
+    with pytest.raises(BadInput, match=said):
+        read_policy(path, "guidance.policy_file")
+
+
+def test_a_policy_that_was_damaged_anywhere_is_read_or_refused(tmp_path: Path) -> None:
+    whole, rng = bytearray(Path(shipped_policy("quad_1_5kg")).read_bytes()), np.random.default_rng(1)
+    for _ in range(200):
+        torn = whole.copy()
+        for at in rng.integers(0, len(whole), 3).tolist():
+            torn[at] ^= 1 << int(rng.integers(8))
+        (tmp_path / "mine.npz").write_bytes(torn[: int(rng.integers(len(whole) // 2, len(whole) + 1))])
+        with contextlib.suppress(BadInput):
+            read_policy(tmp_path / "mine.npz", "guidance.policy_file")
 
 
 def test_a_file_that_is_no_policy_is_refused_in_one_line(tmp_path: Path) -> None:

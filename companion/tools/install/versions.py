@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
+from companion.settings.plain_file import refuse_special, unzipped
 from companion.tools.install.layout import COMPLETE, CURRENT, PREFIX, PREVIOUS, SETTINGS, SHARE
 from companion.tools.install.machine import Machine
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
@@ -31,6 +31,10 @@ VIDEO_PINS = "companion/tools/install/video.txt"
 VIDEO = "-video"
 """The end of the name of a version that has it."""
 SLIM = "companion/tools/install/slim.sh"
+_READ = re.compile(rf"[^/]+\.dist-info/METADATA|configs/systemd/[^/]+|{PINS}|{VIDEO_PINS}|{SLIM}")
+"""The files of the wheel that are read here."""
+_WHEEL_MAX, _READ_MAX = 200_000_000, 10_000_000
+"""Largest wheel, and most bytes that are read of it."""
 _VERSION = re.compile(r"\d+(\.\d+)*([abrc.+-].*)?")
 
 
@@ -64,21 +68,19 @@ def read(wheel: Path, wheels: Path | None = None, *, video: bool = False) -> Rel
     """
     video = video or (wheels is not None and any(wheels.glob("av-*.whl")))
     try:
+        refuse_special(wheel, str(wheel), _WHEEL_MAX)
         content = wheel.read_bytes()
-        with zipfile.ZipFile(wheel) as archive:
-            names = archive.namelist()
-            described = next(name for name in names if name.endswith(".dist-info/METADATA"))
-            fields = dict(
-                line.split(": ", 1) for line in archive.read(described).decode().split("\n\n")[0].splitlines() if ": " in line
-            )
-            files = {Path(name).name: archive.read(name) for name in names if re.fullmatch(r"configs/systemd/[^/]+", name)}
-            pins, slim = archive.read(VIDEO_PINS if video else PINS), archive.read(SLIM)
+        found = unzipped(wheel, _READ_MAX, lambda name: _READ.fullmatch(name) is not None)
+        described = next(found[name] for name in found if name.endswith("/METADATA")).decode()
+        fields = dict(line.split(": ", 1) for line in described.split("\n\n")[0].splitlines() if ": " in line)
+        files = {Path(name).name: each for name, each in found.items() if name.startswith("configs/")}
+        pins, slim = found[VIDEO_PINS if video else PINS], found[SLIM]
         if fields["Name"] != NAME:
             raise BadInput(f"{wheel}: a wheel of {fields['Name']}, not of {NAME}")
         version = fields["Version"]
     except OSError as why:
         raise BadInput(f"{wheel}: {why.strerror or why}") from why
-    except (zipfile.BadZipFile, StopIteration, KeyError, ValueError) as why:
+    except (StopIteration, KeyError, ValueError) as why:
         raise BadInput(f"{wheel}: not a wheel of {NAME} that can install itself ({why or type(why).__name__})") from why
     digest = hashlib.sha256(content).hexdigest()
     return Release(wheel, version, f"{version}-{digest[:8]}{VIDEO if video else ''}", pins, slim, files, wheels)
