@@ -6,6 +6,9 @@ An accelerometer that repeats itself feels nothing, and one with spikes feels de
 several (`votes`): being held up, the vertical speed, the range, a push along the deck, and the height that sight and deck
 forecast lead to. A healthy witness decides alone unless another contradicts it; one in doubt needs a second. Height alone never
 makes a contact while a healthy accelerometer is silent: blind on the deck a filter's height drifts.
+
+A jolt also moves the filter's speed, so a descent that seems to have ended is no second witness of it. Where the height still
+contradicts, the drone presses on for the time that the rest of the way takes (`way_s`): it is at the deck then, jolt or not.
 """
 
 import math
@@ -16,6 +19,7 @@ from msgspec.structs import replace
 from companion.guidance import limits
 from companion.guidance.controller import Impact
 from companion.guidance.situation import GuidanceCycle
+from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, seconds_between
@@ -49,8 +53,6 @@ _BENEATH_M, _WRONG_M = -0.08, -0.3
 """Heights of the feet beneath which nothing can be, and beneath which the height is wrong, m."""
 SIGMA_MOST_M = 0.15
 """Standard deviation of the height beyond which it is not used, m."""
-_FRESH_S = 0.3
-"""Age of a sighting up to which it contradicts a push, s."""
 _STILL_M_S = 0.15
 """Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
@@ -125,13 +127,14 @@ def feet_m(s: GuidanceCycle, cone: ConeOptions) -> float | None:
     return height_m if height_m >= _WRONG_M else None
 
 
-def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: float) -> float:
+def votes(s: GuidanceCycle, felt: Impact | None, o: GuidanceOptions, ordered_s: float) -> float:
     """Return the votes for a contact in the commit; `ENOUGH` or more are one.
 
     Args:
         felt: what was felt in this commit; None if nothing was.
         ordered_s: time for which the descent to the deck has been ordered.
     """
+    cone = o.cone
     count = _of_impact(felt, feels=s.feels)
     feet, estimate = feet_m(s, cone), s.estimate
     if feet is not None and estimate is not None:
@@ -140,7 +143,7 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
         elif limits.reached(estimate, s.knowledge, cone):
             # A tilted vehicle that does not move as it tilts: at the deck that is no gust, feet that stand make it.
             count += 1.0 if s.wind is not None and s.wind.begins else 0.5
-        elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= _FRESH_S:
+        elif feet - 3.0 * _sigma_m(s) > NEAR_M and estimate.age_s(s.at) <= o.limits.commit_sighting_age_s:
             count -= 0.5
         moved_s = math.inf if felt is None else seconds_between(felt.at, s.at)
         if abs(estimate.v_pad_level.item(2)) < _STILL_M_S and ordered_s >= _ORDERED_S and moved_s >= _AFTER_S:
@@ -149,6 +152,17 @@ def votes(s: GuidanceCycle, felt: Impact | None, cone: ConeOptions, ordered_s: f
         over_m = s.range_m - cone.feet_below_m
         count += 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
     return count
+
+
+def way_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the time that the way to the deck still takes, s, by what surely contradicts the contact; 0 if nothing does."""
+    over_m = math.nan if s.range_m is None else s.range_m - o.cone.feet_below_m
+    feet, estimate = feet_m(s, o.cone), s.estimate
+    if over_m >= _RANGE_FAR_M:
+        return over_m / o.cone.commit_rate_m_s
+    if over_m <= _RANGE_NEAR_M or feet is None or estimate is None or estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
+        return 0.0
+    return feet / o.cone.commit_rate_m_s if feet > 3.0 * _sigma_m(s) else 0.0
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

@@ -48,6 +48,8 @@ class Progress(Struct, frozen=True, eq=False):
     go_arounds: int = 0
     bounces: int = 0
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
+    way_s: float | None = None
+    """Time that the way to the deck took at the contact by what contradicts it, s; None before it was asked."""
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
     course: HeldCourse = HeldCourse()
@@ -113,6 +115,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
         blocked=None, waits_for=None, waits_since=None, no_return_until=None, unheard_s=0.0, entered_height_m=p.seen_height_m,
+        way_s=None,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:

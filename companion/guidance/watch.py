@@ -106,6 +106,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.state is State.SEARCH:
             p = replace(p, search_leg=rendezvous.next_leg(p.search_leg, s.place, o.rendezvous))
     p = _in_wind(p, s)
+    if p.state is State.PRESS and p.way_s is None:
+        p = replace(p, way_s=contact.way_s(s, o))
     if p.state is State.ANOTHER_PAD:
         return _asked(p, s, o)
     estimate, attempt = s.estimate, p.attempt
@@ -273,7 +275,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
     if p.state is State.COMMIT and p.since is not None:
         if felt is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
             felt = s.touch
-        votes = contact.votes(s, felt, o.cone, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
+        votes = contact.votes(s, felt, o, in_state_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
         if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
             yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else _of_contact(felt)
     steers = s.estimate is not None and s.estimate.steers
@@ -283,7 +285,8 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
         yield Event.CONTACT, _of_contact(felt)
     # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
     press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
-    if p.state is State.PRESS and in_state_s >= (o.cone.press_s + press_s if _rises(s) else press_s):
+    press_s = max(o.cone.press_s + press_s if _rises(s) else press_s, p.way_s or 0.0)
+    if p.state is State.PRESS and in_state_s >= press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 
 

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from companion.guidance.contact import ENOUGH, ContactWatch, votes, watched
+from companion.guidance.contact import way_s as contact_way_s
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.wind import WindOverDrone
-from companion.settings.mission import ConeOptions
+from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.mission_flights import estimate, ns
 
-STEP_S = 0.005
+STEP_S, OPTIONS = 0.005, GuidanceOptions()
 
 
 def heard(up: np.ndarray) -> list[float]:  # type: ignore[type-arg]
@@ -189,17 +190,29 @@ FIRM, FAINT = Impact(ns(9.9), "accelerometer", 9.0), Impact(ns(9.9), "accelerome
     ],
 )  # fmt: skip
 def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(feet_m, down_m_s, felt_by, more, contact):
-    cone = ConeOptions()
-    seen = estimate(10.0, (0.0, 0.0, feet_m + cone.feet_below_m), (0.0, 0.0, -down_m_s))
-    s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen, impact=felt_by), **more)
-    assert (votes(s, felt_by, cone, 1.0) >= ENOUGH) is contact
+    for age_s in (0.0, 1.0):
+        seen = estimate(10.0, (0.0, 0.0, feet_m + OPTIONS.cone.feet_below_m), (0.0, 0.0, -down_m_s), age=age_s)
+        s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen, impact=felt_by), **more)
+        assert (votes(s, felt_by, OPTIONS, 1.0) >= ENOUGH) is contact, "the estimate counts for as long as the commit flies by it"
+
+
+@pytest.mark.hazard("H4")
+@pytest.mark.parametrize(
+    ("feet_m", "more", "age_s", "way_s"),
+    [
+        (0.2, {}, 0.0, 0.5), (0.2, {}, 1.4, 0.5), (0.2, {}, 1.6, 0.0), (0.02, {}, 0.0, 0.0), (0.2, {"range_m": 0.1}, 0.0, 0.0),
+        (0.02, {"range_m": 0.445}, 0.0, 1.0), (-0.4, {"range_m": 0.2}, 0.0, 0.0),
+    ],
+)  # fmt: skip
+def test_the_way_that_is_left_at_a_contact_is_that_of_the_witness_that_contradicts_it(feet_m, more, age_s, way_s):
+    seen = estimate(10.0, (0.0, 0.0, feet_m + OPTIONS.cone.feet_below_m), age=age_s)
+    assert contact_way_s(GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen), **more), OPTIONS) == pytest.approx(way_s)
 
 
 def test_what_is_not_known_has_no_vote() -> None:
-    cone = ConeOptions()
     for seen in (None, estimate(10.0, (0.0, 0.0, 1.0), consistent=False), estimate(10.0, (0.0, 0.0, 1.0), sigma=0.2)):
         s = GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen))
-        assert (votes(s, FIRM, cone, 1.0), votes(s, FAINT, cone, 1.0), votes(s, None, cone, 1.0)) == (1.0, 0.5, -0.5)
+        assert [votes(s, felt, OPTIONS, 1.0) for felt in (FIRM, FAINT, None)] == [1.0, 0.5, -0.5]
 
 
 def test_one_foot_that_touches_is_a_contact_only_at_the_deck() -> None:
@@ -212,7 +225,7 @@ def test_one_foot_that_touches_is_a_contact_only_at_the_deck() -> None:
         watch = felt(watch, 5.0 * k, force)
     assert watch.newest is None or watch.newest.doubtful
     assert watch.touch is not None
-    cone = ConeOptions()
-    for height_m, is_contact in ((cone.feet_below_m + 0.04, True), (cone.feet_below_m + 0.1, False)):
+    for feet_m, is_contact in ((0.04, True), (0.1, False)):
+        height_m = OPTIONS.cone.feet_below_m + feet_m
         s = GuidanceCycle(ns(9.0), Knowledge(ns(9.0), estimate(9.0, (0.0, 0.0, height_m), v=(0.0, 0.0, 0.4))))
-        assert (votes(s, watch.touch, cone, 0.5) >= ENOUGH) is is_contact
+        assert (votes(s, watch.touch, OPTIONS, 0.5) >= ENOUGH) is is_contact

@@ -150,6 +150,22 @@ def test_it_presses_on_for_its_time(since_s: float, pressed: bool) -> None:
     assert of(Event.PRESSED, memory(State.PRESS, since=None), cycle(seen())) is None
 
 
+@pytest.mark.hazard("H4")
+def test_a_contact_that_the_height_contradicts_is_pressed_for_as_long_as_the_way_to_the_deck_takes() -> None:
+    """WHY: a jolt of 40 ms in a commit whose picture was 0.3 s old stopped the motors 14 cm above the deck."""
+    felt, feet = Impact(ns(NOW), "accelerometer", 6.0), OPTIONS.cone.feet_below_m
+    above = cycle(seen((0.0, 0.0, feet + 0.3), age=1.0, v=(0.0, 0.0, -0.4)), impact=felt)
+    assert of(Event.CONTACT, memory(State.COMMIT), above) is None
+    # The jolt took the estimated speed away as well.
+    above = cycle(seen((0.0, 0.0, feet + 0.3), age=1.0), impact=felt)
+    assert of(Event.CONTACT, memory(State.COMMIT), replace(above, at=ns(NOW + 0.15))) is not None
+    p = account(memory(State.PRESS, 0.0), above, OPTIONS)
+    for since_s, pressed in ((0.41, False), (0.74, False), (0.76, True)):
+        assert (of(Event.PRESSED, replace(p, since=ns(NOW - since_s)), above) is not None) is pressed
+    down = entered(p, StateChange(ns(NOW), State.PRESS, Event.PRESSED, State.DOWN, WHY))
+    assert down.way_s is None
+
+
 # What ends the flight's tries
 
 

@@ -118,7 +118,8 @@ def test_the_heading_that_a_gyro_held_goes_with_the_gyro_once_it_is_named() -> N
             0.01 * rng.standard_normal(3) + [0.0, 0.0, drift],
             np.array([0.0, 0.0, -9.8]) + 0.05 * rng.standard_normal(3),
         )
-        level = Rotation.from_rpy(*(0.002 * rng.standard_normal(2)).tolist(), HEADING)
+        roll, pitch = (0.002 * rng.standard_normal(2)).tolist()
+        level = Rotation.from_rpy(roll, pitch, HEADING)
         guard, (_, passed) = admit(guard, [imu, Attitude(stamp(t), level, 1e-4 * np.eye(3))])
         assert isinstance(passed, Attitude)
         off_deg.append(abs(math.degrees(passed.R_ned_body.rpy_rad[2] - HEADING)))
