@@ -19,6 +19,7 @@ from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
 from companion.guidance.margins import expected_error_m
 from companion.guidance.mission import TABLES
+from companion.guidance.out_of_reach import flown_by_others
 from companion.guidance.progress import Progress, entered
 from companion.guidance.rendezvous import VesselTrack
 from companion.guidance.response_course import reported_lean
@@ -220,6 +221,8 @@ class LandingGuidance:
         self._touch: Impact | None = None
         self._forecast: Forecast | None = None
         self._climb_watch = ClimbWatch()
+        self._ordered: Command | None = None
+        """The command of the newest guidance cycle, before people and limits."""
         self._climbs_m_s: float | None = None
         """Rate of climb of the newest command; None of one without."""
         self._baro: Baro | None = None
@@ -451,11 +454,15 @@ class LandingGuidance:
         target = aim if isinstance(aim, Target) else None
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
         if target is None:
-            return None if isinstance(aim, Target) else aim
-        return steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
+            self._ordered = None if isinstance(aim, Target) else aim
+        else:
+            self._ordered = steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
+        return self._ordered
 
     def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
+        if command is not self._ordered:
+            self.mission = flown_by_others(self.mission)
         response = self._response.on_command(now, command, self.state)
         down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s

@@ -92,12 +92,13 @@ _HEAD = """# The mission
 
 <!-- Made by `decklander config mission`; a test compares. -->
 
-One machine flies the landing (`companion/guidance/mission.py`). In each guidance cycle the events are checked in the order of
-their list, and the first one that leads to another state is taken. Each change carries a cause, the measured number and
-its limit. Log, MQTT, STATUSTEXT, metrics, recording and report show it.
+One machine flies the landing (`companion/guidance/mission.py`). In each guidance cycle it takes the first event of their list
+that leads to another state. Each change carries a cause, the measured number and its limit, for log, MQTT, STATUSTEXT, metrics,
+recording and report.
 
 Every state that waits has a time limit; when it is over the drone goes up or stays, never down. It never descends without a
-fresh, consistent estimate of the pad. It holds still against the deck; before the first order to land it stays in its own hover.
+fresh, consistent estimate of the pad. It holds still against the deck. Low without sight it only climbs, by range sensor, height
+last known, or time. Before the first order to land it stays in its own hover.
 """
 
 

@@ -59,15 +59,15 @@ class Progress(Struct, frozen=True, eq=False):
     """Time of the newest estimate that was fit to steer by."""
     seen_height_m: float = math.inf
     """Height at that time."""
-    unheard_s: float = 0.0
-    """Time since then, and in this state, in which the vehicle was silent: it may not have climbed."""
     was_silent: bool = False
     """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
     in_sight: bool = False
     deck_rise_m: float = 0.0
-    """Rise of the deck since the newest sight, m; where there is no estimate, as fast as the vehicle climbs."""
-    deck_top_m: float = 0.0
-    """The highest that it has been since then."""
+    """Rise of the deck since the newest sight, m, as far as it is estimated."""
+    climbs_m_s: float = 0.0
+    """Climb over the ground that is ordered without sight, m/s."""
+    climbed_m: float = 0.0
+    """Height that such orders have made since the newest sight, m."""
     track: int | None = None
     """Track of the pad that this attempt flies to."""
     heading: HeadingMemory = field(default_factory=HeadingMemory)
@@ -114,8 +114,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
-        blocked=None, waits_for=None, waits_since=None, no_return_until=None, unheard_s=0.0, entered_height_m=p.seen_height_m,
-        way_s=None,
+        blocked=None, waits_for=None, waits_since=None, no_return_until=None, entered_height_m=p.seen_height_m, way_s=None,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:
@@ -138,7 +137,9 @@ def entered(p: Progress, change: StateChange) -> Progress:
         case Event.CLEAR:
             climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
             higher_m = max(p.seen_height_m, climbed_to_m)
-            p = replace(p, attempt=p.attempt.again(), seen_height_m=higher_m, was_silent=False, course=HeldCourse())
+            p = replace(
+                p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, was_silent=False, course=HeldCourse()
+            )
         case _:
             pass
     match change.target:
@@ -168,4 +169,5 @@ def _fresh(p: Progress) -> Progress:
     return replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
         heading=HeadingMemory(), turned=None, newest_track=None, was_silent=False, course=HeldCourse(),
+        climbed_m=0.0, deck_rise_m=0.0,
     )  # fmt: skip

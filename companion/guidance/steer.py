@@ -6,14 +6,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import GROUND, State
-from companion.base.reason import Reason
-from companion.guidance import cone, heading, limits, rendezvous
+from companion.guidance import cone, heading, limits, out_of_reach, rendezvous
 from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import BOUNCES_MOST, climbs_from_question, deck_rises_m_s, fastest_climb_m_s, off_deck
+from companion.guidance.watch import BOUNCES_MOST, off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -49,19 +48,6 @@ def without_estimate(climb_m_s: float, *, over_ground: bool) -> Command:
 def rising_m_s(knowledge: Knowledge) -> float:
     """Return how fast the deck rises, 0 where it falls or nothing is known of it."""
     return 0.0 if knowledge.deck is None else max(0.0, -float(knowledge.deck.v_level[2]))
-
-
-def _comes_up_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> float:
-    """Return how fast the drone climbs before a deck that comes up to it out of sight.
-
-    It follows the highest level that the deck has reached since the newest sight, and so gains nothing by each wave; from a
-    height above the safe one it does once the deck has come up to that.
-    """
-    if p.deck_rise_m < p.deck_top_m or p.seen_height_m - p.deck_top_m >= o.tries.safe_height_m:
-        return 0.0
-    rises_m_s = max(0.0, deck_rises_m_s(p, s, o))
-    # A driver that adds the deck's velocity adds the one that is thought.
-    return max(0.0, rises_m_s - rising_m_s(s.knowledge)) if over_ground else rises_m_s
 
 
 def _falling_m_s(knowledge: Knowledge) -> float:
@@ -121,8 +107,6 @@ _FREE_M = 1.0
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
 """States that hold a place and may climb from it."""
 _REFUSED = (State.REFUSED, State.GAVE_UP)
-_CLIMBS_OFF_ORDERS_S = 10.0
-"""Longest climb by orders that something else changes, s: what drifts may turn them round."""
 _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
 _LOOK_M_S, _LEG_S = 0.4, 20.0
@@ -144,14 +128,16 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     if not p.begun or p.state is State.TAKEN:
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
-    estimate = s.estimate
+    estimate, p = s.estimate, replace(p, climbs_m_s=0.0)
     match p.state:
         case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:
-            climb_m_s = _off_orders_m_s(p, s, o, s.off_orders) if p.state in _REFUSED else 0.0
-            return p, without_estimate(climb_m_s, over_ground=over_ground) if climb_m_s > 0.0 else Hover()
+            # Its own hover holds over the ground's level, and a deck may come up to it; orders may be turned round.
+            if not out_of_reach.out_of_reach(p, s, o):
+                return _climbs(p, s, out_of_reach.fastest_climb_m_s(s, o), over_ground=over_ground)
+            return p, Hover()
         case State.COMMIT if not asks_to_descend(p, s, o):
             # So low that a climb would come too late: it awaits the contact without going lower.
-            return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
+            return _still(p, s, o, over_ground=over_ground)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
             return p, _way_down(p, s, o, estimate)
         # Sightings of the last decimetre are wrong often, and what was known before them still holds for so short a time.
@@ -165,17 +151,29 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             # not held on a deck that falls: it lands by itself, and no motor is stopped by force before it has pressed.
             pressed = p.state is State.DOWN or estimate is None
             return p, Land(on_deck=o.mission != "thesis" and pressed and _felt(p, s, o))
+        case State.RENDEZVOUS | State.SEARCH if (climb_m_s := out_of_reach.climb_m_s(p, s, o)) > 0.0:
+            return _climbs(p, s, climb_m_s, over_ground=over_ground)
         case State.RENDEZVOUS if s.place is not None:
             return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.SEARCH if s.place is not None:
             return p, rendezvous.along_pattern(p.search_leg, s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
-        case State.REFUSED | State.GAVE_UP if o.refused != "hold" and _out_of_reach_m_s(p, s, o) == 0.0:
+        case State.REFUSED | State.GAVE_UP if o.refused != "hold" and out_of_reach.out_of_reach(p, s, o):
             return p, Hover(returns=True) if o.refused == "return" else Hover(elsewhere=o.elsewhere.landing_place)
-        case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
-            return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
-    return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
+    return _still(p, s, o, over_ground=over_ground)
+
+
+def _climbs(p: Progress, s: GuidanceCycle, climb_m_s: float, *, over_ground: bool) -> tuple[Progress, Command]:
+    """Climb against the deck and stay with it otherwise, which a driver that adds the deck's velocity does by itself."""
+    rate = climb_m_s + (0.0 if over_ground or climb_m_s == 0.0 else rising_m_s(s.knowledge))
+    flown = _with_deck(rate, s.knowledge) if over_ground else rate
+    return replace(p, climbs_m_s=flown), without_estimate(rate, over_ground=over_ground)
+
+
+def _with_deck(climb_m_s: float, knowledge: Knowledge) -> float:
+    """Return the climb over the ground of a vehicle that follows the deck and climbs from it, m/s."""
+    return climb_m_s - (0.0 if knowledge.deck is None else knowledge.deck.v_level.item(2))
 
 
 def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -221,16 +219,15 @@ def _yaw_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> f
 
 def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
     """Climb from the pad on the side where nothing stands."""
-    rate = -o.tries.climb_m_s
     estimate = usable(s, o.tries, o.stale_after_s)
-    fastest = fastest_climb_m_s(s, o)
+    fastest = out_of_reach.fastest_climb_m_s(s, o)
+    counted = replace(p, climbs_m_s=_with_deck(o.tries.climb_m_s, s.knowledge))
     # Where the pad was swung aside it comes back to a drone that goes on as the ship did.
     flown_s = o.tries.blind_s if estimate is not None and estimate.adrift else o.tries.climb_after_s
     old = estimate is not None and estimate.age_s(s.at) > flown_s
     if estimate is None or old or (p.track is not None and estimate.track != p.track):
-        rising = 0.0 if over_ground else rising_m_s(s.knowledge)
-        lifts = p.entered_height_m - o.cone.feet_below_m + p.in_state_s(s.at) * fastest < _LIFT_M
-        return p, without_estimate(max(fastest if lifts else 0.0, o.tries.climb_m_s + rising), over_ground=over_ground)
+        climb_m_s = max(o.tries.climb_m_s, out_of_reach.climb_m_s(p, s, o))
+        return _climbs(p, s, climb_m_s, over_ground=over_ground)
     if estimate.height_m - o.cone.feet_below_m < _LIFT_M:
         # It climbs at its place and moves with the deck: feet that are dragged before they leave the deck turn the vehicle over.
         here = np.array([*estimate.d_body_pad_level[:2], o.tries.safe_height_m])
@@ -238,35 +235,34 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
         body, most_rad = s.knowledge.body, None
         if body is not None and estimate.height_m - o.cone.feet_below_m - limits.lower_foot_m(s.knowledge, o.cone) < _BRAKES_M:
             most_rad = max(_LEAN_LEAST_RAD, math.atan(math.hypot(*body.lean_m_s2) / G_M_S2))
-        return p, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s, lean_max_rad=most_rad)
+        return counted, Target(here, descent_rate_m_s=-fastest, speed_max_m_s=o.cone.intercept_speed_m_s, lean_max_rad=most_rad)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])
     if estimate.yaw_rad is not None:
         bearing = math.radians(o.tries.clear_side_deg) - estimate.yaw_rad
         d[:2] = -aside_m * np.array([math.cos(bearing), math.sin(bearing)])
-    return p, Target(d, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s)
+    return counted, Target(d, descent_rate_m_s=-o.tries.climb_m_s, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
-def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
-    """Stay where the drone is against the deck, and never lower; or climb from there."""
+def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
+    """Stay where the drone is against the deck, and never lower; or climb from there, where it is low without sight."""
     estimate = usable(s, o.tries, o.stale_after_s)
+    climb_m_s = out_of_reach.climb_m_s(p, s, o)
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        # A deck that rises comes up to a drone that stays where it is.
-        if p.state is State.HOLD_BLIND:
-            climb_m_s += _comes_up_m_s(p, s, o, over_ground=over_ground)
-        if p.state in _REFUSED and not over_ground:
-            climb_m_s += _out_of_reach_m_s(p, s, o)
-        # Low over the deck it does not search: a deck that comes up would meet feet that move along it.
-        searches = p.state is State.SEARCH or (p.state is State.HOLD_BLIND and p.seen_height_m >= o.tries.safe_height_m)
-        looks = _looks_upwind(p, s, o, climb_m_s) if searches else None
-        return replace(p, held=None), looks or without_estimate(climb_m_s, over_ground=over_ground)
+        searches = p.state in (State.SEARCH, State.HOLD_BLIND) and climb_m_s == 0.0
+        looks = _looks_upwind(p, s, o) if searches else None
+        return (replace(p, held=None), looks) if looks else _climbs(replace(p, held=None), s, climb_m_s, over_ground=over_ground)
+    # A sight so short ago comes back as likely; a question about another pad is best asked from higher up.
+    waits = p.state is not State.ANOTHER_PAD and estimate.age_s(s.at) <= o.tries.climb_after_s
+    if waits or (estimate.height_m >= o.tries.safe_height_m and not out_of_reach.near(p, s, o)):
+        climb_m_s = 0.0
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
         held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
-    p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
+    p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad, climbs_m_s=_with_deck(climb_m_s, s.knowledge))
     # A drone that was lifted stays up: nothing commands it down again, only a deck that rises comes nearer (`_following_less`).
     wanted = np.array([held[0], held[1], max(estimate.height_m, _held_height_m(p, held, s, o))])
     rate = -climb_m_s if climb_m_s > 0.0 else None
@@ -274,29 +270,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=turns)
 
 
-def _out_of_reach_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return how fast a refused drone without sight climbs, out of reach of a deck that comes up.
-
-    At most by the safe height, and to twice that from a height that was seen.
-    """
-    known_m = p.entered_height_m if math.isfinite(p.entered_height_m) and not p.was_silent else 0.0
-    most_m = o.tries.safe_height_m - max(0.0, known_m - o.tries.safe_height_m)
-    return o.tries.climb_m_s if p.in_state_s(s.at) * o.tries.climb_m_s < most_m else 0.0
-
-
-def _off_orders_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions, off: Reason) -> float:
-    """Return how fast a refused drone that flies off its orders climbs, before it hovers by its own means, m/s.
-
-    That hover holds over the ground's level, and a deck may come up to it. The time for which a drone climbs does not say how far
-    it came where it sinks against its orders: it climbs until it is seen to be clear, and not for long.
-    """
-    low = s.estimate is not None and s.estimate.height_m < _clear_m(s, o) and fit_to_steer(s.estimate, s.at, o.stale_after_s)
-    if off.detail == "lower" and low and p.in_state_s(s.at) <= _CLIMBS_OFF_ORDERS_S:
-        return fastest_climb_m_s(s, o)
-    return _out_of_reach_m_s(p, s, o)
-
-
-def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: float) -> Velocity | None:
+def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity | None:
     """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
 
     The lean turns the camera to lee, so what was below is found upwind. The drone flies there, back, and so on, and turns the
@@ -308,7 +282,7 @@ def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions, climb_m_s: 
     speed = _LOOK_M_S if spent_s // _LEG_S % 2.0 == 0.0 else -_LOOK_M_S
     turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
     ahead, aside = s.wind.into_level
-    return Velocity(np.array([speed * ahead, speed * aside, -climb_m_s]), max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
+    return Velocity(np.array([speed * ahead, speed * aside, 0.0]), max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
 
 
 def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> Command:

@@ -8,25 +8,22 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, Event, State
 from companion.base.reason import CONDITIONS, Reason, ReasonCause
-from companion.guidance import cone, contact, heading, limits, rendezvous
+from companion.guidance import cone, contact, heading, limits, out_of_reach, rendezvous
 from companion.guidance.attempt import Attempt
 from companion.guidance.clearance import SWELL_MEAN_S
 from companion.guidance.controller import Impact
 from companion.guidance.held_course import LASTS_S, HeldCourse
 from companion.guidance.held_up import HELD_S
+from companion.guidance.out_of_reach import NEAR_SAFE_M
 from companion.guidance.progress import Progress
 from companion.guidance.response_watch import DELAY_MAX_S
 from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import after, seconds_between
 
 EventWithReason = tuple[Event, Reason]
 
-NEAR_SAFE_M = 0.25
-"""A height at most this far below the safe height counts as the safe height, metres."""
-SILENT_S = 0.3
-"""Time without a sample of the vehicle after which it counts as silent, seconds."""
 _PRESS_IN_WIND = 0.5
 """Share of the time for which it presses on that is left in wind."""
 _RISES_M_S = 0.1
@@ -92,10 +89,9 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Charge the guidance cycle to the attempt, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
-    if s.silent_s > SILENT_S:
-        p = replace(p, unheard_s=p.unheard_s + since_last_s, was_silent=True)
+    p = out_of_reach.climbed(p, s, since_last_s)
     if p.state not in FLOWN:
-        return p
+        return _seen_from(p, s, o)
     if p.state is State.RENDEZVOUS:
         p = replace(p, on_way=s.at)
     p = replace(p, attempt=p.attempt.cycle(since_last_s))
@@ -117,10 +113,6 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
             attempt = attempt.lost()
         if p.seen is not None:
             attempt = attempt.unseen(since_last_s)
-        # A deck that came nearer than it is thought to be is at its highest.
-        rise_m = p.deck_top_m if _came_nearer(p, s, o) else p.deck_rise_m
-        rise_m += since_last_s * deck_rises_m_s(p, s, o)
-        p = replace(p, deck_rise_m=rise_m, deck_top_m=max(p.deck_top_m, rise_m))
         return _judged(replace(p, attempt=attempt, in_sight=False), s, o)
     if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
         attempt = attempt.descended(p.seen_height_m - estimate.height_m)
@@ -133,13 +125,20 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return _judged(
         replace(
             p, attempt=attempt, landing_began=s.at if p.landing_began is None else p.landing_began,
-            in_sight=True, seen=s.at, unheard_s=0.0, was_silent=False, deck_rise_m=0.0, deck_top_m=0.0,
+            in_sight=True, seen=s.at, was_silent=False, deck_rise_m=0.0, climbed_m=0.0,
             seen_height_m=estimate.height_m, track=estimate.track,
             heading=turning, turned=turned or p.turned,
         ),
         s,
         o,
     )  # fmt: skip
+
+
+def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Note the height that is seen while no landing is flown."""
+    if s.estimate is None or unfit(s.estimate, s.at, o.stale_after_s) is not None:
+        return p
+    return replace(p, seen_height_m=s.estimate.height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
@@ -172,32 +171,9 @@ def _bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
     return _windy(p, s) if low and s.wind is not None and s.wind.spent else None
 
 
-def fastest_climb_m_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return the fastest climb that the vehicle can make, m/s."""
-    return max(o.tries.climb_m_s, s.knowledge.climb_max_m_s or 0.0)
-
-
 def _came_nearer(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether a range sensor finds the deck out of sight nearer than it was in sight, and than is safe."""
-    safe_m = o.tries.safe_height_m
-    return (
-        s.range_m is not None
-        and s.range_m < min(safe_m, p.seen_height_m) - NEAR_SAFE_M
-        and p.seen_height_m + p.deck_top_m < 2.0 * safe_m
-    )
-
-
-def deck_rises_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return the rate at which an unseen deck rises, m/s.
-
-    An unknown deck, or one that a range sensor finds nearer than it is thought to be, may rise as fast as a drone can climb.
-    That is until the drone is at the safe height over where the deck was seen, or at twice that by the sensor.
-    """
-    if _came_nearer(p, s, o):
-        return fastest_climb_m_s(s, o)
-    if s.estimate is None:
-        return fastest_climb_m_s(s, o) if p.seen_height_m + p.deck_top_m < o.tries.safe_height_m else 0.0
-    return 0.0 if s.knowledge.deck is None else -s.knowledge.deck.v_level.item(2)
+    return s.range_m is not None and s.range_m < p.seen_height_m - NEAR_SAFE_M and out_of_reach.near(p, s, o)
 
 
 def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
@@ -253,18 +229,16 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the pad: the one that is seen, or the least that the climb since the newest sight has made."""
     if p.in_sight:
         return p.seen_height_m
-    from_m = 0.0 if p.was_silent else min(p.seen_height_m, o.tries.safe_height_m)
-    reckoned_m = from_m + _climbed_blind_m(p, s, o)
+    known = not p.was_silent and math.isfinite(p.seen_height_m)
+    from_m = min(p.seen_height_m, o.tries.safe_height_m) if known else 0.0
+    reckoned_m = from_m + p.climbed_m - p.deck_rise_m
+    if s.range_m is not None and out_of_reach.near(p, s, o):
+        return min(reckoned_m, s.range_m)
     estimate = s.estimate
     if estimate is None or estimate.alerts != (IntegrityAlert.UNFELT,) or estimate.age_s(s.at) > o.stale_after_s:
         return reckoned_m
     # The height is seen all the same.
     return min(reckoned_m, estimate.height_m)
-
-
-def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
-    begun = [at for at in (p.since, p.seen) if at is not None]
-    return max(0.0, seconds_between(max(begun), s.at) - p.unheard_s) * o.tries.climb_m_s if begun else 0.0
 
 
 def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[EventWithReason]:
@@ -638,9 +612,3 @@ def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
     held_s = seconds_between(p.good_since, s.at)
     if min(p.entered_height_m, s.estimate.height_m) >= safe_m and held_s >= o.tries.another_pad_s:
         yield Event.BEGIN, Reason(ReasonCause.AUTOMATIC)
-
-
-def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:
-    """Return whether the drone is still on its way up to the safe height while the operator decides."""
-    climbed_m = 0.0 if p.since is None else (seconds_between(p.since, now) - p.unheard_s) * o.tries.climb_m_s
-    return climbed_m < o.tries.safe_height_m - max(0.0, p.entered_height_m)

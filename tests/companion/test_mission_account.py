@@ -56,10 +56,10 @@ def test_a_cycle_s_time_is_charged_once_and_never_backward() -> None:
 
 @pytest.mark.parametrize(("silent_s", "silent"), [(0.3, False), (0.301, True)])
 def test_a_silent_vehicle_may_not_have_climbed_until_the_pad_is_seen_again(silent_s: float, silent: bool) -> None:
-    p = after(memory(State.GO_AROUND, unheard_s=0.5), silent_s=silent_s)
-    assert (p.unheard_s, p.was_silent) == (pytest.approx(0.52 if silent else 0.5), silent)
+    p = after(memory(State.GO_AROUND, climbs_m_s=0.5, climbed_m=1.0), silent_s=silent_s)
+    assert (p.climbed_m, p.was_silent) == (pytest.approx(1.0 if silent else 1.01), silent)
     p = after(replace(p, was_silent=True), seen(), silent_s=0.1)
-    assert (p.unheard_s, p.was_silent) == (0.0, False)
+    assert (p.climbed_m, p.was_silent) == (0.0, False)
 
 
 def test_only_a_landing_that_is_flown_is_accounted_for() -> None:

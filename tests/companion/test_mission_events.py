@@ -252,7 +252,8 @@ def test_a_go_around_ends_the_tries_once_it_is_high_enough() -> None:
 
 
 def test_what_the_frames_show_is_reported_where_nothing_else_is_seen() -> None:
-    p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, fault=WHY, go_arounds=OPTIONS.tries.go_arounds_max + 1)
+    over = OPTIONS.tries.go_arounds_max + 1
+    p = memory(State.GO_AROUND, 60.0, seen=ns(NOW - 60.0), in_sight=False, climbed_m=2.0, fault=WHY, go_arounds=over)
     assert of(Event.HOPELESS, p, cycle()) == WHY
     reported = of(Event.HOPELESS, p, cycle(frames=BLIND))
     assert reported is not None

@@ -144,7 +144,7 @@ def test_a_pad_never_seen_from_near_is_not_tried_for_ever() -> None:
 def test_no_pad_at_all_ends_in_giving_up() -> None:
     flight = PointFlight([0.0, 0.0, 3.0], guided(tries={"search_s": 5.0}), sight=lambda t, d: False).run(10)
     assert flight.states == [State.SEARCH, State.GAVE_UP]
-    assert all(aim == Hover() for t, _, aim, _ in flight.rows if t < 5.0)
+    assert all(aim == Hover() for t, _, aim, _ in flight.rows if t > 4.1)
     climbs = [aim for _, _, aim, _ in flight.rows if aim != Hover()]
     assert all(isinstance(aim, Velocity) and aim.v_level.tolist() == [0.0, 0.0, -0.5] for aim in climbs), "out of reach"
     assert len(climbs) == pytest.approx(4.0 / DT, abs=2)
@@ -286,11 +286,11 @@ def test_the_time_of_a_leg_does_not_begin_again_with_every_loss_of_sight() -> No
 
 
 def test_the_whole_landing_ends_in_its_time_up_over_the_deck() -> None:
-    flight = bumpy(guided(tries={"go_arounds_max": 100, "landing_s": 60.0}))
+    flight = bumpy(guided(tries={"go_arounds_max": 100, "landing_s": 64.0}))
     assert flight.progress.state is State.GAVE_UP
     assert causes(flight, State.GO_AROUND)[-1] is ReasonCause.LANDING_TIME
-    assert 60.0 < flight.t < 75.0
-    over = next(i for i, (t, *_) in enumerate(flight.rows) if t > 61.0 + DT)
+    assert 64.0 < flight.t < 79.0
+    over = next(i for i, (t, *_) in enumerate(flight.rows) if t > 65.0 + DT)
     assert min(d[2] for _, d, *_ in flight.rows[over:]) >= flight.rows[over][1][2] - 0.2, "never lower because of it"
 
 

@@ -11,7 +11,7 @@ from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.attempt import Attempt
 from companion.guidance.situation import VesselPosition
-from companion.guidance.watch import clear, climbs_from_question, near
+from companion.guidance.watch import clear, near
 from estimator.contracts.estimates import IntegrityAlert
 from tests.companion.mission_flights import guided, ns
 from tests.companion.test_mission_events import BLIND, NOW, OPTIONS, WHY, cycle, figures, happens, memory, of, seen
@@ -29,7 +29,7 @@ from tests.companion.test_mission_events import BLIND, NOW, OPTIONS, WHY, cycle,
 )  # fmt: skip
 def test_every_state_has_its_time(state: State, limit_s: float, cause: ReasonCause) -> None:
     for more_s, over in ((0.0, False), (0.001, True)):
-        p = memory(state, limit_s + more_s, seen=None, seen_height_m=0.0, was_silent=True, unheard_s=99.0, in_sight=False)
+        p = memory(state, limit_s + more_s, seen=None, seen_height_m=0.0, was_silent=True, in_sight=False)
         found = figures(of(Event.TIMEOUT, p, cycle()))
         assert found == ((cause, pytest.approx(limit_s + more_s), pytest.approx(limit_s)) if over else None)
     assert of(Event.TIMEOUT, memory(state, since=None), cycle()) is None
@@ -102,25 +102,23 @@ def test_a_go_around_is_high_enough_by_sight() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "climbed_s"),
+    ("fields", "needs_m"),
     [
-        ({"seen_height_m": 1.0}, 2.0), ({"seen_height_m": 1.0, "unheard_s": 1.5}, 3.5), ({"seen_height_m": 0.2}, 3.6),
-        ({"seen_height_m": 1.0, "was_silent": True}, 4.0), ({"seen_height_m": 9.0}, 0.0), ({"seen_height_m": math.inf}, 0.0),
+        ({"seen_height_m": 1.0}, 1.0), ({"seen_height_m": 0.2}, 1.8), ({"seen_height_m": 1.0, "was_silent": True}, 2.0),
+        ({"seen_height_m": 9.0}, 0.0), ({"seen_height_m": math.inf}, 2.0),
     ],
 )  # fmt: skip
-def test_without_sight_it_is_high_enough_by_the_time_that_it_has_climbed(fields: dict[str, Any], climbed_s: float) -> None:
-    """Half a metre a second from where it was seen last, less the time of a silence, which may have brought it to the deck."""
-    for more_s in (0.001, -0.001):
-        at = ns(NOW - climbed_s - more_s)
-        for since, sight in ((at, ns(1.0)), (ns(1.0), at), (at, None), (None, at)):
-            p = memory(State.GO_AROUND, in_sight=False, since=since, seen=sight, **fields)
-            assert clear(p, cycle(), OPTIONS) is (more_s > 0.0 or climbed_s == 0.0)
-    known = of(Event.CLEAR, memory(State.GO_AROUND, 9.0, in_sight=False, seen=None, **fields), cycle())
+def test_without_sight_it_is_high_enough_by_what_it_has_climbed(fields: dict[str, Any], needs_m: float) -> None:
+    """From where it was seen last, unless it was silent and may have come to the deck; a nearer range is believed."""
+    for more_m in (0.001, -0.001):
+        p = memory(State.GO_AROUND, in_sight=False, climbed_m=needs_m + more_m, **fields)
+        assert clear(p, cycle(), OPTIONS) is (more_m > 0.0)
+    known = of(Event.CLEAR, memory(State.GO_AROUND, in_sight=False, climbed_m=needs_m + 1.0, **fields), cycle())
     assert known is not None
-    start = 0.0 if fields.get("was_silent") else min(2.0, fields["seen_height_m"])
-    assert known.measured == pytest.approx(start + 0.5 * (9.0 - fields.get("unheard_s", 0.0)))
-    unknown = memory(State.GO_AROUND, in_sight=False, since=None, seen=None, **fields)
-    assert clear(unknown, cycle(), OPTIONS) is (climbed_s == 0.0)
+    assert known.measured == pytest.approx(3.0)
+    nearer = replace(cycle(), range_m=1.0)
+    assert clear(memory(State.GO_AROUND, in_sight=False, climbed_m=1.5, seen_height_m=1.0), nearer, OPTIONS) is False
+    assert clear(memory(State.GO_AROUND, in_sight=False, climbed_m=3.1, seen_height_m=1.0), nearer, OPTIONS), "not for ever"
 
 
 # The way down in the cone
@@ -217,13 +215,3 @@ def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_s
     assert happens(p, s, o) == ([(Event.BEGIN, Reason(ReasonCause.AUTOMATIC))] if begins else [])
     assert happens(p, s) == [], "the operator decides"
     assert happens(p, cycle(), o) == []
-
-
-@pytest.mark.parametrize(
-    ("since_s", "unheard_s", "climbs"), [(1.99, 0.0, True), (2.01, 0.0, False), (3.0, 1.01, True), (None, 0.0, True)]
-)
-def test_while_the_operator_decides_it_climbs_to_the_safe_height_first(since_s, unheard_s, climbs):
-    since = None if since_s is None else ns(NOW - since_s)
-    p = memory(State.ANOTHER_PAD, since=since, unheard_s=unheard_s)
-    assert climbs_from_question(p, ns(NOW), OPTIONS) is climbs
-    assert not climbs_from_question(replace(p, since=None, entered_height_m=2.0), ns(NOW), OPTIONS)

@@ -25,7 +25,7 @@ def well_on(state: State, **more: Any) -> Progress:
     fields: dict[str, Any] = {
         "since": ns(1), "fault": WHY, "stood": False, "begun": True, "ordered": True, "go_arounds": 2, "questions": 1,
         "landing_began": ns(2),
-        "attempt": Attempt(losses=2, without_sight_s=3.0), "seen": ns(8), "seen_height_m": 1.5, "unheard_s": 0.5,
+        "attempt": Attempt(losses=2, without_sight_s=3.0), "seen": ns(8), "seen_height_m": 1.5, "climbed_m": 0.5,
         "was_silent": True, "in_sight": True, "track": 4, "heading": HeadingMemory(1.0), "turned": WHY,
         "entered_height_m": 3.0, "held": np.ones(3), "held_yaw_rad": 0.3, "good_since": ns(7), "blocked": WHY,
         "waits_for": WHY, "waits_since": ns(7), "no_return_until": ns(10), "search_leg": 3, "newest_track": 5,
@@ -37,7 +37,7 @@ def test_a_service_waits_for_a_vehicle_or_for_an_order() -> None:
     p = Progress.start(automatic=True)
     assert (p.state, Progress.start(automatic=False).state) == (State.WAIT, State.STANDBY)
     assert (p.begun, p.ordered, p.was_silent, p.in_sight) == (False,) * 4
-    assert (p.since_last_s, p.unheard_s, p.go_arounds, p.questions, p.search_leg) == (0,) * 5
+    assert (p.since_last_s, p.climbed_m, p.go_arounds, p.questions, p.search_leg) == (0,) * 5
 
 
 def test_a_state_begins_with_nothing_of_the_state_before() -> None:
@@ -45,7 +45,7 @@ def test_a_state_begins_with_nothing_of_the_state_before() -> None:
     assert (p.state, p.since, p.reason, p.entered_height_m) == (State.GATE, ns(9), WHY, 1.5)
     nothing = (p.held, p.held_yaw_rad, p.good_since, p.blocked, p.waits_for, p.waits_since, p.no_return_until)
     assert nothing == (None,) * 7
-    assert p.unheard_s == 0.0
+    assert p.climbed_m == 0.5
     assert (p.go_arounds, p.questions, p.attempt.losses, p.track, p.ordered, p.search_leg) == (2, 1, 2, 4, True, 3)
 
 

@@ -177,19 +177,18 @@ def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_grou
 
 
 @pytest.mark.parametrize("over_ground", [True, False])
-@pytest.mark.parametrize(("state", "flees"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, False)])
+@pytest.mark.parametrize(("state", "climbs"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, True)])
 @pytest.mark.parametrize("rises_m_s", [0.4, 0.0, -0.4])
-def test_a_blind_hold_without_an_estimate_goes_up_with_a_deck_that_rises(state, flees, over_ground, rises_m_s):
+def test_a_low_drone_without_an_estimate_climbs_from_a_deck_as_it_rises(state, climbs, over_ground, rises_m_s):
     deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
     knowledge = replace(known(consistent=False), deck=deck)
-    p = Progress(state, automatic=True, begun=True, seen_height_m=1.0, deck_rise_m=0.3, deck_top_m=0.3)
-    _, found = aim(p, GuidanceCycle(knowledge.at, knowledge), guided(), over_ground=over_ground)
-    if over_ground:
+    p = Progress(state, automatic=True, begun=True, seen_height_m=2.1, deck_rise_m=0.3)
+    after, found = aim(p, GuidanceCycle(knowledge.at, knowledge), guided(), over_ground=over_ground)
+    if climbs or over_ground:
         assert isinstance(found, Velocity)
-        assert found.v_level.tolist() == [0.0, 0.0, 0.0], "its driver adds the deck's velocity"
-    elif flees and rises_m_s > 0.0:
-        assert isinstance(found, Velocity)
-        assert found.v_level.tolist() == [0.0, 0.0, -rises_m_s]
+        rate = 0.5 * climbs + (0.0 if over_ground else max(0.0, rises_m_s))
+        assert found.v_level.tolist() == [0.0, 0.0, -rate], "a driver over the ground adds the deck's velocity by itself"
+        assert after.climbs_m_s == pytest.approx(rate + rises_m_s * over_ground)
     else:
         assert found == Hover()
 
@@ -214,8 +213,8 @@ def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_w
         s = GuidanceCycle(ns(at), Knowledge(ns(at), None, deck=deck))
         p, found = aim(account(p, s, o), s, o, over_ground=False)
         climbed_m -= 0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
-    crest_m, room_m = 0.8 * 8.0 / math.tau, max(0.0, o.tries.safe_height_m - seen_m)
-    assert climbed_m == pytest.approx(min(crest_m, room_m), abs=0.05), "five crests are as high as one"
+    crest_m = 0.8 * 8.0 / math.tau
+    assert climbed_m == pytest.approx(max(0.0, crest_m + o.tries.safe_height_m - seen_m), abs=0.05), "five crests are one"
 
 
 @pytest.mark.parametrize("over_ground", [True, False])
@@ -340,9 +339,9 @@ def test_a_go_around_first_lifts_where_it_is_at_the_fastest_rate() -> None:
         assert found.descent_rate_m_s == rate
         assert (found.d_body_pad_level.tolist()[:2] == [0.1, 0.2]) is here
     blind = replace(known((0.1, 0.2, 0.1), consistent=False), climb_max_m_s=1.0)
-    for begun_s, rate in ((0.0, -1.0), (0.2, -1.0), (0.3, -0.5)):
+    for climbed_m, rate in ((0.0, -1.0), (0.2, -1.0), (0.3, -0.5)):
         for unknown in (blind, replace(known((0.1, 0.2, 0.1), age=1.51), climb_max_m_s=1.0)):
-            _, up = asked(State.GO_AROUND, unknown, entered_height_m=0.1, since=ns(NOW - begun_s))
+            _, up = asked(State.GO_AROUND, unknown, seen_height_m=0.1, climbed_m=climbed_m)
             assert isinstance(up, Velocity)
             assert up.v_level[2] == rate
 
@@ -384,7 +383,7 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         assert isinstance(found, Target)
         assert found.lean_max_rad == lean, "level, a gust would drag it over the deck"
     for since_s, side in ((19.0, 1.0), (21.0, -1.0), (41.0, 1.0)):
-        p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s))
+        p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s), climbed_m=2.0)
         found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
         assert isinstance(found, Velocity)
         assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
@@ -397,33 +396,23 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         )
 
 
-def test_a_drone_that_flies_otherwise_than_ordered_goes_out_of_reach_as_far_as_it_may_and_hovers_by_itself() -> None:
+@pytest.mark.parametrize("state", [State.REFUSED, State.GAVE_UP, State.PAUSED, State.ABORTED])
+@pytest.mark.parametrize("how", ["higher", "lower"])
+def test_a_drone_that_flies_otherwise_than_ordered_goes_out_of_reach_as_far_as_it_may_and_hovers_by_itself(state, how):
     """WHY: its own hover holds over the ground; 1.8 m over a deck in waves the deck came up to it."""
-    off = Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, "higher")
-    for state, since_s, height_m, climbs in (
-        (State.REFUSED, 1.0, 1.8, True), (State.REFUSED, 30.0, 1.8, False), (State.GAVE_UP, 1.0, 9.0, False),
-        (State.PAUSED, 1.0, 1.8, False), (State.ABORTED, 1.0, 1.8, False),
+    off, safe_m = Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how), guided().tries.safe_height_m
+    for height_m, age_s, spent_s, climbed_m, climbs in (
+        (safe_m - 0.26, 0.1, 7.9, 0.0, True), (safe_m - 0.26, 0.1, 8.1, 0.0, False), (safe_m - 0.24, 0.1, 1.0, 0.0, False),
+        (1.0, 9.0, 1.0, 0.0, True), (1.0, 9.0, 30.0, 2.0 * safe_m, False),
     ):  # fmt: skip
-        p = Progress(state, automatic=True, begun=True, since=ns(NOW - since_s), entered_height_m=height_m)
-        _, found = aim(p, GuidanceCycle(ns(NOW), known(), off_orders=off), guided(), over_ground=False)
+        p = Progress(
+            state, automatic=True, begun=True, stood=False, since=ns(NOW - spent_s), seen_height_m=1.0, climbed_m=climbed_m
+        )
+        _, found = aim(
+            p, GuidanceCycle(ns(NOW), known((0.0, 0.0, height_m), age=age_s), off_orders=off), guided(), over_ground=False
+        )
         assert isinstance(found, Velocity) is climbs
         assert climbs or found == Hover()
-
-
-def test_a_refused_drone_that_sinks_against_its_orders_climbs_until_it_is_seen_to_be_clear() -> None:
-    """WHY: it sank by as much as it was ordered up, and after the time of a climb it hovered down onto the deck."""
-    o = guided()
-    clear_m = o.tries.safe_height_m
-    for how, height_m, age_s, spent_s, climbs in (
-        ("lower", clear_m - 0.1, 0.1, 9.0, True), ("lower", clear_m - 0.1, 0.1, 11.0, False),
-        ("lower", clear_m + 0.1, 0.1, 9.0, False), ("lower", clear_m - 0.1, 9.0, 9.0, False),
-        ("higher", clear_m - 0.1, 0.1, 9.0, False),
-    ):  # fmt: skip
-        p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - spent_s), entered_height_m=clear_m)
-        k = known((0.0, 0.0, height_m), age=age_s)
-        s = GuidanceCycle(ns(NOW), k, off_orders=Reason(ReasonCause.OFF_ORDERS, 1.3, 1.2, how))
-        found = aim(p, s, o, over_ground=False)[1]
-        assert isinstance(found, Velocity) is climbs
 
 
 def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
@@ -433,27 +422,35 @@ def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
         GuidanceOptions(refused="land elsewhere")
     for refused, ends in after.items():
         o = replace(guided(), refused=refused, elsewhere=there)
-        for since_s in (1.0, 9.0):
-            p = Progress(State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s))
+        for climbed_m in (1.9, 2.0):
+            p = Progress(State.REFUSED, automatic=True, begun=True, stood=False, climbed_m=climbed_m)
             found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), o, over_ground=False)[1]
-            if since_s < 4.0:
+            if climbed_m < 2.0:
                 assert isinstance(found, Velocity)
                 assert found.v_level.tolist() == [0.0, 0.0, -o.tries.climb_m_s]
             else:
                 assert found == ends
-    for seen_m, silent, climbs_s in (
-        (1.5, False, 4.0),
-        (3.0, False, 2.0),
+    for seen_m, silent, needs_m in (
+        (1.5, False, 2.5),
+        (3.0, False, 1.0),
         (8.0, False, 0.0),
-        (8.0, True, 4.0),
-        (math.inf, False, 4.0),
+        (8.0, True, 2.0),
+        (math.inf, False, 2.0),
     ):
-        for since_s in (0.1, 1.9, 2.1, 3.9, 4.1):
+        for climbed_m in (0.0, 0.9, 1.1, 1.9, 2.1, 2.6):
             p = Progress(
-                State.REFUSED, automatic=True, begun=True, since=ns(NOW - since_s), entered_height_m=seen_m, was_silent=silent
+                State.REFUSED,
+                automatic=True,
+                begun=True,
+                stood=False,
+                seen_height_m=seen_m,
+                was_silent=silent,
+                climbed_m=climbed_m,
             )
             found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), guided(), over_ground=False)[1]
-            assert isinstance(found, Velocity) is (since_s < climbs_s), "it is high enough where it was seen high up"
+            assert isinstance(found, Velocity) is (climbed_m < needs_m), "it is high enough where it was seen high up"
+            stands = aim(replace(p, stood=True), GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None)), guided(), over_ground=False)[1]
+            assert stands == Hover(), "what stands since is not taken off"
     found = target(State.REFUSED, replace(known(), outrun_m=0.7))
     assert found.d_body_pad_level[2] == pytest.approx(guided().tries.safe_height_m + 0.7)
 

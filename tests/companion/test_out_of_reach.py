@@ -1,0 +1,175 @@
+"""Low over the deck without sight: in every state it climbs, moves nowhere else, and not for ever."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from companion.base.mission import ENDED, FLOWN, GROUND, State
+from companion.guidance.controller import Knowledge
+from companion.guidance.landing import mission_step
+from companion.guidance.out_of_reach import flown_by_others
+from companion.guidance.progress import Progress
+from companion.guidance.situation import GuidanceCycle, VesselPosition
+from companion.guidance.wind import WindOverDrone
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Hover, Velocity
+from estimator.contracts.motion import DeckMotion
+from tests.companion.mission_flights import ns
+
+NOW, DT = 100.0, 0.05
+OPTIONS = GuidanceOptions()
+SAFE_M = OPTIONS.tries.safe_height_m
+WINDY = WindOverDrone(9.0, 1.0, 12.0, (0.6, 0.8), 0.3, False, 0.4)
+BY_ITSELF = sorted(FLOWN - {State.COMMIT, State.PRESS, State.DOWN} | {State.REFUSED, State.GAVE_UP}, key=str)
+HELD = [State.PAUSED, State.ABORTED]
+
+heights = st.one_of(st.just(math.inf), st.floats(0.0, 6.0))
+memories = st.fixed_dictionaries(
+    {
+        "seen_height_m": heights, "was_silent": st.booleans(), "climbed_m": st.floats(0.0, 5.0),
+        "deck_rise_m": st.floats(-2.0, 2.0), "in_sight": st.just(False),
+        "seen": st.sampled_from([None, ns(NOW - 0.3)]), "go_arounds": st.integers(0, 2),
+    }
+)  # fmt: skip
+
+
+def waiting(state: State, **memory: Any) -> Progress:
+    return Progress(state, automatic=True, begun=True, stood=False, since=ns(NOW - 1.0), last=ns(NOW - DT), **memory)
+
+
+def deck(rises_m_s: float) -> DeckMotion:
+    return DeckMotion(ns(NOW), np.array([0.5, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0, 0, 0, 0, np.eye(4))
+
+
+def place(height_m: float | None) -> VesselPosition:
+    return VesselPosition(ns(NOW), np.array([30.0, 4.0]), 1.0, np.array([2.0, 0.0]), 0.0, True, height_m)
+
+
+@pytest.mark.hazard("H3")
+@settings(max_examples=300)
+@given(
+    state=st.sampled_from(BY_ITSELF + HELD),
+    memory=memories,
+    range_m=st.one_of(st.none(), st.floats(0.02, 6.0)),
+    rises_m_s=st.one_of(st.none(), st.floats(-1.0, 1.0)),
+    ship=st.one_of(st.none(), st.builds(place, st.one_of(st.none(), st.floats(-1.0, 9.0)))),
+    over_ground=st.booleans(),
+)
+def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, memory, range_m, rises_m_s, ship, over_ground):
+    moved = None if rises_m_s is None else deck(rises_m_s)
+    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=moved), wind=WINDY, vessel=ship, range_m=range_m)
+    p, found, _ = mission_step(waiting(state, **memory), s, OPTIONS, over_ground=over_ground)
+    if p.state in GROUND or p.state in ENDED - {State.REFUSED, State.GAVE_UP, State.ABORTED}:
+        return
+    assert isinstance(found, Velocity | Hover)
+    v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
+    assert v[2] <= 0.0, "without sight it never goes lower"
+    near = range_m is not None and range_m < SAFE_M - 0.25
+    if near and memory["climbed_m"] + (0.0 if math.isinf(memory["seen_height_m"]) else memory["seen_height_m"]) < 2.0 * SAFE_M:
+        assert v[2] <= -OPTIONS.tries.climb_m_s, "the range sensor finds the deck"
+    if v[2] < 0.0 and not (p.state in (State.RENDEZVOUS, State.SEARCH) and ship is not None):
+        assert v[:2].tolist() == [0.0, 0.0]
+    if v[:2].any():
+        assert (
+            not near
+            or memory["climbed_m"] + min(memory["seen_height_m"], 9.0) >= 2.0 * SAFE_M
+            or math.isinf(memory["seen_height_m"])
+        )
+
+
+class Sea:
+    """A drone that flies as it is ordered, with a lag, over a deck in a swell, and sees nothing."""
+
+    def __init__(
+        self, state: State, height_m: float, *, ranged: float | bool | None, over_ground: bool, swell_m: float = 0.0
+    ) -> None:
+        self.p = waiting(state)
+        self.o = replace(OPTIONS, tries=replace(OPTIONS.tries, search_s=3600.0, give_up_after_s=600.0, operator_wait_s=3600.0))
+        self.height_m, self.v_up, self.t, self.ranged, self.over_ground, self.swell_m = (
+            height_m,
+            0.0,
+            0.0,
+            ranged,
+            over_ground,
+            swell_m,
+        )
+        self.low_moves, self.climbed_m = 0.0, 0.0
+
+    def fly(self, seconds: float) -> "Sea":
+        for _ in range(round(seconds / DT)):
+            deck_up = self.swell_m * math.cos(math.tau * self.t / 9.0) * math.tau / 9.0
+            read = self.height_m if self.ranged is True else self.ranged
+            s = GuidanceCycle(
+                ns(NOW + self.t), Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), wind=WINDY, range_m=read or None
+            )
+            self.p, found, _ = mission_step(self.p, s, self.o, over_ground=self.over_ground)
+            v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
+            self.v_up += (-float(v[2]) - self.v_up) * DT / 0.4
+            self.climbed_m += DT * self.v_up
+            if self.height_m < 1.0:
+                self.low_moves = max(self.low_moves, math.hypot(*v[:2]))
+            self.height_m = max(0.0, self.height_m + DT * (self.v_up - deck_up))
+            self.t += DT
+        return self
+
+
+@pytest.mark.parametrize("over_ground", [False, True])
+@pytest.mark.parametrize("ranged", [True, False])
+@pytest.mark.parametrize("state", BY_ITSELF)
+def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged: bool, over_ground: bool) -> None:
+    sea = Sea(state, 0.3, ranged=ranged, over_ground=over_ground).fly(6.0)
+    assert sea.height_m > SAFE_M - 0.3
+    assert sea.low_moves == 0.0
+    flown = sea.fly(60.0)
+    assert flown.climbed_m < 2.0 * SAFE_M + 0.5, "and stays there"
+
+
+@pytest.mark.parametrize("state", [State.SEARCH, State.HOLD_BLIND, State.REFUSED, State.PAUSED])
+def test_over_a_swell_a_range_sensor_keeps_it_clear_of_the_crests(state: State) -> None:
+    sea = Sea(state, 0.5, ranged=True, over_ground=False, swell_m=1.2).fly(12.0)
+    lowest = min(sea.fly(DT).height_m for _ in range(1200))
+    assert lowest > 1.0
+    assert sea.low_moves == 0.0
+
+
+@pytest.mark.parametrize("state", [State.SEARCH, State.REFUSED, State.PAUSED, State.RENDEZVOUS])
+def test_a_range_sensor_that_lies_ends_neither_the_search_nor_the_hold(state: State) -> None:
+    sea = Sea(state, 3.0, ranged=0.3, over_ground=False).fly(60.0)
+    assert sea.climbed_m == pytest.approx(2.0 * SAFE_M, abs=0.3)
+    s = GuidanceCycle(ns(NOW + 60.0), Knowledge(ns(NOW + 60.0), None), wind=WINDY, range_m=0.3)
+    found = mission_step(sea.p, s, sea.o, over_ground=False)[1]
+    assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is (state is State.SEARCH), "it looks upwind"
+
+
+def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:
+    """WHY: a filter that begins anew takes a deck for one that falls from its crest, and the deck came up."""
+    for range_m, climbs in ((1.0, True), (None, False), (1.9, False)):
+        s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck(-0.8)), range_m=range_m)
+        found = mission_step(waiting(State.HOLD_BLIND, seen_height_m=2.5, deck_rise_m=-1.0), s, OPTIONS, over_ground=False)[1]
+        assert isinstance(found, Velocity) is climbs
+
+
+@pytest.mark.parametrize("state", HELD)
+def test_what_a_person_holds_moves_by_a_witness_alone(state: State) -> None:
+    """A person who pauses it high up without a range sensor does not want to see it climb."""
+    for memory, range_m, climbs in (
+        ({}, None, False), ({}, 0.4, True), ({}, 3.0, False), ({"seen_height_m": 0.4}, None, True),
+        ({"seen_height_m": 5.0}, 0.4, True),
+    ):  # fmt: skip
+        s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), range_m=range_m)
+        found = mission_step(waiting(state, **memory), s, OPTIONS, over_ground=False)[1]
+        assert isinstance(found, Velocity) is climbs
+        stands = mission_step(replace(waiting(state, **memory), stood=True), s, OPTIONS, over_ground=False)[1]
+        assert state is State.PAUSED or stands == Hover(), "what was landed since is not taken off"
+
+
+def test_after_a_person_s_hand_nobody_knows_the_height() -> None:
+    p = flown_by_others(waiting(State.PAUSED, seen_height_m=5.0, climbs_m_s=0.5, climbed_m=1.0))
+    assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (math.inf, 0.0, 0.0)
+    p = flown_by_others(waiting(State.SEARCH, seen_height_m=5.0, climbs_m_s=0.5, climbed_m=1.0))
+    assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (5.0, 1.0, 0.0), "a fence that held it back is no hand"
