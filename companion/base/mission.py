@@ -84,6 +84,8 @@ class Event(Enum):
     LIMIT = "limit exceeded"
     """A limit ends this attempt."""
     TIMEOUT = "time over"
+    BATTERY_ENDS = "battery ends"
+    """The pad is in sight of a drone that refused or gave up, and its battery will not last."""
     SIGHT_LOST = "sight lost"
     SIGHT = "sight"
     """There is a fresh, consistent estimate of the pad."""

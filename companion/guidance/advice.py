@@ -71,6 +71,8 @@ _BY_CAUSE: dict[ReasonCause, str] = {
     _C.GUST: "Wait until the squall has passed.",
     _C.WIND: "Wait for less wind, or let the ship run with it.",
     _C.BATTERY: "Land by hand where it is safest, and charge.",
+    _C.BATTERY_ENDS: "Land by hand where it is safest, and charge.",
+    _C.LANDS_HERE: "Take over by hand if it must not land there.",
 }
 """Advice by cause. Causes that are no faults have none, and neither have those that carry their own detail."""
 

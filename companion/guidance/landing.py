@@ -166,6 +166,8 @@ _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
 _LATE_VIDEO_S = 0.15
 """Delay of the camera from which the operator sees its cost, s."""
+_SAYS_CHARGE = 0.15
+"""Charge over the last one from which on the operator reads what becomes of a drone that refused."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
@@ -259,7 +261,18 @@ class LandingGuidance:
         if self.mission.state in _PLAIN:
             return "" if (late := self._late_video()) is None or self.mission.state not in FLOWN else late.text
         why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
-        return "" if why is None else why.text
+        return "; ".join(each.text for each in (why, self._lands_here()) if each is not None)
+
+    def _lands_here(self) -> Reason | None:
+        """Return that a drone that refused will land where it is, once its charge comes near to that."""
+        battery, last = None if self.vehicle is None else self.vehicle.battery_fraction, self._guidance.last_charge
+        if (
+            battery is None
+            or battery >= last + _SAYS_CHARGE
+            or not steer.ends_here(self.mission, self._guidance, self._over_ground)
+        ):
+            return None
+        return Reason(ReasonCause.LANDS_HERE, 100.0 * battery, 100.0 * last)
 
     def _late_video(self) -> Reason | None:
         """Return that the video is late, with the error that it leaves to expect; None where it is not."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, State
+from companion.base.mission import FLOWN, State
 from companion.guidance.attempt import STARVED_S
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer
@@ -75,7 +75,7 @@ def near(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
 def low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether a drone without sight of the pad may be within the reach of the deck."""
     safe_m, wanted = o.tries.safe_height_m, _WANTED.get(p.state, 1.0)
-    if wanted == 0.0 or (p.stood and p.state in ENDED):
+    if wanted == 0.0:
         return False
     if near(p, s, o):
         return True

@@ -120,6 +120,8 @@ def entered(p: Progress, change: StateChange) -> Progress:
     match change.event:
         case Event.TAKEN_OFF:
             p = _asked(replace(_fresh(p), stood=False, ordered=False), change.at)
+        case Event.BATTERY_ENDS:
+            p = _asked(_fresh(p), change.at)
         case Event.BEGIN:
             p = _fresh(p)
             if change.reason.cause is not ReasonCause.AUTOMATIC:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.mission import GROUND, State
+from companion.base.mission import ENDED, GROUND, State
 from companion.guidance import cone, heading, limits, out_of_reach, rendezvous
 from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
@@ -125,11 +125,15 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     """
     if p.state in GROUND:
         return p, None
-    if not p.begun or p.state is State.TAKEN:
+    if not p.begun or p.state is State.TAKEN or (p.stood and p.state in ENDED):
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
     estimate, p = s.estimate, replace(p, climbs_m_s=0.0)
     match p.state:
+        case State.REFUSED | State.GAVE_UP if (
+            s.battery is not None and s.battery < o.last_charge and ends_here(p, o, over_ground)
+        ):
+            return p, Land()
         case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:
             # Its own hover holds over the ground's level, and a deck may come up to it; orders may be turned round.
             if not out_of_reach.out_of_reach(p, s, o):
@@ -162,6 +166,11 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.REFUSED | State.GAVE_UP if o.refused != "hold" and out_of_reach.out_of_reach(p, s, o):
             return p, Hover(returns=True) if o.refused == "return" else Hover(elsewhere=o.elsewhere.landing_place)
     return _still(p, s, o, over_ground=over_ground)
+
+
+def ends_here(p: Progress, o: GuidanceOptions, over_ground: bool, /) -> bool:
+    """Return whether a drone that refused comes down where it is before it falls; an AR.Drone has no other place to fly to."""
+    return p.state in _REFUSED and not p.stood and o.last_charge > 0.0 and (o.refused == "hold" or not over_ground)
 
 
 def _climbs(p: Progress, s: GuidanceCycle, climb_m_s: float, *, over_ground: bool) -> tuple[Progress, Command]:

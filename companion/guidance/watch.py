@@ -75,6 +75,10 @@ _LEAN_SETTLES_S = 10.0
 """Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
 _SPENT_WAIT_S = 8.0
 """Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
+_LOOKS_S = 10.0
+"""Time for which it looks for the pad with a charge too low to begin, s: that may be the nearest place to land."""
+_ENDS_AFTER_S = 2.0
+"""Time after a refusal before a battery that ends is a reason to try again, s."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 
@@ -188,6 +192,8 @@ def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCours
 def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what happens in the present state, the most important first."""
     state, estimate = p.state, s.estimate
+    if state in (State.REFUSED, State.GAVE_UP) and (ends := _battery_ends(p, s, o)) is not None:
+        yield Event.BATTERY_ENDS, ends
     if state not in FLOWN:
         return
     if estimate is not None and p.track is not None and estimate.track != p.track:
@@ -309,14 +315,18 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
-    if s.wind is not None and (windy := _windy(p, s)) is not None:
+    low = s.battery is not None and s.battery < o.limits.battery
+    lost = fit_in(p.state, s, o) is not None
+    # The pad in sight is the nearest way down then, whatever wind and waves: the gate still waits for its limits.
+    stays = not low or lost
+    if stays and s.wind is not None and (windy := _windy(p, s)) is not None:
         waited_s = _windy_s(p, s)
         blind_s = 0.0 if p.in_sight else waited_s if p.seen is None else min(waited_s, seconds_between(p.seen, s.at))
         if waited_s > o.limits.wind_wait_s or (s.wind.spent and blind_s > _SPENT_WAIT_S):
             yield Event.NO_CONDITIONS, windy
     outrun_m = s.knowledge.outrun_m
     waits = p.state in (State.INTERCEPT, State.DESCEND, State.GATE) and s.knowledge.swell_watched_s >= SWELL_MEAN_S
-    if waits and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
+    if stays and waits and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
         # It would wait as high as it goes around. One large wave alone is no such swell.
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
     if s.late_s is not None:
@@ -325,13 +335,13 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         yield Event.NO_CONDITIONS, s.off_orders
     if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
-    if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
+    if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and lost:
         known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
         if seconds_between(known, s.at) > o.rendezvous.lost_s:
             yield Event.NO_CONDITIONS, s.vessel
     # A landing that has begun is the nearest way down: after a go-around a low battery is one reason more to try again.
-    begins = p.state in (State.SEARCH, State.RENDEZVOUS)
-    if begins and s.battery is not None and s.battery < o.limits.battery:
+    begins = p.state in (State.SEARCH, State.RENDEZVOUS) and lost
+    if low and s.battery is not None and begins and p.in_state_s(s.at) > _LOOKS_S:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
         used_up = p.go_arounds > o.tries.go_arounds_max or _landing_over(p, s, o) is not None
@@ -339,6 +349,19 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
             yield Event.NO_CONDITIONS, p.fault
         if used_up:
             yield Event.HOPELESS, (None if p.in_sight else of_frames(s.frames)) or p.fault
+
+
+def _battery_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that the battery of a drone that refused will not last while the pad is in sight; what stands does not take off."""
+    if (
+        p.stood
+        or p.in_state_s(s.at) < _ENDS_AFTER_S
+        or s.battery is None
+        or not o.last_charge <= s.battery < o.limits.battery
+        or fit_in(p.state, s, o) is not None
+    ):
+        return None
+    return Reason(ReasonCause.BATTERY_ENDS, 100.0 * s.battery, 100.0 * o.last_charge)
 
 
 def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

@@ -164,6 +164,16 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "hold"
     elsewhere: ElsewhereOptions = ElsewhereOptions()
+    last_charge: Annotated[
+        float,
+        number(
+            "charge at which a drone that refused or gave up and flies nowhere else lands where it is, by its own landing: a "
+            "hover ends in a fall; 0 to hover on",
+            "1",
+            0.0,
+            0.5,
+        ),
+    ] = 0.05
     controller: Annotated[
         str,
         name(

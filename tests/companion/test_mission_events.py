@@ -211,10 +211,33 @@ def test_the_vehicle_s_own_speed_is_no_wind(speed_m_s: float, on_way_s: float | 
 
 @pytest.mark.parametrize(("battery", "low"), [(0.09, True), (0.1, False), (None, False)])
 def test_a_low_battery_ends_what_has_not_begun(battery: float | None, low: bool) -> None:
+    """WHY: with 9 % and the pad in sight the only way down was refused for good; the first frame comes after the first cycle."""
     for state in FLOWN - {State.ANOTHER_PAD}:
-        found = figures(of(Event.NO_CONDITIONS, memory(state), cycle(seen(), battery=battery)))
-        begins = state in (State.SEARCH, State.RENDEZVOUS)
-        assert found == ((ReasonCause.BATTERY, pytest.approx(9.0), pytest.approx(10.0)) if low and begins else None)
+        assert of(Event.NO_CONDITIONS, memory(state, 60.0), cycle(seen(), battery=battery)) is None, "the pad is in sight"
+        for waited_s in (10.0, 10.001):
+            found = figures(of(Event.NO_CONDITIONS, memory(state, waited_s), cycle(battery=battery)))
+            ends = low and waited_s > 10.0 and state in (State.SEARCH, State.RENDEZVOUS)
+            assert found == ((ReasonCause.BATTERY, pytest.approx(9.0), pytest.approx(10.0)) if ends else None)
+
+
+@pytest.mark.parametrize("state", [State.REFUSED, State.GAVE_UP])
+def test_a_battery_that_ends_lands_a_refused_drone_on_the_pad_that_it_sees(state: State) -> None:
+    for battery, relative, since_s, stood, lands in (
+        (0.09, seen(), 2.0, False, True), (0.09, seen(), 1.9, False, False), (0.1, seen(), 2.0, False, False),
+        (0.09, None, 2.0, False, False), (0.049, seen(), 2.0, False, False), (0.09, seen(), 2.0, True, False),
+        (None, seen(), 2.0, False, False),
+    ):  # fmt: skip
+        p = replace(memory(state, since_s), stood=stood)
+        assert (of(Event.BATTERY_ENDS, p, cycle(relative, battery=battery)) is not None) is lands
+    assert TABLES["cone"][state][Event.BATTERY_ENDS] is State.SEARCH
+    for held in (State.PAUSED, State.ABORTED, State.READY):
+        assert of(Event.BATTERY_ENDS, memory(held, 9.0), cycle(seen(), battery=0.09)) is None, "a person has it"
+
+
+def test_wind_refuses_no_drone_whose_battery_ends_over_the_pad() -> None:
+    p = memory(State.INTERCEPT, windy_since=ns(NOW - 30.0))
+    for battery, relative, refuses in ((0.5, seen(), True), (0.09, seen(), False), (0.09, None, True)):
+        assert (of(Event.NO_CONDITIONS, p, cycle(relative, wind=STRONG, battery=battery)) is not None) is refuses
 
 
 @pytest.mark.parametrize("state", [State.SEARCH, State.RENDEZVOUS])

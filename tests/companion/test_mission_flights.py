@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -217,14 +218,49 @@ def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contac
 
 def test_wind_and_battery_refuse_with_their_numbers() -> None:
     gale = WindOverDrone(14.0, 1.0, 9.0, (1.0, 0.0), 0.48, spent=True)
-    for situation, cause in (({"wind": gale}, ReasonCause.WIND), ({"battery": 0.05}, ReasonCause.BATTERY)):
+    over = estimate(0.0, [0, 0, 3.0])
+    for seen, situation, cause in ((over, {"wind": gale}, ReasonCause.WIND), (None, {"battery": 0.05}, ReasonCause.BATTERY)):
         o = GuidanceOptions()
         progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
-        seen = estimate(0.0, [0, 0, 3.0])
         s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
-        progress, _, _ = mission_step(replace(progress, windy_since=ns(-21.0)), s, o, over_ground=False)
+        progress = replace(progress, windy_since=ns(-21.0), since=ns(-11.0))
+        progress, _, _ = mission_step(progress, s, o, over_ground=False)
         assert progress.fault is not None
         assert (progress.state, progress.fault.cause) == (State.REFUSED, cause)
+
+
+@pytest.mark.parametrize("battery", [0.09, 0.03])
+def test_a_refused_drone_whose_battery_ends_lands_on_the_pad_or_where_it_is_and_does_not_fall(battery: float) -> None:
+    flight = PointFlight([0.3, 0.0, 3.0])
+    flight.battery = 0.5
+    flight.progress = replace(flight.progress, state=State.REFUSED, begun=True, stood=False, since=ns(0.0))
+    assert flight.run(5.0).progress.state is State.REFUSED
+    flight.battery = battery
+    flight.run(60.0)
+    assert flight.progress.state is (State.LANDED if battery > 0.05 else State.REFUSED)
+    assert flight.d[2] == 0.0
+    assert battery > 0.05 or (flight.progress.stood and flight.rows[-1][2] == Hover()), "and does not take off again"
+
+
+@pytest.mark.parametrize(
+    ("refused", "over_ground", "lands"),
+    [("hold", True, True), ("hold", False, True), ("return", True, False), ("return", False, True)],
+)
+def test_what_flies_nowhere_else_lands_where_it_is_with_its_last_charge(refused, over_ground, lands):
+    """An AR.Drone has no return. A person who holds or aborts it decides, and 0 hovers on."""
+    o = replace(GuidanceOptions(), refused=refused)
+    s = GuidanceCycle(ns(9.0), Knowledge(ns(9.0), None), 0.049, range_m=5.0)
+
+    def ordered_in(state: State, o: GuidanceOptions = o, **memory: Any) -> Any:
+        p = Progress(state, automatic=True, begun=True, **{"stood": False, "since": ns(0.0), **memory})
+        return mission_step(p, s, o, over_ground=over_ground)[1]
+
+    for state in (State.REFUSED, State.GAVE_UP):
+        assert (ordered_in(state) == Land()) is lands
+        assert ordered_in(state, replace(o, last_charge=0.0)) != Land()
+        assert ordered_in(state, stood=True) != Land()
+    assert ordered_in(State.PAUSED) != Land()
+    assert ordered_in(State.ABORTED) != Land()
 
 
 def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:

@@ -34,9 +34,10 @@ def breach(name: str, state: State, event: Event) -> str:
         or state in DESCENDS
         or event is Event.CONTACT
         or (target is State.INTERCEPT and event in (Event.SIGHT, Event.CLEAR)),
-        "an end is left by a take-off or the operator": state not in ENDED
+        "an end is left by a take-off, the operator or a battery that ends": state not in ENDED
         or event is Event.TAKEN_OFF
-        or (event is Event.BEGIN and state in AGAIN),
+        or (event is Event.BEGIN and state in AGAIN)
+        or (event is Event.BATTERY_ENDS and state in (State.REFUSED, State.GAVE_UP)),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
     }
     return ", ".join(law for law, kept in laws.items() if not kept)

@@ -36,7 +36,7 @@ def known(d: tuple[float, float, float] = ABOVE, **fields: Any) -> Knowledge:
 
 
 def asked(state: State, knowledge: Knowledge, o: GuidanceOptions | None = None, **memory: Any) -> tuple[Progress, Aim]:
-    p = Progress(state, automatic=True, begun=True, **memory)
+    p = Progress(state, automatic=True, begun=True, stood=False, **memory)
     return aim(p, GuidanceCycle(knowledge.at, knowledge), o or guided(), over_ground=False)
 
 
@@ -304,7 +304,7 @@ def test_a_swell_that_outruns_the_climb_is_followed_up_and_not_down() -> None:
 )
 def test_waves_lift_no_vehicle_that_waits_high_up(state: State, age_s: float) -> None:
     """The deck heaves by 1 m in 8 s, and the law follows it: seeds 7601 and 7617 of weather_4 went up by 3 m."""
-    p, altitude_m = Progress(state, automatic=True, begun=True, entered_height_m=7.0), 7.0
+    p, altitude_m = Progress(state, automatic=True, begun=True, stood=False, entered_height_m=7.0), 7.0
     for k in range(1200):
         t = 0.05 * k
         deck_m, down_m_s = math.sin(0.785 * t), -0.785 * math.cos(0.785 * t)
