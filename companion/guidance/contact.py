@@ -8,7 +8,8 @@ forecast lead to. A healthy witness decides alone unless another contradicts it;
 makes a contact while a healthy accelerometer is silent: blind on the deck a filter's height drifts.
 
 A jolt also moves the filter's speed, so a descent that seems to have ended is no second witness of it. Where the height still
-contradicts, the drone presses on for the time that the rest of the way takes (`way_s`): it is at the deck then, jolt or not.
+contradicts, at the contact or in a later sight, the drone presses on for the time that the rest of the way takes (`way_s`): it is
+at the deck then, jolt or not.
 """
 
 import math
@@ -154,15 +155,18 @@ def votes(s: GuidanceCycle, felt: Impact | None, o: GuidanceOptions, ordered_s: 
     return count
 
 
-def way_s(s: GuidanceCycle, o: GuidanceOptions) -> float:
-    """Return the time that the way to the deck still takes, s, by what surely contradicts the contact; 0 if nothing does."""
-    over_m = math.nan if s.range_m is None else s.range_m - o.cone.feet_below_m
+def way_s(s: GuidanceCycle, o: GuidanceOptions, near_m: float = 0.0) -> float:
+    """Return the time that the way to the deck still takes by a height that surely contradicts a contact, s; 0 without one.
+
+    Args:
+        near_m: height of the feet that it has to exceed, m.
+    """
     feet, estimate = feet_m(s, o.cone), s.estimate
-    if over_m >= _RANGE_FAR_M:
-        return over_m / o.cone.commit_rate_m_s
-    if over_m <= _RANGE_NEAR_M or feet is None or estimate is None or estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
+    if feet is None or estimate is None or estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
         return 0.0
-    return feet / o.cone.commit_rate_m_s if feet > 3.0 * _sigma_m(s) else 0.0
+    if s.range_m is not None and s.range_m - o.cone.feet_below_m <= _RANGE_NEAR_M:
+        return 0.0
+    return feet / o.cone.commit_rate_m_s if feet - 3.0 * _sigma_m(s) > near_m else 0.0
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

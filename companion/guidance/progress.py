@@ -49,7 +49,7 @@ class Progress(Struct, frozen=True, eq=False):
     bounces: int = 0
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
     way_s: float | None = None
-    """Time that the way to the deck took at the contact by what contradicts it, s; None before it was asked."""
+    """Time from the contact after which the feet are at the deck by what contradicts it, s; None before the press."""
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
     course: HeldCourse = HeldCourse()

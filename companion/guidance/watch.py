@@ -106,8 +106,8 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if p.state is State.SEARCH:
             p = replace(p, search_leg=rendezvous.next_leg(p.search_leg, s.place, o.rendezvous))
     p = _in_wind(p, s)
-    if p.state is State.PRESS and p.way_s is None:
-        p = replace(p, way_s=contact.way_s(s, o))
+    if p.state is State.PRESS:
+        p = replace(p, way_s=_way_s(p, s, o))
     if p.state is State.ANOTHER_PAD:
         return _asked(p, s, o)
     estimate, attempt = s.estimate, p.attempt
@@ -268,6 +268,15 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
     press_s = max(o.cone.press_s + press_s if _rises(s) else press_s, p.way_s or 0.0)
     if p.state is State.PRESS and in_state_s >= press_s:
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
+
+
+def _way_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the time from the contact after which the feet are at the deck by what contradicts it, s."""
+    if p.way_s is None:
+        return contact.way_s(s, o)
+    seen_since = s.estimate is not None and p.since is not None and s.estimate.sighted > p.since
+    left_s = contact.way_s(s, o, contact.NEAR_M) if seen_since else 0.0
+    return max(p.way_s, p.in_state_s(s.at) + left_s) if left_s > 0.0 else p.way_s
 
 
 def _rises(s: GuidanceCycle) -> bool:

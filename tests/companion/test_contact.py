@@ -201,10 +201,10 @@ def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(feet_m, d
     ("feet_m", "more", "age_s", "way_s"),
     [
         (0.2, {}, 0.0, 0.5), (0.2, {}, 1.4, 0.5), (0.2, {}, 1.6, 0.0), (0.02, {}, 0.0, 0.0), (0.2, {"range_m": 0.1}, 0.0, 0.0),
-        (0.02, {"range_m": 0.445}, 0.0, 1.0), (-0.4, {"range_m": 0.2}, 0.0, 0.0),
+        (0.2, {"range_m": 0.5}, 0.0, 0.5), (-0.4, {}, 0.0, 0.0),
     ],
 )  # fmt: skip
-def test_the_way_that_is_left_at_a_contact_is_that_of_the_witness_that_contradicts_it(feet_m, more, age_s, way_s):
+def test_the_way_that_is_left_at_a_contact_is_that_of_the_height_that_contradicts_it(feet_m, more, age_s, way_s):
     seen = estimate(10.0, (0.0, 0.0, feet_m + OPTIONS.cone.feet_below_m), age=age_s)
     assert contact_way_s(GuidanceCycle(ns(10.0), Knowledge(ns(10.0), seen), **more), OPTIONS) == pytest.approx(way_s)
 

@@ -162,6 +162,10 @@ def test_a_contact_that_the_height_contradicts_is_pressed_for_as_long_as_the_way
     p = account(memory(State.PRESS, 0.0), above, OPTIONS)
     for since_s, pressed in ((0.41, False), (0.74, False), (0.76, True)):
         assert (of(Event.PRESSED, replace(p, since=ns(NOW - since_s)), above) is not None) is pressed
+    # A frame that was exposed after the contact shows it as high as before.
+    higher = account(replace(p, since=ns(NOW - 0.7)), cycle(seen((0.0, 0.0, feet + 0.2))), OPTIONS)
+    assert higher.way_s == pytest.approx(0.7 + 0.5)
+    assert account(replace(p, since=ns(NOW - 0.7)), cycle(seen((0.0, 0.0, feet + 0.14))), OPTIONS).way_s == p.way_s
     down = entered(p, StateChange(ns(NOW), State.PRESS, Event.PRESSED, State.DOWN, WHY))
     assert down.way_s is None
 
