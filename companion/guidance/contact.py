@@ -9,7 +9,7 @@ makes a contact while a healthy accelerometer is silent: blind on the deck a fil
 
 A jolt also moves the filter's speed, so a descent that seems to have ended is no second witness of it. Where the height still
 contradicts, at the contact or in a later sight, the drone presses on for the time that the rest of the way takes (`way_s`): it is
-at the deck then, jolt or not.
+at the deck then, jolt or not. And no deck was met for as long as the descent goes on (`descends`).
 """
 
 import math
@@ -56,6 +56,8 @@ SIGMA_MOST_M = 0.15
 """Standard deviation of the height beyond which it is not used, m."""
 _STILL_M_S = 0.15
 """Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
+_GOES_ON = 0.75
+"""Share of the commit's rate from which on a descent goes on as ordered."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
 """Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
@@ -155,18 +157,35 @@ def votes(s: GuidanceCycle, felt: Impact | None, o: GuidanceOptions, ordered_s: 
     return count
 
 
+def descends(s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether the descent that was ordered goes on: what was felt did not end it.
+
+    An estimate that refuses its sightings counts as well: a jolt makes it do so.
+    """
+    estimate = s.estimate
+    if estimate is None or estimate.alerts or s.knowledge.unfelt or not s.feels:
+        return False
+    if estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
+        return False
+    surely_m_s = -estimate.v_pad_level.item(2) - math.sqrt(max(0.0, estimate.cov.item(5, 5)))
+    return surely_m_s > _GOES_ON * o.cone.commit_rate_m_s
+
+
 def way_s(s: GuidanceCycle, o: GuidanceOptions, near_m: float = 0.0) -> float:
     """Return the time that the way to the deck still takes by a height that surely contradicts a contact, s; 0 without one.
+
+    An estimate that refuses its sightings counts as well, as in `descends`.
 
     Args:
         near_m: height of the feet that it has to exceed, m.
     """
-    feet, estimate = feet_m(s, o.cone), s.estimate
-    if feet is None or estimate is None or estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
+    estimate, sigma_m = s.estimate, _sigma_m(s)
+    if estimate is None or sigma_m > SIGMA_MOST_M or estimate.age_s(s.at) > o.limits.commit_sighting_age_s:
         return 0.0
+    feet = estimate.height_m - o.cone.feet_below_m
     if s.range_m is not None and s.range_m - o.cone.feet_below_m <= _RANGE_NEAR_M:
         return 0.0
-    return feet / o.cone.commit_rate_m_s if feet - 3.0 * _sigma_m(s) > near_m else 0.0
+    return feet / o.cone.commit_rate_m_s if feet - 3.0 * sigma_m > near_m else 0.0
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

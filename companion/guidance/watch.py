@@ -266,7 +266,7 @@ def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: floa
     # Wind drags a vehicle over the deck for as long as its rotors carry a part of the weight.
     press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
     press_s = max(o.cone.press_s + press_s if _rises(s) else press_s, p.way_s or 0.0)
-    if p.state is State.PRESS and in_state_s >= press_s:
+    if p.state is State.PRESS and in_state_s >= press_s and not contact.descends(s, o):
         yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
 
 

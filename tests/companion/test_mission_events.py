@@ -162,6 +162,9 @@ def test_a_contact_that_the_height_contradicts_is_pressed_for_as_long_as_the_way
     p = account(memory(State.PRESS, 0.0), above, OPTIONS)
     for since_s, pressed in ((0.41, False), (0.74, False), (0.76, True)):
         assert (of(Event.PRESSED, replace(p, since=ns(NOW - since_s)), above) is not None) is pressed
+    fast = cycle(seen((0.0, 0.0, feet), v=(0.0, 0.0, -0.35), age=1.0), impact=felt)
+    assert of(Event.PRESSED, memory(State.PRESS, 1.0), fast) is None, "the descent that the push should have ended goes on"
+    assert of(Event.PRESSED, memory(State.PRESS, 1.0), replace(fast, feels=False)) is not None
     # A frame that was exposed after the contact shows it as high as before.
     higher = account(replace(p, since=ns(NOW - 0.7)), cycle(seen((0.0, 0.0, feet + 0.2))), OPTIONS)
     assert higher.way_s == pytest.approx(0.7 + 0.5)
