@@ -2,7 +2,8 @@
 
 A Kalman filter of constant velocity for each axis, of a few numbers. It takes what the other checks let pass, in axes of fixed
 heading. Where it and the steering estimate are five sigma apart for half a second, nobody steers down. After two seconds, or
-where the filter has refused for as long all that the arbiter could follow, the filter is started again.
+where the filter has refused for as long all that the arbiter could follow, the filter is started again: by the same pad where the
+arbiter could follow it all the time, and by another one where the picture leapt.
 """
 
 import math
@@ -71,6 +72,8 @@ class Arbiter(Struct, frozen=True):
     """Instant since which the estimate is apart, ns."""
     refused_since: int | None = None
     """Instant of the first of an unbroken series of sightings that it followed and the filter refused, ns."""
+    leapt: bool = False
+    """The pad leapt in the picture, and the filter has taken no sighting since."""
 
     def explains(self, seen: Place) -> bool:
         """Return whether a sighting is where the recent ones lead."""
@@ -101,9 +104,11 @@ def follow(state: Arbiter, seen: Place) -> Arbiter:
         return state
     if not _follows(state.axes, dt, seen):
         missed = replace(state, misses=state.misses + 1)
-        return missed if missed.misses < _MISSES else follow(Arbiter(), seen)
+        if missed.misses < _MISSES:
+            return missed
+        return replace(follow(Arbiter(), seen), leapt=state.leapt or state.n >= _ESTABLISHED)
     axes = tuple(a.ahead(dt).measured(p, var) for a, p, var in zip(state.axes, seen.d, _vars(seen), strict=True))
-    return Arbiter(seen.t, axes, state.n + 1, 0, state.apart_since, state.refused_since)
+    return Arbiter(seen.t, axes, state.n + 1, 0, state.apart_since, state.refused_since, state.leapt)
 
 
 def compare(state: Arbiter, d: tuple[float, ...], v: tuple[float, ...], variances: tuple[float, ...]) -> Arbiter:
@@ -126,7 +131,8 @@ def compare(state: Arbiter, d: tuple[float, ...], v: tuple[float, ...], variance
 def judged(state: Arbiter, seen_at: int, fused: bool) -> Arbiter:
     """Take note of whether the filter fused the newest sighting."""
     if fused:
-        return state if state.refused_since is None else replace(state, refused_since=None)
+        known = state.refused_since is None and not state.leapt
+        return state if known else replace(state, refused_since=None, leapt=False)
     if seen_at != state.t or state.refused_since is not None:
         return state
     return replace(state, refused_since=state.t)
@@ -134,7 +140,7 @@ def judged(state: Arbiter, seen_at: int, fused: bool) -> Arbiter:
 
 def cleared(state: Arbiter) -> Arbiter:
     """Return the arbiter after it had the filter started again."""
-    return replace(state, apart_since=None, refused_since=None)
+    return replace(state, apart_since=None, refused_since=None, leapt=False)
 
 
 def _vars(seen: Place) -> tuple[float, float, float]:

@@ -177,7 +177,8 @@ def admit_sighting(
     following, explained = tracks.associate(guard.tracks, place, expected, o)
     if not explained and belief is not None and belief.adrift and expected is not None and _swung_there(expected, place):
         following, explained = tracks.Tracks(following.number, 0, place), True
-    if not (explained or guard.arbiter.explains(place)):
+    # The arbiter's doubt grows while it takes nothing, and would come to reach where the picture leapt to.
+    if not explained and (following.leapt or not guard.arbiter.explains(place)):
         return replace(guard, tracks=following), Verdict.ELSEWHERE
     seen = arbiter.follow(guard.arbiter, place)
     if belief is not None and expected is not None and seen.t == place.t and not seen.misses:
@@ -230,7 +231,8 @@ def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None,
     felt = guard.inertial if attitude is None else inertial.sighted(guard.inertial, place.t, place.d, sighting.yaw_rad)
     guard = replace(guard, arbiter=seen, inertial=felt)
     if seen.overrules:
-        guard = replace(guard, overruled=guard.overruled + 1, arbiter=arbiter.cleared(seen))
+        followed = guard.tracks._replace(number=guard.tracks.number + seen.leapt)
+        guard = replace(guard, overruled=guard.overruled + 1, arbiter=arbiter.cleared(seen), tracks=followed)
     if not is_fused:
         return guard
     guard = replace(guard, tracks=tracks.fused(guard.tracks, place))

@@ -4,8 +4,9 @@ A sighting belongs to the track if motion explains its position: it is where the
 full rate), or close to the previous sighting. A pad that is followed from one frame to the next stays the tracked one also while
 the estimator refuses it: the estimate is wrong then, and has its own way back. Anything else is a candidate with its own short
 history. The track never moves to a candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with
-a higher number begins; the consumers of the estimate see the number change. A candidate that was first seen so near to the
-expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the track goes on.
+a higher number begins; the consumers of the estimate see the number change. Where the pad was out of sight, a candidate that was
+first seen so near to the expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the
+track goes on. A pad that was in sight cannot have come there at once, however near it is: what did is not the tracked pad.
 
 Without an attitude nothing is estimated, but the frames go on to show whether the pad has left the picture (`follow`).
 """
@@ -28,6 +29,8 @@ _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
 _TURN_RAD_S = 1.0
 """Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind."""
+_SUDDEN_S = 0.5
+"""Time since the tracked pad was last seen within which no estimate has drifted off: a picture that shows it elsewhere leapt."""
 _SURELY = 0.9
 """Share of the distance to another pad that is left for the errors of two looks."""
 _SWING_RAD_S, _SWING_RAD = 4.0, 0.35
@@ -69,6 +72,8 @@ class TrackCandidate(NamedTuple):
     not explain then is not explained by a later, larger uncertainty."""
     n_alone: int = 1
     """Number of sightings at this place since the tracked pad was last seen."""
+    sudden: bool = False
+    """True if the tracked pad was seen just before."""
     apart_m: float = math.inf
     """Distance sideways from the pad's expected place when the candidate was first seen. The estimate, to which nothing is fused
     meanwhile, drifts away from both after that."""
@@ -90,6 +95,11 @@ class Tracks(NamedTuple):
     """The pad's place when it was last whole and alone in the frame, and the corners, (4, 2) m, of what the frame showed."""
 
     @property
+    def leapt(self) -> bool:
+        """True if the newest sighting goes on with a place to which the picture of the pad leapt."""
+        return bool(self.candidates) and self.candidates[-1].sudden and self.candidates[-1].n > 1
+
+    @property
     def disputed_at(self) -> int | None:
         """Instant at which a pad was last detected elsewhere, ns; None if that was not repeatedly."""
         return max((c.last.t for c in self.candidates if c.n >= _SEEN_AT_LEAST), default=None)
@@ -107,10 +117,12 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     last = tracks.last
     if last is None:
         return Tracks(1, 0, seen), True
-    if tracks.assumed is None and abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
+    known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
+    # What motion did not explain at first it does not explain later, when the pad may have moved further.
+    nearer = known is None or _apart(last, seen)[0] <= _apart(known.last, seen)[0]
+    if nearer and tracks.assumed is None and abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
         followed = seen.t > last.t and _apart(last, seen)[0] < 0.5 * o.pads_apart_m
         return (tracks._replace(last=seen) if followed else tracks), True
-    known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
     if expected is not None:
         then = (math.inf, math.inf) if known is None else known.sigmas_m
         sigma_m, sigma_down_m = min(expected.sigma_m, then[0]), min(expected.sigma_down_m, then[1])
@@ -125,7 +137,7 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     elif tracks.n < _CHOSEN and chosen.n_alone > tracks.n and _alone(chosen, candidates):
         return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(chosen, candidates, o):
-        another = chosen.apart_m >= 0.5 * o.pads_apart_m
+        another = chosen.sudden or chosen.apart_m >= 0.5 * o.pads_apart_m
         return Tracks(tracks.number + another, chosen.n, seen), True
     return tracks._replace(candidates=candidates), False
 
@@ -219,15 +231,16 @@ def _with(
     Args:
         last: the newest sighting of the tracked pad.
     """
+    sudden = abs(seen.t - last.t) <= _SUDDEN_S * 1e9
     if known is None and expected is not None:
         sigmas_m = expected.sigma_m, expected.sigma_down_m
-        chosen = TrackCandidate(seen.t, 1, seen, sigmas_m, apart_m=_apart(expected, seen)[0])
+        chosen = TrackCandidate(seen.t, 1, seen, sigmas_m, sudden=sudden, apart_m=_apart(expected, seen)[0])
     elif known is None:
-        chosen = TrackCandidate(seen.t, 1, seen)
+        chosen = TrackCandidate(seen.t, 1, seen, sudden=sudden)
     else:
         chosen = known._replace(n=known.n + 1, last=seen, n_alone=known.n_alone + 1)
         if known.first <= last.t < seen.t:
-            chosen = chosen._replace(first=seen.t, n_alone=1)
+            chosen = chosen._replace(first=seen.t, n_alone=1, sudden=sudden)
     others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
     return (*sorted(others, key=lambda c: c.last.t)[-(_MOST - 1) :], chosen)
 

@@ -249,6 +249,28 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(flyi
     assert verdict is said
 
 
+@pytest.mark.hazard("H1")
+@pytest.mark.parametrize(("leap_m", "height_m"), [(0.2, 0.6), (0.25, 1.0), (0.25, 2.5), (0.37, 1.8), (0.8, 2.5)])
+def test_a_pad_in_sight_that_leaps_is_another_one_however_near_it_is(leap_m: float, height_m: float) -> None:
+    """WHY: everything 37 cm aside, less than half of the distance of two pads, was landed on with the feet over the rim."""
+    rng, guard, numbers = np.random.default_rng(4), IntegrityGuard(), list[int]()
+    at = attitude(T)
+    for n in range(180):
+        t, leapt = T + n * 33 * MS, n >= 60
+        believed = replace(belief((0.1, 0.0, height_m), 0.02), at=MonoNs(t))
+        d = np.array([0.1 + leap_m * leapt, 0.0, height_m]) + 0.01 * rng.standard_normal(3)
+        seen = replace(sighting(t, (d[0], d[1], d[2])), cov=np.diag([1e-4, 1e-4, 1e-4, 1e-3]))
+        guard, verdict = admit_sighting(guard, seen, at, believed)
+        if verdict is None:
+            # The filter refuses what is ten of its deviations away.
+            guard = judged(guard, seen, at, is_fused=not leapt)
+        numbers.append(guard.tracks.number)
+        if guard.tracks.number == 2:
+            break
+    assert numbers[-1] == 2
+    assert 60 + 1.9 * 30 < len(numbers) < 60 + 3.0 * 30
+
+
 def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing() -> None:
     before = followed()
     guard, verdict = admit_sighting(before, sighting(T + 33 * MS, (1.0, 0.5, -2.0)), attitude(T), None)
