@@ -132,7 +132,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         f"{_INTEGRITY}/test_sensors.py",
     ),
     "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks_bounds.py", f"{_INTEGRITY}/test_tracks.py"),
-    "estimator/integrity/view.py": (f"{_INTEGRITY}/test_view_bounds.py", f"{_INTEGRITY}/test_view.py"),
+    "estimator/integrity/view.py": (f"{_INTEGRITY}/test_view.py",),
     "companion/guidance/mission.py": ("tests/companion/test_mission_table.py",),
     "companion/guidance/landing.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),
     "companion/guidance/progress.py": ("tests/companion/test_progress.py", *_MISSION),

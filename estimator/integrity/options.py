@@ -162,8 +162,8 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     pads_apart_m: Annotated[
         float,
         number(
-            "least distance between the centres of two pads; what is seen for adopt_s nearer than half of it beside the expected "
-            "position is the tracked pad, and the estimate was wrong",
+            "least distance between the centres of two pads; what is found again nearer than half of it beside the expected "
+            "position, and seen for adopt_s, is the tracked pad",
             "m",
             0.0,
             100.0,

@@ -196,7 +196,6 @@ def test_a_contact_is_a_vote_in_which_no_lone_witness_in_doubt_decides(feet_m, d
         assert (votes(s, felt_by, OPTIONS, 1.0) >= ENOUGH) is contact, "the estimate counts for as long as the commit flies by it"
 
 
-@pytest.mark.hazard("H4")
 @pytest.mark.parametrize(
     ("feet_m", "more", "age_s", "way_s"),
     [

@@ -48,7 +48,6 @@ def pushed(landing: LandingGuidance, n: int) -> Command | None:
     return landing.command(Knowledge(ns(t), estimate(t, [0.0, 0.0, 2.0]), body, deck))
 
 
-@pytest.mark.hazard("H3")
 @pytest.mark.parametrize("key", ["tries.give_up_after_s", "pid.speed_max_m_s", "follow_deck.climb_max_m_s"])
 def test_a_parameter_that_is_written_in_flight_makes_the_law_forget_nothing_of_the_wind(key: str) -> None:
     """WHY: any PARAM_SET took the trim from 3.8 m/s^2 to 0 for a cycle, low over the deck, and saturated the next command."""

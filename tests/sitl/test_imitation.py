@@ -82,7 +82,6 @@ def _announcing(shape: str) -> bytes:
     return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(4)
 
 
-@pytest.mark.hazard("H9")
 @pytest.mark.parametrize(
     ("content", "packing", "said"),
     [
