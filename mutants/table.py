@@ -125,7 +125,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
     "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock_bounds.py", f"{_INTEGRITY}/test_clock.py"),
     "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading_bounds.py", f"{_INTEGRITY}/test_heading.py"),
-    "estimator/integrity/heights.py": (f"{_INTEGRITY}/test_heights_bounds.py", f"{_INTEGRITY}/test_heights.py"),
+    "estimator/integrity/heights.py": (f"{_INTEGRITY}/test_heights.py",),
     "estimator/integrity/sensors.py": (
         f"{_INTEGRITY}/test_frames.py",
         f"{_INTEGRITY}/test_sensors_bounds.py",

@@ -25,8 +25,11 @@ from companion.guidance.limits import (
     stop_m,
     to_contact_s,
 )
+from companion.guidance.make_pilot import make_pilot
+from companion.settings.load import load
 from companion.settings.mission import ConeOptions, LandingLimits
 from companion.settings.response import ClimbResponse
+from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.ekf import Forecast
@@ -214,6 +217,13 @@ def moving(
 )  # fmt: skip
 def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotion | None, impossible: bool) -> None:
     assert impossible_deck(deck) is impossible
+
+
+def test_nobody_lands_for_a_second_after_a_deck_moved_as_no_deck_does() -> None:
+    landing = make_pilot(load("sim")).landing
+    landing.judge(ns(NOW), moving(4.0))
+    landing.judge(ns(NOW + 0.1), moving(0.1))
+    assert [landing.doubted(ns(NOW + s)) for s in (0.1, 0.9, 1.1)] == [IntegrityAlert.DECK, IntegrityAlert.DECK, None]
 
 
 def test_feet_that_slide_come_to_stand_farther_on() -> None:
