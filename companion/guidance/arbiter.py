@@ -141,6 +141,7 @@ class OperatorArbiter:
         self._place = PlaceMemory()
         self._samples: list[Sample] = []
         """Samples after `_place`."""
+        self._trusts_velocity = True
         self._limited = Limited()
         self._control = Control()
         self.on_order: Callable[[HandledOrder], None] = lambda handled: None
@@ -207,7 +208,7 @@ class OperatorArbiter:
 
     def _move(self) -> None:
         """Follow the vehicle's place through the samples that wait."""
-        self._place = place_step(self._place, self._samples)
+        self._place = place_step(self._place, self._samples, trusts_velocity=self._trusts_velocity)
         self._samples.clear()
 
     def tick(self, now: MonoNs) -> None:
@@ -229,12 +230,16 @@ class OperatorArbiter:
         if control.reset is not None and (not status.emergency or seconds_between(control.reset.at, now) > _REPEAT_S):
             self._control = replace(self._control, reset=None)
 
-    def choose(self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None) -> Chosen:
+    def choose(
+        self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None, *, trusts_velocity: bool = True
+    ) -> Chosen:
         """Return the command of this cycle within the limits: a person's if one commands, else guidance's.
 
         Args:
             belief: the steering estimate of the pad.
+            trusts_velocity: the integrity guard does not refuse the measured velocity.
         """
+        self._trusts_velocity = trusts_velocity
         chosen, manual = self._choose(now, guided), self._control.hand is not None
         hit: tuple[Limit, ...] = ()
         if chosen.command is not None:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.settings.limits import LimitOptions
-from estimator.contracts.commands import Command, Lean, Velocity
+from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, Sample, VehicleStatus
@@ -89,6 +89,8 @@ _GAP_S = 0.5
 _RANGE_S = 0.5
 _SIGMA_MAX_M = 5.0
 """The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
+_SEEN_GAIN_1_S = 1.5
+"""Acceleration for each m/s that the velocity differs from the wanted one by sight, 1/s."""
 _CLIMB_S = 1.0
 """The rate of climb is at most the height that is left over this time."""
 
@@ -116,10 +118,16 @@ class PlaceMemory(Struct, frozen=True, eq=False):
     range: Range | None = None
     charge: float | None = None
     """The battery's charge, 0 to 1."""
+    trusted: bool = True
+    """False while the measured velocity is refused: the place stays where it was then, and is not known."""
 
 
-def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
-    """Process samples of the vehicle, in the order in which they were received."""
+def place_step(memory: PlaceMemory, samples: Sequence[Sample], *, trusts_velocity: bool = True) -> PlaceMemory:
+    """Process samples of the vehicle, in the order in which they were received.
+
+    Args:
+        trusts_velocity: the integrity guard does not refuse the velocities among them.
+    """
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
@@ -127,7 +135,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
         if type(sample) is Attitude:
             attitude = sample
         elif type(sample) is BodyVelocity:
-            if velocity is not None and attitude is not None and flying:
+            if velocity is not None and attitude is not None and flying and trusts_velocity:
                 dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
                 if 0.0 < dt_s <= _GAP_S:
                     v_north, v_east = _turned_numbers(sample.v_level, attitude.R_ned_body.rpy_rad[2])
@@ -142,7 +150,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample]) -> PlaceMemory:
             flying, charge = sample.flying is True, sample.battery_fraction
             if not flying:
                 p_start_ned, ground_baro_m = (0.0, 0.0), baro_m
-    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge)
+    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge, trusts_velocity)
 
 
 def limited(
@@ -221,7 +229,7 @@ def _fences(
 
 
 def _start(place: PlaceMemory) -> _Frame | None:
-    if place.attitude is None or place.velocity is None:
+    if place.attitude is None or place.velocity is None or not place.trusted:
         return None
     return _Frame(np.array(place.p_start_ned), place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
 
@@ -233,7 +241,7 @@ def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool) -> _Fr
     if axes and belief.yaw_rad is None:
         return None
     yaw_rad = belief.yaw_rad or 0.0
-    body_v = np.zeros(2) if place.velocity is None else place.velocity.v_level[:2]
+    body_v = np.zeros(2) if place.velocity is None or not place.trusted else place.velocity.v_level[:2]
     return _Frame(_turned(-belief.d_body_pad_level[:2], yaw_rad), yaw_rad, belief.v_pad_level[:2] + body_v)
 
 
@@ -258,6 +266,43 @@ def _vertical(
         descent = min(down, max(0.0, (above_m - options.manual_height_min_m) / _CLIMB_S))
         return descent, [Limit.HEIGHT_MIN] if descent < down else []
     return down, []
+
+
+class Unmeasured(Struct, frozen=True, eq=False):
+    """What flies a vehicle while its measured velocity is refused."""
+
+    trim_level: F64
+    """Acceleration that holds against the wind, (2,) m/s^2 forward and right."""
+    drag_1_s: float
+    """The vehicle's deceleration for each m/s."""
+    v_seen: F64 | None
+    """Velocity against the deck by the sight of the pad, (3,) m/s in `level`; None out of sight."""
+    over_ground: bool
+    """True if the vehicle closes the loop by itself, and its driver adds the deck's velocity to a velocity."""
+
+
+def without_velocity(command: Command, by: Unmeasured, *, guided: bool) -> Command:
+    """Return what is flown in place of a velocity, so that no loop is closed on what the integrity guard refuses.
+
+    In sight of the pad the loop is closed on the estimate. Out of sight guidance flies nowhere along the deck: it climbs, or
+    hovers by the vehicle's own means; a person's velocity becomes the tilt that drives the vehicle as fast against its drag.
+
+    Args:
+        guided: guidance requests it, and no person who sees where the vehicle flies.
+    """
+    if not isinstance(command, Velocity) or (by.over_ground and (by.v_seen is not None or not guided)):
+        return command
+    v = np.array(command.v_level)
+    a_level = by.drag_1_s * v[:2]
+    if by.v_seen is not None:
+        a_level = a_level + _SEEN_GAIN_1_S * (v[:2] - by.v_seen[:2])
+    elif guided:
+        v[:2], a_level = 0.0, np.zeros(2)
+        if v[2] >= 0.0:
+            return Hover()
+    if by.over_ground:
+        return Velocity(v, command.yaw_rate_rad_s)
+    return Lean(a_level, by.trim_level, v, command.yaw_rate_rad_s)
 
 
 def _turned(v: F64, angle_rad: float) -> F64:

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, State, StateChange
@@ -12,6 +13,7 @@ from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
 from companion.guidance.clearance import SwellWatch, watched_swell
+from companion.guidance.command_limits import Unmeasured, without_velocity
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
 from companion.guidance.held_course import OFF_M, ClimbWatch
@@ -28,7 +30,7 @@ from companion.guidance.situation import GuidanceCycle, VesselPosition, unfit
 from companion.guidance.steer import Aim, aim
 from companion.guidance.view import FieldOfView
 from companion.guidance.watch import account, events
-from companion.guidance.wind import WindOverDrone, WindWatch, wind_over_drone
+from companion.guidance.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
 from companion.guidance.wind import watched as watched_wind
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
@@ -215,6 +217,7 @@ class LandingGuidance:
         self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
         """Time when the deck's estimated motion was last impossible."""
+        self._trusts_velocity = True
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
         self._deck_down_m_s: float | None = None
@@ -330,8 +333,9 @@ class LandingGuidance:
                 self._range = sample
             elif type(sample) is Baro:
                 self._baro = sample
-            elif type(sample) is BodyVelocity and self._over_ground and self.state not in GROUND:
-                self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
+            elif type(sample) is BodyVelocity:
+                if self._over_ground and self._trusts_velocity and self.state not in GROUND:
+                    self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self._vessel_track = rendezvous.on_sample(self._vessel_track, sample)
                 if of_ship(sample):
@@ -364,12 +368,16 @@ class LandingGuidance:
             self._overruled, self._on_pad = False, None
         self._changes += changes
 
-    def judge(self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False) -> None:
+    def judge(
+        self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False, trusts_velocity: bool = True
+    ) -> None:
         """Judge in each guidance cycle how the deck is estimated to move, and whether the vehicle can be held still.
 
         Args:
             accelerates_unfelt: the estimate does without the accelerometer.
+            trusts_velocity: the integrity guard does not refuse the measured velocity.
         """
+        self._trusts_velocity = trusts_velocity
         if not accelerates_unfelt:
             self._unfelt_since = None
         elif self._unfelt_since is None:
@@ -459,7 +467,8 @@ class LandingGuidance:
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
-            now, knowledge, battery, wind, self._quality, self._frames, place, silent_s, self._contact.feels,
+            now, knowledge, battery, wind, self._quality, self._frames, place, silent_s,
+            self._contact.feels and self._unfelt_since is None,
             self._response.late_s, self._touch, range_m, self._thing, unseen, self._off_orders(knowledge),
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
@@ -471,6 +480,17 @@ class LandingGuidance:
         else:
             self._ordered = steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
         return self._ordered
+
+    def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool) -> Command:
+        """Return what is flown in place of a velocity while the measured one is refused, as `command_limits` has it."""
+        if knowledge.body is not None:
+            trim = trim_level(self._wind, knowledge.body.heading_rad)
+        else:
+            trim = np.zeros(2) if self._attitude is None else trim_level(self._wind, self._attitude.R_ned_body.rpy_rad[2])
+        seen = knowledge.relative
+        fit = seen is not None and unfit(seen, knowledge.at, self._guidance.stale_after_s) is None
+        v_seen = -seen.v_pad_level if fit and seen is not None else None
+        return without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._over_ground), guided=guided)
 
     def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""

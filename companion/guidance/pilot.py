@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msgspec import structs
+from msgspec.structs import replace
 
 from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
@@ -309,7 +310,11 @@ class Pilot:
         steering = self.estimation.path
         knowledge = self._knowledge(now, next((b for b in believed if b.path == steering), None))
         belief = knowledge.relative
-        chosen = self.operator.choose(now, self.landing.command(knowledge), belief)
+        guided, trusts = self.landing.command(knowledge), knowledge.trusts_velocity
+        chosen = self.operator.choose(now, guided, belief, trusts_velocity=trusts)
+        if chosen.command is not None and not trusts:
+            by_us = self.operator.hand is None
+            chosen = replace(chosen, command=self.landing.without_velocity(chosen.command, knowledge, guided=by_us))
         response = self.landing.on_command(now, chosen.command)
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
@@ -320,17 +325,19 @@ class Pilot:
 
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
-        self.landing.judge(now, deck, accelerates_unfelt=self.estimation.memory.guard.inertial.accel_lost)
+        guard = self.estimation.memory.guard
+        trusts = guard.trusts_velocity(now)
+        self.landing.judge(now, deck, accelerates_unfelt=guard.inertial.accel_lost, trusts_velocity=trusts)
         objection = self.landing.doubted(now)
         if objection is not None and relative is not None:
             relative = _alerted(relative, objection)
         if objection is IntegrityAlert.DECK:
             deck = None
-        return self.landing.knowledge(now, relative, (body, deck), self.forecast)
+        return replace(self.landing.knowledge(now, relative, (body, deck), self.forecast), trusts_velocity=trusts)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
-        alerts = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
+        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimation.memory.guard.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
 
 

@@ -1,5 +1,8 @@
 """The wind over the drone, by the tilt that holds it in place, and how much of it the vehicle's tilt can fly.
 
+Its own speed pushes as a wind does. So the watch goes on only while the pad is seen or the measured velocity is trusted: a drone
+that flies away by a velocity that lies would call its speed wind.
+
 What the drone tilts beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
 is gusts. A vehicle can fly a steady tilt up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
 the tilt is for them.
@@ -10,12 +13,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.view import FieldOfView
 from companion.settings.response import TiltResponse
+from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -110,9 +115,9 @@ class WindWatch(Struct, frozen=True):
 
 
 def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
-    """Return the memory after one guidance cycle; one without a body's motion changes nothing."""
+    """Return the memory after one guidance cycle; one without a body's motion, or in which nothing holds it, changes nothing."""
     body, now = knowledge.body, knowledge.at
-    if body is None:
+    if body is None or not (knowledge.trusts_velocity or _in_sight(knowledge)):
         return watch
     c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
     (forward, right), (ahead, aside, _) = body.lean_m_s2, body.a_level.tolist()
@@ -135,6 +140,17 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     gust = off[0] - watch.mean[0] + watch.before[0], off[1] - watch.mean[1] + watch.before[1]
     var = watch.var + slow * (0.5 * (1.0 - slow) * (gust[0] ** 2 + gust[1] ** 2) - watch.var)
     return WindWatch(now, known_s, quick, smooth, mean, before, max(0.0, var))
+
+
+def _in_sight(knowledge: Knowledge) -> bool:
+    return knowledge.relative is not None and knowledge.relative.age_s(knowledge.at) <= _GAP_MAX_S
+
+
+def trim_level(watch: WindWatch, heading_rad: float) -> F64:
+    """Return the acceleration that holds against the mean wind, (2,) m/s^2 forward and right of a heading."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    north, east = watch.mean
+    return np.array([c * north + s * east, c * east - s * north])
 
 
 def wind_over_drone(

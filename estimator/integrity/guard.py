@@ -37,6 +37,9 @@ _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""
+_MOVED_NS = 250_000_000
+"""Age of the newest velocity beyond which there is none."""
+_REPEATS = "the velocity repeats its readings; flying without it"
 _SWUNG_SIGMAS = 5.0
 """Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
 
@@ -56,6 +59,8 @@ class IntegrityGuard(Struct, frozen=True):
     arbiter: arbiter.Arbiter = field(default_factory=arbiter.Arbiter)
     overruled: int = 0
     """Number of restarts of the filter by the arbiter."""
+    moved_at: int = -1
+    """Instant of the newest velocity that was not refused as a reading, ns; -1 before the first."""
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
 
@@ -67,7 +72,13 @@ class IntegrityGuard(Struct, frozen=True):
     @property
     def lost(self) -> tuple[str, ...]:
         """The sensors that the estimate does without, in words."""
-        return self.inertial.lost
+        seen = self.sensors.get(BodyVelocity)
+        repeats = (_REPEATS,) if seen is not None and seen.frozen else ()
+        return *self.inertial.lost, *repeats
+
+    def trusts_velocity(self, now: MonoNs) -> bool:
+        """Return whether a loop may be closed on the measured velocity: the newest one is recent, and nothing refuses it."""
+        return self.inertial.velocity_fault is None and self.moved_at >= 0 and now - self.moved_at <= _MOVED_NS
 
 
 def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGuard, list[Sample | Verdict]]:
@@ -82,7 +93,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
     o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
     watch = clock.ClockWatch(guard.clock.now, guard.clock.rival, delays)
     step_s, settle_s = o.sample_delay_step_max_s, o.sample_delay_settle_s
-    turn, against, halves, flying = guard.heading, guard.heights, guard.inertial, guard.flying
+    turn, against, halves, flying, moved_at = guard.heading, guard.heights, guard.inertial, guard.flying, guard.moved_at
     admitted: list[Sample | Verdict] = []
     for sample in samples:
         kind, stamp = type(sample), sample.stamp
@@ -124,11 +135,13 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                     against = heights.weighed(against, sample, o)
                     halves = inertial.weighed(halves, sample)
                 elif type(sample) is BodyVelocity:
-                    halves = inertial.moved(halves, sample)
+                    halves, moved_at = inertial.moved(halves, sample), stamp.measured_at
+                    verdict = Verdict.IMPOSSIBLE if halves.velocity_fault is not None else None
         admitted.append(sample if verdict is None else verdict)
     after = IntegrityGuard(
-        o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, halves, guard.arbiter, guard.overruled, flying
-    )
+        o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, halves, guard.arbiter, guard.overruled,
+        moved_at, flying,
+    )  # fmt: skip
     return after, admitted
 
 
@@ -169,7 +182,7 @@ def admit_sighting(
         if guard.view.frozen or guard.view.reversed:
             return guard, Verdict.FROZEN if guard.view.frozen else Verdict.IMPOSSIBLE
     if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
-        guard = replace(guard, inertial=_pictured(guard.inertial, sighting, attitude))
+        guard = replace(guard, inertial=_pictured(guard, sighting, attitude))
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     if guard.tracks.assumed is not None and guard.tracks.last is not None and guard.tracks.last.t == place.t:
@@ -281,13 +294,14 @@ def _accused(guard: IntegrityGuard) -> list[tuple[IntegrityAlert, int]]:
     return found
 
 
-def _pictured(state: inertial.Inertial, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:
+def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:
     """Process the pad's rotation, of whatever pad on the deck."""
+    state, at = guard.inertial, sighting.stamp.measured_at
     if sighting.pose6 is None:
         return state
     R_ned_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
     R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
-    return inertial.pictured(state, sighting.stamp.measured_at, attitude.R_ned_body.matrix, R_ned_pad)
+    return inertial.pictured(state, at, attitude.R_ned_body.matrix, R_ned_pad, guard.heading.off_at(at))
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:

@@ -16,6 +16,8 @@ from estimator.integrity.options import IntegrityOptions
 
 _GAP_S = 0.1
 """Time without an accepted gyro sample after which nothing says how the body turned, s."""
+_CHANGED_RAD, _CHANGES = math.radians(1.0), 8
+"""Least change of a correction that is kept, and the number of changes that are."""
 _APART = 0.25
 """Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
 
@@ -35,6 +37,17 @@ class HeadingWatch(Struct, frozen=True):
     held_at: int = -1
     off_rad: float = 0.0
     """Correction of the newest reported heading, rad."""
+    offs: tuple[tuple[int, float], ...] = ()
+    """Instants, ns, from which corrections held, and these, rad: one for each change."""
+
+    def off_at(self, t: int) -> float:
+        """Return the correction of the heading that was reported at an instant, ns."""
+        return next((off for since, off in reversed(self.offs) if since <= t), 0.0)
+
+    def _changed(self, t: int, off_rad: float) -> tuple[tuple[int, float], ...]:
+        """Return the corrections with a newest one."""
+        newest = self.offs[-1][1] if self.offs else 0.0
+        return self.offs if abs(off_rad - newest) <= _CHANGED_RAD else (*self.offs[1 - _CHANGES :], (t, off_rad))
 
 
 def turned(watch: HeadingWatch, imu: Imu) -> HeadingWatch:
@@ -47,7 +60,7 @@ def turned(watch: HeadingWatch, imu: Imu) -> HeadingWatch:
     if dt <= 0.0:
         return watch
     turn = watch.turned_rad + 0.5 * (rate + watch.rate_rad_s) * dt
-    return HeadingWatch(turn, t, rate, watch.down, watch.held_rad, watch.held_at, watch.off_rad)
+    return HeadingWatch(turn, t, rate, watch.down, watch.held_rad, watch.held_at, watch.off_rad, watch.offs)
 
 
 def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple[HeadingWatch, Attitude]:
@@ -67,7 +80,9 @@ def steadied(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple
     off -= step
     held = wrap_pi(watch.held_rad + step)
     if abs(off) <= math.radians(o.heading_tolerance_deg):
-        return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0), event
+        offs = watch._changed(t, 0.0)
+        return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0, offs), event
     # Turning about the vertical leaves roll and pitch, and the last row, as they are.
     R = Rotation.from_rpy(0.0, 0.0, -off) @ event.R_ned_body
-    return replace(watch, down=(x, y, z), held_rad=held, held_at=t, off_rad=off), replace(event, R_ned_body=R)
+    offs = watch._changed(t, off)
+    return replace(watch, down=(x, y, z), held_rad=held, held_at=t, off_rad=off, offs=offs), replace(event, R_ned_body=R)

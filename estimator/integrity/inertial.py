@@ -1,4 +1,4 @@
-"""Judge gyro and accelerometer apart, name the one that lies, and let the estimator fly on without it.
+"""Judge gyro, accelerometer, attitude and velocity apart, name the one that lies, and let the estimator fly on without it.
 
 A half that repeats itself is lost at once and back at once. One that moves and lies is found by parity (`parity.py`) and has to
 agree for two seconds before it counts again. Estimates made with it are worthless: the estimator starts again.
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
-from estimator.integrity import halves, parity
+from estimator.integrity import halves, parity, velocity
 from estimator.integrity.halves import Half, TurnByAttitude
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.parity import Bin, Parity, Slope, Vec3
@@ -74,7 +74,7 @@ _PLACES, _VELOCITIES = 14, 8
 class LyingHalf(Struct, frozen=True):
     """A sensor that the estimator does without."""
 
-    sensor: Literal["accelerometer", "gyro", "attitude"]
+    sensor: Literal["accelerometer", "gyro", "attitude", "velocity"]
     what: str
     """Description of the fault, in words."""
     well: int = 0
@@ -152,6 +152,10 @@ class Inertial(Struct, frozen=True):
     attitude_fault: LyingHalf | None = None
     """Attitude fault by parity. Nothing can replace the attitude, so there is no descent with it."""
     accel_fault: LyingHalf | None = None
+    velocity_fault: LyingHalf | None = None
+    """Velocity fault by accelerometer and sightings."""
+    velocity_against: int = 0
+    """Number of bins in a row in which the velocity contradicted the accelerometer."""
     suspected: str | None = None
     """The sensor that the newest bin accused, of gyro and attitude."""
     usual: Usual = Usual()
@@ -176,6 +180,8 @@ class Inertial(Struct, frozen=True):
                 found.append(fault.text)
         if self.attitude_fault is not None:
             found.append(f"the attitude {self.attitude_fault.what}")
+        if self.velocity_fault is not None:
+            found.append(self.velocity_fault.text)
         return tuple(found)
 
 
@@ -277,9 +283,9 @@ def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> In
     return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
 
 
-def pictured(state: Inertial, t: int, R_ned_body: F64, R_ned_pad: F64) -> Inertial:
-    """Process the pad's rotation in a picture, levelled by the reported attitude."""
-    return replace(state, parity=parity.pictured(state.parity, t, R_ned_body, R_ned_pad))
+def pictured(state: Inertial, t: int, R_ned_body: F64, R_ned_pad: F64, off_rad: float = 0.0) -> Inertial:
+    """Process the pad's rotation in a picture, as `parity.pictured`."""
+    return replace(state, parity=parity.pictured(state.parity, t, R_ned_body, R_ned_pad, off_rad))
 
 
 def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
@@ -295,8 +301,8 @@ def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
 
 
 def _judged(state: Inertial) -> Inertial:
-    """Judge both halves by the bins so far."""
-    return _judged_accel(_judged_gyro(state))
+    """Judge the sensors by the bins so far."""
+    return _judged_velocity(_judged_accel(_judged_gyro(state)))
 
 
 def _judged_gyro(state: Inertial) -> Inertial:
@@ -356,6 +362,9 @@ def _swings_apart(p: Parity) -> LyingHalf | None:
             if apart < _SWINGS_RAD_S**2 * len(bins) or apart < _SWINGS_SHARE * both:
                 continue
             share = parity.attitude_share(p, i, since, swings=True)
+            if share is not None and share > 0.5 and axis == "yaw":
+                # A heading that the gyro contradicts is held by the gyro.
+                continue
             if share is not None and abs(share - 0.5) > _DECIDED:
                 sensor: Literal["gyro", "attitude"] = "attitude" if share > 0.5 else "gyro"
                 other = "gyro" if share > 0.5 else "attitude"
@@ -431,6 +440,29 @@ def _judged_accel(state: Inertial) -> Inertial:
     if against < needed:
         return replace(state, accel_against=against)
     return replace(state, accel_against=0, accel_fault=LyingHalf("accelerometer", what), named=state.named + 1)
+
+
+def _judged_velocity(state: Inertial) -> Inertial:
+    fault, against = state.velocity_fault, state.velocity_against
+    if state.gyro_fault or state.attitude_fault or state.accel_fault:
+        return replace(state, velocity_against=0) if against else state
+    found = velocity.compared(state.parity)
+    if found is None:
+        return state
+    if fault is not None:
+        well = fault.well + 1 if found.agrees else 0 if found.contradicts else fault.well
+        return replace(state, velocity_fault=None if well >= _WELL else replace(fault, well=well))
+    if not found.contradicts:
+        return replace(state, velocity_against=0) if against else state
+    in_sight = bool(state.parity.sight) and state.parity.bins[-1].t - state.parity.sight[-1][0] < _PICTURES_OLD_S * 1e9
+    right = velocity.seen_right(state.parity) if in_sight else False
+    if right is not False:
+        return state
+    if against + 1 < _PERSISTS:
+        return replace(state, velocity_against=against + 1)
+    what = "moves otherwise than accelerometer and camera" if in_sight else "contradicts the accelerometer"
+    # In sight the sightings hold the estimate; out of sight it has followed the velocity.
+    return replace(state, velocity_against=0, velocity_fault=LyingHalf("velocity", what), named=state.named + (not in_sight))
 
 
 def _differences(p: Parity) -> Differences:

@@ -46,7 +46,7 @@ class Bin(NamedTuple):
     """The integral of that, m."""
     dv: Vec3
     off: Vec3
-    """Rate of the gyro less that of the attitude, rad/s in `body`."""
+    """Rate of the gyro less that of the attitude, rad/s in `body`; of the first two without what is about the vertical."""
     w: Vec3
     """Mean rate of the gyro, rad/s in `body`."""
     f: Vec3
@@ -76,7 +76,7 @@ class PadTurn(NamedTuple):
     until: int
     """Instants of the frames, ns."""
     turn: Vec3
-    """rad in `body`. A vessel's own is a small part of what a body turns."""
+    """rad in `body`, the first two without what is about the vertical. A vessel's own is a small part of what a body turns."""
 
 
 class Parity(Struct, frozen=True):
@@ -95,8 +95,8 @@ class Parity(Struct, frozen=True):
     yaw: tuple[tuple[int, float], ...] = ()
     """Instants, ns, and headings against the pad's arrow, rad."""
     pad: tuple[PadTurn, ...] = ()
-    newest_pad: tuple[int, F64] | None = None
-    """Instant, ns, and the pad's rotation in `ned` by picture and attitude, (3, 3)."""
+    newest_pad: tuple[int, F64, float] | None = None
+    """Instant, ns, the pad's rotation in `ned` by picture and attitude, (3, 3), and the correction of its heading, rad."""
 
 
 class Slope(NamedTuple):
@@ -150,20 +150,26 @@ def sighted(p: Parity, t: int, d_ned: Vec3, yaw_rad: float | None) -> Parity:
     return replace(p, sight=(*p.sight[1 - _KEPT :], (t, (-dx - x, -dy - y, -dz - z))), yaw=yaw)
 
 
-def pictured(p: Parity, t: int, R_ned_body: F64, R_ned_pad: F64) -> Parity:
-    """Add a picture's rotation of the pad at an instant of the past, ns, as the reported attitude levels it, (3, 3)."""
+def pictured(p: Parity, t: int, R_ned_body: F64, R_ned_pad: F64, off_rad: float = 0.0) -> Parity:
+    """Add a picture's rotation of the pad at an instant of the past, ns, as the attitude levels it, (3, 3).
+
+    Args:
+        off_rad: how much the reported heading is more than that of this attitude: gyro and reported attitude are compared.
+    """
     before = p.newest_pad
     since_s = math.inf if before is None else (t - before[0]) * 1e-9
     if 0.0 <= since_s < 0.8 * _BIN_S:
         return p
-    newest = (t, R_ned_pad)
+    newest = (t, R_ned_pad, off_rad)
     if before is None or not 0.0 < since_s <= _GAP_S:
         return replace(p, newest_pad=newest, pad=())
     D = R_ned_pad.dot(before[1].T)
     if float(np.trace(D)) < _SMALL_TURN_TRACE:
         # Half a turn is an arrow that was mistaken.
         return replace(p, newest_pad=newest)
-    x, y, z = R_ned_body.T.dot((0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1]))).tolist()
+    turn = R_ned_body.T.dot((0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1])))
+    x, y, z = _tilts(turn, R_ned_body[2])
+    z += math.remainder(off_rad - before[2], math.tau) * R_ned_body.item(2, 2)
     return replace(p, newest_pad=newest, pad=(*p.pad[1 - _KEPT :], PadTurn(before[0], t, (x, y, z))))
 
 
@@ -197,7 +203,9 @@ def _shown(bins: tuple[Bin, ...], axis: int, since: int, until: int) -> float:
     """Return the part of the difference since an instant that came before another one."""
     each = [(b.t, b.off[axis] ** 2) for b in bins if b.t >= since]
     whole = math.fsum(square for _, square in each)
-    return math.fsum(square for t, square in each if t + 0.5e9 * _BIN_S < until) / whole if whole > 0.0 else 0.0
+    # A heading leaps at an instant of its bin, and so beside the picture that shows it: some more have to follow.
+    after_s = 3.5 * _BIN_S if axis == 2 else 0.5 * _BIN_S
+    return math.fsum(square for t, square in each if t + 1e9 * after_s < until) / whole if whole > 0.0 else 0.0
 
 
 def _off_between(bins: tuple[Bin, ...], axis: int, since: int, until: int) -> float:
@@ -259,7 +267,7 @@ def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
     last = p.bins[-1] if p.bins and p.bins[-1].t + round(p.bins[-1].span_s * 1e9) == t0 else None
     kept = p.bins if last is not None else ()
     (v, s) = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) if last is None else last.at(t0)
-    off = wx - rx / span_s, wy - ry / span_s, wz - rz / span_s
+    off = _tilts((wx - rx / span_s, wy - ry / span_s, wz - rz / span_s), end.R_ned_body.matrix[2])
     (c, _, _), (q, _, _), (x, y, z) = end.R_ned_body.matrix.tolist()
     n = max(1e-9, math.hypot(c, q))
     made = Bin(t0, span_s, v, s, dv, off, (wx, wy, wz), (f0, f1, f2), (x, y, z), (c / n, q / n))
@@ -272,6 +280,20 @@ def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
         baro = (*baro[1 - _KEPT :], (middle, (math.nan, math.nan, -mean - sz)))
     flow = p.flow if p.velocity is None else (*p.flow[1 - _KEPT :], _flow(p.velocity, made, first))
     return Parity((end,), (*kept[1 - _KEPT :], made), (), None, baro, flow, p.sight, p.yaw, p.pad, p.newest_pad)
+
+
+def _tilts(turn: F64 | Vec3, down: F64) -> Vec3:
+    """Return a turn in `body` whose first two components are without its part about the vertical.
+
+    A reported heading that leaps, beside steel, turns a tilted body about all of its axes, and the pad in `ned` as well. That
+    says nothing of roll and pitch.
+
+    Args:
+        down: the vertical in body axes.
+    """
+    (x, y, z), (i, j, k) = turn, down.tolist()
+    about = x * i + y * j + z * k
+    return x - about * i, y - about * j, z
 
 
 def _flow(event: BodyVelocity, within: Bin, level: Attitude) -> Point:

@@ -18,7 +18,7 @@ from companion.guidance.situation import fit_to_steer
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.mission import TryOptions
-from estimator.contracts.commands import Land, Velocity
+from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import DeckMotion
@@ -81,7 +81,7 @@ class Loop:
                 self.track(fault)
         decision = self.pilot.decide(self.now)
         wanted = np.array([0.0, 0.0, 0.4]) if isinstance(decision.command, Land) else np.zeros(3)
-        if isinstance(decision.command, Velocity):
+        if isinstance(decision.command, Velocity | Lean):
             wanted = decision.command.v_level
         self.v = self.v + (wanted - self.v) * min(1.0, TICK_S / 0.3)
         self.d = self.d - self.v * TICK_S

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.view import FieldOfView
-from companion.guidance.wind import GUST_SIGMAS, MEAN_S, WindWatch, watched, wind_over_drone
+from companion.guidance.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion
@@ -87,6 +88,20 @@ def test_a_gust_that_begins_is_told_from_those_before_while_a_commit_can_still_e
     assert begins_s is None or 0.0 < begins_s < 0.8
     assert wind is not None
     assert wind.drags is (wind.push_rad > math.radians(8.0))
+
+
+def test_a_drone_that_flies_away_by_a_velocity_that_lies_meets_no_wind() -> None:
+    """WHY: a reversed velocity was flown away from at 16 m/s, and the landing refused for 14 m/s of wind."""
+    watch, push = WindWatch(), np.array([0.35 * 3.0, 0.0])
+    for n in range(500):
+        watch = watched(watch, leaning(n * DT, 0.4, push, np.zeros(2)))
+    flees = replace(leaning(0.0, 0.4, 5.0 * push, np.zeros(2)), trusts_velocity=False)
+    after = watch
+    for n in range(500, 1000):
+        after = watched(after, replace(flees, at=ns(n * DT)))
+    assert after == watch
+    assert trim_level(after, 0.0) == pytest.approx(push, abs=0.1)
+    assert trim_level(after, 0.4) == pytest.approx([push[0] * math.cos(0.4), -push[0] * math.sin(0.4)], abs=0.1)
 
 
 def test_a_pause_keeps_what_is_known_and_no_motion_changes_nothing() -> None:

@@ -9,7 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.command_limits import Limit, PlaceMemory, limited, margin, place_step, within
+from companion.guidance.command_limits import (
+    Limit,
+    PlaceMemory,
+    Unmeasured,
+    limited,
+    margin,
+    place_step,
+    within,
+    without_velocity,
+)
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.limits import LimitOptions
 from companion.settings.load import load
@@ -215,7 +224,8 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
         now = after(now, 0.02)
         p = p + 0.02 * v
         pilot.on_sample(Attitude(at(now), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
-        pilot.on_sample(BodyVelocity(at(now), v, 0.01 * np.eye(3)))
+        noise = 1e-3 * np.array([(-1) ** n, 0.0, 0.0])
+        pilot.on_sample(BodyVelocity(at(now), v + noise, 0.01 * np.eye(3)))
         pilot.on_sample(VehicleStatus(at(now), True, "flying", 0.9, False, True))
         if n == 10:
             assert pilot.operator.take(OperatorOrder.MANUAL, sender, now).accepted
@@ -226,6 +236,61 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
     assert p[0] == pytest.approx(5.0, abs=0.05)
     assert reasons == {"", "limited by the geofence"}
     assert pilot.operator.hand == sender, "the hand stays with the person"
+
+
+def test_while_the_velocity_is_refused_the_place_stands_still_and_no_fence_knows_it() -> None:
+    memory = place((0.0, 4.9), yaw_deg=90.0)
+    attitude, v = memory.attitude, np.array([1.0, 0.0, 0.0])
+    assert attitude is not None
+    now, before = NOW, memory.p_start_ned
+    for _ in range(50):
+        now = after(now, 0.02)
+        memory = place_step(memory, [BodyVelocity(at(now), v, np.eye(3))], trusts_velocity=False)
+    assert memory.p_start_ned is before
+    options = LimitOptions(fence="start", fence_radius_m=5.0)
+    command = flown((2.0, 0.0, 0.0))
+    assert limited(command, options, memory, None, now, manual=False) == (command, ())
+    memory = place_step(memory, [BodyVelocity(at(after(now, 0.02)), v, np.eye(3))])
+    assert limited(command, options, memory, None, now, manual=False)[1] == (Limit.FENCE,)
+
+
+@given(*[st.floats(-3.0, 3.0)] * 3, st.floats(-4.0, 4.0), st.booleans(), st.booleans())
+def test_without_a_trusted_velocity_guidance_flies_nowhere_along_an_unseen_deck_and_never_lower(
+    vx, vy, vz, trim, over_ground, guided
+):
+    command, trims = flown((vx, vy, vz)), np.array([trim, 0.0])
+    blind = without_velocity(command, Unmeasured(trims, 0.35, None, over_ground), guided=guided)
+    kind = Velocity if over_ground else Lean
+    if guided and vz >= 0.0:
+        assert blind == Hover()
+    else:
+        assert isinstance(blind, kind)
+        assert blind.v_level == pytest.approx([0.0, 0.0, vz] if guided else command.v_level)
+        assert not isinstance(blind, Lean) or blind.a_level == pytest.approx(0.35 * blind.v_level[:2])
+    seen = without_velocity(command, Unmeasured(trims, 0.35, command.v_level - (1.0, 0.0, 0.0), over_ground), guided=guided)
+    assert isinstance(seen, kind)
+    assert seen.v_level == pytest.approx(command.v_level)
+    assert not isinstance(seen, Lean) or seen.a_level[0] > 0.35 * vx, "it is slower than it is to be"
+
+
+def test_a_hand_flies_on_by_tilt_while_the_velocity_repeats_itself() -> None:
+    pilot, now, kinds = make_pilot(load("sim")), NOW, list[type]()
+    sender = OrderSender(OrderSource.GAMEPAD)
+    for n in range(150):
+        now = after(now, 0.02)
+        v = np.array([0.5 if 50 <= n < 100 else 0.5 + 1e-3 * n, 0.0, 0.0])
+        pilot.on_sample(Attitude(at(now), Rotation.from_rpy(1e-4 * n, 0.0, 0.0), 1e-5 * np.eye(3)))
+        pilot.on_sample(BodyVelocity(at(now), v, 0.01 * np.eye(3)))
+        pilot.on_sample(VehicleStatus(at(now), True, "flying", 0.9, False, True))
+        if n == 0:
+            assert pilot.operator.take(OperatorOrder.MANUAL, sender, now).accepted
+        pilot.operator.move(sender, StickPositions(forward=1.0), now)
+        decision = pilot.decide(now)
+        kinds.append(type(decision.command))
+        assert n != 95 or "the velocity repeats its readings" in (decision.reason + "".join(pilot.estimation.memory.guard.lost))
+    assert set(kinds[:50]) == {Velocity}
+    assert kinds[95:99] == [Lean] * 4
+    assert kinds[-1] is Velocity
 
 
 def test_a_fence_that_holds_guidance_back_ends_the_landing_and_reports_it() -> None:
