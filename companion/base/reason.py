@@ -17,6 +17,7 @@ class ReasonCause(Enum):
     GIVEN_BACK = "the vehicle was given back"
     OPERATOR = "by the operator's order"
     AUTOMATIC = "the settings say to begin by itself"
+    RESTARTED = "the service came back {measured:.1f} s after its last record: {detail:s}"
 
     PAD_SEEN = "the pad is in sight at {measured:.1f} m"
     ARRIVED = "{measured:.2f} m beside the axis, {limit:.2f} m is the cone's radius here"

@@ -16,6 +16,7 @@ from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.command_limits import Unmeasured, without_velocity
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
+from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
 from companion.guidance.held_course import OFF_M, ClimbWatch
 from companion.guidance.held_up import HeldUp
 from companion.guidance.limits import InputQuality
@@ -205,6 +206,10 @@ class LandingGuidance:
         self._over_ground = over_ground
         self._response = ResponseIdentifier(tilt, guidance)
         self._changes: list[StateChange] = []
+        self.before: FlightMemory | None = None
+        """What a service before this one knew of the flight, until a vehicle is found in the air."""
+        self.memory: FlightMemory | None = None
+        """What the one after this needs to know; None before the first guidance cycle."""
         self.vehicle: VehicleStatus | None = None
         """The vehicle's latest status; None before the first."""
         self._now = MonoNs(0)
@@ -358,6 +363,8 @@ class LandingGuidance:
         self.vehicle = status
         if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
             self._impact = Impact(status.stamp.measured_at, "vehicle")
+        if status.flying is False:
+            self.before = None
         self.mission, changes = reported(self.mission, status, self._guidance)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
@@ -366,6 +373,19 @@ class LandingGuidance:
             self._law_memory = self._law.start()
             self._response.on_take_off()
             self._overruled, self._on_pad = False, None
+        self._changes += changes
+        if any(change.event is Event.TAKEN_OFF for change in changes):
+            self._resume(status)
+
+    def _resume(self, status: VehicleStatus) -> None:
+        """Go on where a service before this one was in this flight, as far as that is known and nobody else has the vehicle."""
+        before, self.before, at = self.before, None, status.stamp.received_at
+        event = resumed_by(before, at)
+        if before is None or event is None or status.taken is not None:
+            return
+        reason = Reason(ReasonCause.RESTARTED, seconds_between(before.at, at), detail=State[before.state].value)
+        self.mission, changes = _taken(self.mission, event, reason, at, self._guidance)
+        self.mission = carried_on(self.mission, before, at)
         self._changes += changes
 
     def judge(
@@ -473,6 +493,7 @@ class LandingGuidance:
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
+        self.memory = memory_of(self.mission, s)
         target = aim if isinstance(aim, Target) else None
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
         if target is None:

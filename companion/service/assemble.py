@@ -29,6 +29,7 @@ from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.client import OFF, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
+from companion.service.flight_keeper import keeper_of
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings import whole_file
 from companion.settings.model import Settings
@@ -157,6 +158,8 @@ def make_daemon(
 
     vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap, show)
     watching += vehicle.observers
+    if isinstance(ticking, SystemClock) and (keeper := keeper_of(pilot, vehicle_name(settings), os.environ)) is not None:
+        watching.append(keeper)
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
     if settings.vessel.nmea or settings.vessel.mqtt:

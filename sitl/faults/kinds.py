@@ -339,7 +339,7 @@ class LinkLost(Fault, frozen=True, tag="link_lost"):
 
 
 class ServiceKilled(Fault, frozen=True, tag="service_killed"):
-    """The service's process is gone; after `for_s` a new one runs that remembers nothing. In virtual time only."""
+    """The service's process is gone; after `for_s` a new one runs with what the file of its flight kept. In virtual time only."""
 
 
 AnyFault = (

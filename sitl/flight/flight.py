@@ -297,7 +297,9 @@ class Flight:
         if self._gone:
             self._gone = False
             self._send(self._options.timeouts(self._options.com_watchdog_s))
-            self._begin_service(self._renew())
+            before, after_it = self._pilot.landing.memory, self._renew()
+            after_it.landing.before = before
+            self._begin_service(after_it)
         return False
 
     def _hold(self, now: MonoNs) -> None:

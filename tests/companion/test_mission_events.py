@@ -607,6 +607,15 @@ def test_neither_waves_nor_gusts_nor_a_late_answer_is_another_course(orders: flo
             assert math.copysign(1.0, lifts) * (flown_against(orders, lifts, 0.5, 0.3, seconds, every_s) or 0.0) >= OFF_M
 
 
+@pytest.mark.parametrize(("baro_m_s", "pad_m_s", "off"), [(0.9, 0.9, True), (0.9, -0.9, False), (-0.9, 0.9, False)])
+def test_two_heights_that_part_from_the_orders_on_either_side_are_no_other_course(baro_m_s, pad_m_s, off) -> None:
+    """WHY: pressure that falls over a deck that rises says nothing of what the vehicle obeys."""
+    watch = ClimbWatch()
+    for k in range(200):
+        watch = watch.flown(0.0, reading(0.04 * k, 0.04 * k * baro_m_s), 4.0 + 0.04 * k * pad_m_s, ClimbResponse(0.06, 0.3), 0.04)
+    assert (watch.off_m is not None) is off
+
+
 def test_a_hover_keeps_what_is_known_of_the_orders() -> None:
     response, out_of_sight = ClimbResponse(0.06, 0.3), ClimbWatch()
     for k in range(250):

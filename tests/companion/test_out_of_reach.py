@@ -69,17 +69,13 @@ def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, mem
     assert isinstance(found, Velocity | Hover)
     v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
     assert v[2] <= 0.0, "without sight it never goes lower"
+    from_m = 0.0 if math.isinf(memory["seen_height_m"]) or memory["was_silent"] else memory["seen_height_m"]
     near = range_m is not None and range_m < SAFE_M - 0.25
-    if near and memory["climbed_m"] + (0.0 if math.isinf(memory["seen_height_m"]) else memory["seen_height_m"]) < 2.0 * SAFE_M:
+    if near and memory["climbed_m"] + from_m < 2.0 * SAFE_M:
         assert v[2] <= -OPTIONS.tries.climb_m_s, "the range sensor finds the deck"
+        assert v[:2].tolist() == [0.0, 0.0]
     if v[2] < 0.0 and not (p.state in (State.RENDEZVOUS, State.SEARCH) and ship is not None):
         assert v[:2].tolist() == [0.0, 0.0]
-    if v[:2].any():
-        assert (
-            not near
-            or memory["climbed_m"] + min(memory["seen_height_m"], 9.0) >= 2.0 * SAFE_M
-            or math.isinf(memory["seen_height_m"])
-        )
 
 
 class Sea:

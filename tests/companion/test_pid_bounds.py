@@ -82,37 +82,6 @@ def test_gains_may_be_zero_and_not_less(gains: tuple[float, float, float]) -> No
         HorizontalGains(*gains)
 
 
-def test_by_default_it_commands_what_the_vehicles_were_tuned_with() -> None:
-    """The gains are for each metre or radian of error, metre second of its integral, and metre per second of drift."""
-    gains = structs.replace(
-        PidOptions(),
-        speed_max_m_s=9.0,
-        climb_max_m_s=9.0,
-        descent_rate_max_m_s=9.0,
-        turn_max_deg_s=math.degrees(9.0),
-        integral_max_m_s=9.0,
-    )
-    assert cycle(gains, belief((1.0, 0.0, 2.0)), above(1.0, 1.0))[1] == pytest.approx([0.9, 0.0, 1.0, 0.8])
-    assert cycle(gains, belief((0.0, 1.0, 1.0)), above(1.0))[1] == pytest.approx([0.0, 0.9, 0.0, 0.0])
-    _, command = cycle(gains, belief((0.0, 0.0, 1.0)), above(1.0), Pid(np.array([1.0, -2.0, 1.0, 1.0]), at(NOW)))
-    assert command == pytest.approx([0.05, -0.1, 0.15, 0.0])
-    _, command = cycle(gains, belief((0.0, 0.0, 1.0), (1.0, -2.0, 1.0)), above(1.0))
-    assert command == pytest.approx([0.1, -0.2, 0.1, 0.0])
-
-
-def test_by_default_it_keeps_within_what_people_near_it_can_follow() -> None:
-    gains = structs.replace(
-        PidOptions(),
-        horizontal=HorizontalGains(10.0, 0.0, 0.0),
-        vertical=VerticalGains(10.0, 0.0, 0.0),
-        heading=HeadingGains(10.0, 0.0),
-    )
-    assert cycle(gains, belief((3.0, -4.0, 9.0)), above(1.0, 1.0))[1] == pytest.approx([0.6, -0.8, 0.5, math.radians(34.4)])
-    assert cycle(gains, belief((-3.0, 4.0, 0.1)), above(1.0, -1.0))[1] == pytest.approx([-0.6, 0.8, -0.5, -math.radians(34.4)])
-    state, _ = cycle(PidOptions(), belief((0.0, 0.0, 1.0)), above(1.0), Pid(np.array([99.0, -99.0, 99.0, 99.0]), at(NOW)))
-    assert state.integral == pytest.approx([0.5 / 0.05, -0.5 / 0.05, 0.5 / 0.15, 0.0])
-
-
 def test_a_command_within_the_limits_is_left_alone() -> None:
     gains = PidOptions(HorizontalGains(1.0, 0.0, 0.0), VerticalGains(1.0, 0.0, 0.0), HeadingGains(1.0, 0.0))
     assert cycle(gains, belief((0.3, -0.4, 1.5)), above(1.0, 0.6))[1] == pytest.approx([0.3, -0.4, 0.5, 0.6])

@@ -76,14 +76,6 @@ def test_a_report_that_is_old_on_arrival_or_of_the_future_is_left_out(late_s: fl
     assert bool(told(FIRST, 4.0, late_s).reported) is kept
 
 
-def test_the_newest_reports_are_kept() -> None:
-    watch = FIRST
-    for k in range(501):
-        watch = told(watch, 0.01 * k)
-    assert len(watch.reported) == 500
-    assert (watch.reported[0][0], watch.reported[-1][0]) == (0.01, 5.0)
-
-
 @pytest.mark.parametrize(
     ("in_use", "doubt", "each_s"), [(ASSUMED, None, 1.0), (KNOWN, None, 2.0), (IDENTIFIED, None, 2.0), (KNOWN, IDENTIFIED, 1.0)]
 )
@@ -100,16 +92,6 @@ def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_t
     assert early.due == watch.due
     assert early.asked == (((watch.due - 1) / 1e9, 0.3, 0.1),)
     assert asked(early, watch.due, None, KNOWN_S).due == ns(5.0 + 2.0 * each_s)
-
-
-def test_twelve_seconds_are_kept() -> None:
-    watch = FIRST
-    for t in range(1, 21):
-        watch = asked(told(watch, float(t)), ns(t), None, KNOWN_S)
-        for track in (watch.asked_before, watch.reported_before):
-            assert track is not None
-            assert track.t_s.tolist() == list(range(max(1, t - 12), t + 1))
-            assert track.values.shape == (track.t_s.size, 2)
 
 
 def test_another_flight_begins_with_what_is_known_and_without_the_courses() -> None:
@@ -166,18 +148,6 @@ def test_no_delay_shorter_than_the_files_is_flown_with() -> None:
         assert judged(in_use, late, fit(0.013), KNOWN_S) is in_use
     output = judged(ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.1), late, fit(0.013), KNOWN_S)
     assert output == ResponseInUse(ResponseState.ASSUMED, 0.1, None), "what was longer is in doubt, and the gains are soft"
-
-
-def test_forty_milliseconds_to_the_bit_are_no_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
-    at_once = structs.replace(TILT, delay_s=0.0)
-    in_use = begun(at_once, KNOWN_S).in_use
-    assert judged(in_use, at_once, fit(CONTRADICTION_S), KNOWN_S).state is ResponseState.KNOWN
-    says = [fit(0.1 - CONTRADICTION_S), fit(0.1)]
-    monkeypatch.setattr(response_watch, "fit_tilt", lambda *_, **__: says.pop(0))
-    watch = begun(structs.replace(at_once, delay_sigma_s=0.01), KNOWN_S)
-    for _ in range(2):
-        watch = response_watch._fitted(watch, moved(1.0), KNOWN_S)
-    assert watch.in_use.delay_s == 0.1
 
 
 def moved(size: float) -> FlightCourse:

@@ -119,7 +119,7 @@ def beside_autopilot(
 
 
 class KillableService:
-    """One daemon after the other; a new one knows nothing of those before it.
+    """One daemon after the other; a new one knows of those before it what a service keeps in its file.
 
     What a killed daemon still sends while its tasks end must be kept from the vehicle: a killed process sends nothing.
 
@@ -162,7 +162,9 @@ class KillableService:
         """Run a new daemon in the place of a killed one."""
         if self._task is not None:
             await asyncio.wait({self._task})
+        before = self.now.pilot.landing.memory
         self.now, self.gone = self._make(False), False
+        self.now.pilot.landing.before = before
         self._before, self._unheard = self._offered, 0
         self.start(group)
 

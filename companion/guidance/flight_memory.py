@@ -1,0 +1,60 @@
+"""What a service knows of its flight, for the service that comes after it in the air if it dies.
+
+A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
+the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; a hold or
+an abort of a person stays one; and a height that was large enough spares a climb.
+"""
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.base.mission import FLOWN, Event, State
+from companion.guidance.out_of_reach import height_m
+from companion.guidance.progress import Progress
+from companion.guidance.situation import GuidanceCycle
+from estimator.contracts.time import MonoNs, seconds_between
+
+OLD_S = 30.0
+"""Age up to which it is used, s: a service manager restarts a service within seconds; later a person has acted."""
+_NEARER_M_S = 0.5
+"""Speed with which a deck may have come nearer to a vehicle that hovered meanwhile, m/s."""
+_RESUMES: Mapping[State, Event] = dict.fromkeys(FLOWN, Event.BEGIN) | {
+    State.PAUSED: Event.PAUSE,
+    State.ABORTED: Event.ABORT,
+}
+"""Events that lead a flight that is found in the air to where it was; states that are not named begin as the settings say."""
+
+
+class FlightMemory(Struct, frozen=True):
+    """The state of a flight at an instant."""
+
+    at: MonoNs
+    """By a clock that outlives the service."""
+    state: str
+    """Name of the mission's state."""
+    begun: bool
+    """A landing was requested in this flight."""
+    height_m: float | None = None
+    """Least height over the deck; None if it is not known."""
+
+
+def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:
+    """Return what to keep of a guidance cycle."""
+    return FlightMemory(s.at, p.state.name, p.begun, height_m(p, s))
+
+
+def resumed_by(memory: FlightMemory | None, now: MonoNs) -> Event | None:
+    """Return the event that resumes the flight; None where the memory is too old, from the future, or says nothing."""
+    if memory is None or not 0.0 <= seconds_between(memory.at, now) <= OLD_S:
+        return None
+    return _RESUMES.get(State[memory.state]) if memory.state in State.__members__ else None
+
+
+def carried_on(p: Progress, memory: FlightMemory, now: MonoNs) -> Progress:
+    """Return the memory of the mission with what was requested, and the height that is left of the one that was known."""
+    p = replace(p, begun=memory.begun)
+    if memory.height_m is None:
+        return p
+    return replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))

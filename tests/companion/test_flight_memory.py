@@ -1,0 +1,114 @@
+"""A service that comes back in the air reads what the one before it knew of the flight."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.base.mission import State
+from companion.guidance.flight_memory import FlightMemory
+from companion.guidance.pilot import Pilot
+from companion.service.flight_keeper import FlightKeeper, keeper_of
+from tests.companion.mission_flights import ns
+from tests.companion.test_pilot import Cockpit
+
+
+def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True, taken: str | None = None) -> Cockpit:
+    """Return a new service, 2 s after that record, in its first cycle without sight."""
+    cockpit = Cockpit(automatic=automatic)
+    cockpit.pilot.landing.before = before
+    cockpit.now, cockpit.flying = ns(102.0), flying
+    cockpit.tick(sighted=False)
+    return cockpit
+
+
+@pytest.mark.parametrize(
+    ("state", "begun", "automatic", "then"),
+    [
+        (State.COMMIT, True, False, State.SEARCH), (State.COMMIT, True, True, State.SEARCH),
+        (State.PAUSED, True, True, State.PAUSED),
+        (State.PAUSED, False, True, State.PAUSED), (State.ABORTED, True, True, State.ABORTED),
+        (State.READY, False, False, State.READY),
+        (State.LANDED, True, True, State.SEARCH), (State.REFUSED, True, False, State.READY),
+    ],
+)  # fmt: skip
+def test_a_landing_goes_on_and_a_person_s_hold_stays_one(state: State, begun: bool, automatic: bool, then: State) -> None:
+    cockpit = back(FlightMemory(ns(100.0), state.name, begun, 0.3), automatic=automatic)
+    assert cockpit.pilot.state is then
+    assert cockpit.pilot.landing.mission.begun is (then is State.SEARCH or (begun and then is not State.READY))
+
+
+@pytest.mark.parametrize(
+    ("memory", "more"),
+    [
+        (FlightMemory(ns(71.9), "PAUSED", True), {}), (FlightMemory(ns(103.0), "PAUSED", True), {}),
+        (FlightMemory(ns(100.0), "NO_SUCH_STATE", True), {}), (None, {}),
+    ],
+)  # fmt: skip
+def test_what_is_old_from_the_future_or_strange_is_not_used(memory: FlightMemory | None, more: dict[str, Any]) -> None:
+    assert back(memory, **more).pilot.state is State.SEARCH
+
+
+def test_a_vehicle_that_stood_meanwhile_begins_another_flight() -> None:
+    cockpit = back(FlightMemory(ns(100.0), "PAUSED", True), flying=False)
+    cockpit.flying = True
+    cockpit.tick(sighted=False)
+    assert cockpit.pilot.state is State.SEARCH
+
+
+def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_taken_it() -> None:
+    for height_m, known_m in ((6.0, 5.0), (0.3, 0.0), (None, None)):
+        found = back(FlightMemory(ns(100.0), "SEARCH", True, height_m)).pilot.landing.memory
+        assert found is not None
+        assert found.height_m == (None if known_m is None else pytest.approx(known_m, abs=0.1))
+
+
+def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
+    path, first, first_one = tmp_path / "flight", Cockpit(), "AR.Drone at 1.2.3.4"
+    keeper = FlightKeeper(path, first.pilot, first_one, "boot")
+    texts = set()
+    for _ in range(100):
+        first.tick(sighted=True)
+        keeper.on_decision(first.pilot.decide(first.now))
+        assert keeper._writer is not None
+        keeper._writer.join()
+        texts.add(path.read_bytes())
+    assert 2 <= len(texts) < 20
+    for vehicle, boot, used in ((first_one, "boot", True), ("another", "boot", False), (first_one, "b", False)):
+        second: Pilot = Cockpit().pilot
+        FlightKeeper(path, second, vehicle, boot)
+        assert (second.landing.before is not None) is used
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"{",
+        b"[1]",
+        b'{"boot": 1}',
+        b"\xff" * 9000,
+        b'{"boot": "b", "vehicle": "v", "memory": {}}',
+    ],
+)
+def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "flight").write_bytes(text)
+    pilot = Cockpit().pilot
+    with caplog.at_level(logging.ERROR):
+        FlightKeeper(tmp_path / "flight", pilot, "v", "b")
+    assert pilot.landing.before is None
+    assert str(tmp_path / "flight") in caplog.text
+
+
+def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cockpit = Cockpit()
+    keeper = keeper_of(cockpit.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")})
+    assert keeper is not None
+    for _ in range(60):
+        cockpit.tick(sighted=True)
+        keeper.on_decision(cockpit.pilot.decide(cockpit.now))
+        assert keeper._writer is not None
+        keeper._writer.join()
+    assert caplog.text.count("cannot be written") == 1
+    assert keeper_of(cockpit.pilot, "v", {}) is None
