@@ -90,7 +90,7 @@ class Knowledge(Struct, frozen=True):
     tilt_max_deg: float | None = None
     """The largest tilt to ask for, by the vehicle's own limit; None leaves it at its response file's."""
     trusts_velocity: bool = True
-    """False while the integrity guard refuses the measured velocity, or there is none: nobody closes a loop on it."""
+    """False while the integrity guard refuses the measured velocity: nobody closes a loop on it."""
     unfelt: bool = False
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S

@@ -326,7 +326,7 @@ class Pilot:
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
         body, deck = self.motion(now)
         guard = self.estimation.memory.guard
-        trusts = guard.trusts_velocity(now)
+        trusts = guard.trusts_velocity
         self.landing.judge(now, deck, accelerates_unfelt=guard.inertial.accel_lost, trusts_velocity=trusts)
         objection = self.landing.doubted(now)
         if objection is not None and relative is not None:

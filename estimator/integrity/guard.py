@@ -37,8 +37,6 @@ _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""
-_MOVED_NS = 250_000_000
-"""Age of the newest velocity beyond which there is none."""
 _REPEATS = "the velocity repeats its readings; flying without it"
 _SWUNG_SIGMAS = 5.0
 """Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
@@ -59,8 +57,8 @@ class IntegrityGuard(Struct, frozen=True):
     arbiter: arbiter.Arbiter = field(default_factory=arbiter.Arbiter)
     overruled: int = 0
     """Number of restarts of the filter by the arbiter."""
-    moved_at: int = -1
-    """Instant of the newest velocity that was not refused as a reading, ns; -1 before the first."""
+    trusts_velocity: bool = True
+    """False if the newest velocity was refused: no loop is closed on it."""
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
 
@@ -76,10 +74,6 @@ class IntegrityGuard(Struct, frozen=True):
         repeats = (_REPEATS,) if seen is not None and seen.frozen else ()
         return *self.inertial.lost, *repeats
 
-    def trusts_velocity(self, now: MonoNs) -> bool:
-        """Return whether a loop may be closed on the measured velocity: the newest one is recent, and nothing refuses it."""
-        return self.inertial.velocity_fault is None and self.moved_at >= 0 and now - self.moved_at <= _MOVED_NS
-
 
 def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGuard, list[Sample | Verdict]]:
     """Check samples in the order in which they were received.
@@ -93,7 +87,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
     o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
     watch = clock.ClockWatch(guard.clock.now, guard.clock.rival, delays)
     step_s, settle_s = o.sample_delay_step_max_s, o.sample_delay_settle_s
-    turn, against, halves, flying, moved_at = guard.heading, guard.heights, guard.inertial, guard.flying, guard.moved_at
+    turn, against, halves, flying, trusts = guard.heading, guard.heights, guard.inertial, guard.flying, guard.trusts_velocity
     admitted: list[Sample | Verdict] = []
     for sample in samples:
         kind, stamp = type(sample), sample.stamp
@@ -108,6 +102,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         if verdict is None:
             delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s, quick=kind in _QUICK)
         if verdict is not None:
+            trusts = trusts and kind is not BodyVelocity
             admitted.append(verdict)
             continue
         # By the type itself: a match checks one class after the other.
@@ -135,12 +130,14 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                     against = heights.weighed(against, sample, o)
                     halves = inertial.weighed(halves, sample)
                 elif type(sample) is BodyVelocity:
-                    halves, moved_at = inertial.moved(halves, sample), stamp.measured_at
+                    halves = inertial.moved(halves, sample)
                     verdict = Verdict.IMPOSSIBLE if halves.velocity_fault is not None else None
+            if kind is BodyVelocity:
+                trusts = verdict is None
         admitted.append(sample if verdict is None else verdict)
     after = IntegrityGuard(
         o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, halves, guard.arbiter, guard.overruled,
-        moved_at, flying,
+        trusts, flying,
     )  # fmt: skip
     return after, admitted
 
