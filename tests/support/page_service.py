@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import aiohttp
 import numpy as np
@@ -17,6 +18,7 @@ from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
+from companion.parts.page import endpoint
 from companion.parts.page.make import make_page
 from companion.settings.load import load
 from companion.settings.page import PageSettings
@@ -28,7 +30,7 @@ from estimator.contracts.samples import Frame, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detection import Detection
 from tests.support.clocks import PatientClock
-from tests.support.waiting import listening, until
+from tests.support.waiting import PATIENCE_S, listening, until
 
 TOKEN = "a-token-of-sixteen-and-more"
 
@@ -111,10 +113,12 @@ class PageService:
 async def serving(folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> AsyncIterator[PageService]:
     """Serve the page; at the end show that neither it nor guidance has failed."""
     service = PageService(folder, limits, **settings)
-    async with listening(service.page), asyncio.TaskGroup() as group:
-        flying = group.create_task(service.live())
-        yield service
-        flying.cancel()
+    # A browser of a test answers pings when the test reads, which may be seconds apart on a busy machine.
+    with patch.object(endpoint, "_ALIVE_S", PATIENCE_S):
+        async with listening(service.page), asyncio.TaskGroup() as group:
+            flying = group.create_task(service.live())
+            yield service
+            flying.cancel()
 
 
 class Browser:

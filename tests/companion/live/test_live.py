@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import aiohttp
 import cv2
@@ -78,8 +79,10 @@ async def serving(
     limits: ConnectionLimits | None = None, recorder: Recorder | None = None, **settings: Any
 ) -> AsyncIterator[Service]:
     service = Service(limits, recorder, **settings)
-    async with listening(service.endpoint):
-        yield service
+    # A viewer here answers pings when the test reads, which may be seconds apart on a busy machine.
+    with patch.object(part, "_ALIVE_S", PATIENCE_S):
+        async with listening(service.endpoint):
+            yield service
 
 
 class Client:
