@@ -142,10 +142,10 @@ UNITS = {
     "px": "_px", "K": "_k",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
-    "core_fraction", "slope", "gain_ratio", "battery", "mmsi", "return_charge", "take_off_charge_min", "normalized_nis", "kp",
-    "ki", "kd", "velocity_scale", "velocity_lead", "slow_floor", "soft_least", "restart_factor", "restart_give_up_after",
-    "request_tries", "peers_max", "viewers_max", "buffers", "sigma_velocity_scale", "sigma_velocity_fraction",
-    "sigma_range_fraction", "gate_probability", "view_still_ratio", "place_step_fraction",
+    "core_fraction", "slope", "gain_ratio", "battery", "mmsi", "return_charge", "take_off_charge_min", "last_charge", "kp",
+    "ki", "kd", "normalized_nis", "velocity_scale", "velocity_lead", "slow_floor", "soft_least", "restart_factor",
+    "restart_give_up_after", "request_tries", "peers_max", "viewers_max", "buffers", "sigma_velocity_scale",
+    "sigma_velocity_fraction", "sigma_range_fraction", "gate_probability", "view_still_ratio", "place_step_fraction",
     "reopen_count", "leap_count", "min_confidence", "jpeg_quality", "frames_each", "range_tolerance_fraction", "losses_max",
     "go_arounds_max",
 }  # fmt: skip
