@@ -511,7 +511,11 @@ class LandingGuidance:
         seen = knowledge.relative
         fit = seen is not None and unfit(seen, knowledge.at, self._guidance.stale_after_s) is None
         v_seen = -seen.v_pad_level if fit and seen is not None else None
-        return without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._over_ground), guided=guided)
+        flown = without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._over_ground), guided=guided)
+        if command is self._ordered:
+            # It climbs as ordered, and so it counts.
+            self._ordered = flown
+        return flown
 
     def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""

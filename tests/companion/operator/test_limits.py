@@ -19,6 +19,7 @@ from companion.guidance.command_limits import (
     within,
     without_velocity,
 )
+from companion.guidance.controller import Knowledge
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.limits import LimitOptions
 from companion.settings.load import load
@@ -271,6 +272,16 @@ def test_without_a_trusted_velocity_guidance_flies_nowhere_along_an_unseen_deck_
     assert isinstance(seen, kind)
     assert seen.v_level == pytest.approx(command.v_level)
     assert not isinstance(seen, Lean) or seen.a_level[0] > 0.35 * vx, "it is slower than it is to be"
+
+
+def test_a_climb_that_is_flown_by_tilt_counts_as_the_one_that_was_ordered() -> None:
+    """WHY: a go-around by a frozen velocity counted no climb, and went on to 9 m."""
+    guidance, command = make_pilot(load("sim")).landing, flown((0.0, 0.0, -0.5))
+    guidance._ordered, guidance.mission = command, msgspec.structs.replace(guidance.mission, climbs_m_s=0.5)
+    guidance.on_command(NOW, guidance.without_velocity(command, Knowledge(NOW, None), guided=True))
+    assert guidance.mission.climbs_m_s == 0.5
+    guidance.on_command(NOW, Hover())
+    assert guidance.mission.climbs_m_s == 0.0
 
 
 def test_a_hand_flies_on_by_tilt_while_the_velocity_repeats_itself() -> None:
