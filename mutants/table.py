@@ -201,8 +201,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", "tests/drivers/test_command_streamer.py"),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", "tests/drivers/test_command_streamer.py"),
     "drivers/mavlink/setpoint_streamer.py": (
-        "tests/drivers/mavlink/test_setpoint_streamer_bounds.py",
+        "tests/drivers/mavlink/test_setpoint_landings.py",
         "tests/drivers/mavlink/test_setpoint_streamer.py",
+        "tests/drivers/mavlink/test_custody.py",
     ),
 }
 """Module to tests, whole files or single ones; only those whose lines meet the mutant's run, the quickest first."""

@@ -15,7 +15,7 @@ _SHIP = "Check the ship's reports and their link (docs/rendezvous.md)."
 
 _BY_CAUSE: dict[ReasonCause, str] = {
     _C.MOTORS_CUT: "Look where the drone is; decklander fly reset once it is safe.",
-    _C.TAKEN_OVER: "Choose the velocity mode again, or begin again, to land with guidance (decklander doctor LOG).",
+    _C.TAKEN_OVER: "Begin again to land with guidance (decklander doctor LOG).",
     _C.VEHICLE_STANDS: "If nobody landed it, look at the battery and the autopilot's own failsafes.",
     _C.NO_OWN_PLACE: "Give the drone a view of the sky, or fly it over the pad by hand.",
     _C.NO_OWN_HEADING: "Calibrate the compass away from steel, or fly the drone over the pad by hand.",

@@ -27,9 +27,11 @@ from estimator.contracts.time import MonoNs, seconds_between
 _STATUS_FRESH_S = 3.0
 """A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
 _REPEAT_S = 0.5
-"""The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
+"""The time for which a landing and the end of a cut are repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1
-"""The time for which the end of a landing is repeated; sticks count after it."""
+"""The time for which the end of a landing or of a take-off is repeated, and the least of a landing; sticks count after it."""
+_OBEYED_S = 2.0
+"""Time for which a cut of the motors may be unconfirmed until its sender is told, s; a vehicle may report once a second."""
 _LIMIT_GAP_S = 1.0
 _SAMPLES_MOST = 64
 """Number of samples from which they are processed though no command needs the place."""
@@ -60,6 +62,10 @@ class Guided(Protocol):
 
     def overrule(self) -> None: ...
 
+    def take_back(self) -> None:
+        """Allow the driver to take back a vehicle that a person had taken over."""
+        ...
+
 
 class Given(Struct, frozen=True):
     """An order in force: who gave it, and when."""
@@ -81,8 +87,13 @@ class Control(Struct, frozen=True):
     take_off: Given | None = None
     """A take-off that is not sent yet."""
     called_off: Given | None = None
-    """The order that called off a person's landing, while it is passed to the vehicle."""
+    """The order that ended a person's landing or a take-off, while it is passed to the vehicle."""
     cut: Given | None = None
+    """The order to cut the motors, until the vehicle reports that it is obeyed."""
+    cut_failed: str = ""
+    """Reason why the vehicle's link did not take the cut, or why it is told that it is not obeyed."""
+    cut_told: bool = False
+    """True if the sender was told that the cut is not obeyed yet."""
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None
     """The newest accepted order among those that have a rank."""
@@ -162,7 +173,7 @@ class OperatorArbiter:
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
         status, control = self.newest_status(now), self._control
-        if status is not None and status.emergency:
+        if control.cut is not None or (status is not None and status.emergency):
             return ControlSituation.EMERGENCY
         if control.landing is not None:
             return ControlSituation.LANDING
@@ -221,14 +232,30 @@ class OperatorArbiter:
                 self._guided.pause()
         if control.called_off is not None and seconds_between(control.called_off.at, now) > _CALL_OFF_S:
             self._control = replace(self._control, called_off=None)
+        self._follow_cut(now, status)
         if status is None:
             return
-        if control.landing is not None and _since(control.landing, status) and (status.flying is False or status.emergency):
+        landing = control.landing
+        over = status.flying is False or status.emergency or status.taken is not None
+        if landing is not None and over and _since(landing, status) and seconds_between(landing.at, now) > _CALL_OFF_S:
             self._control = replace(self._control, landing=None)
-        if control.cut is not None and (status.emergency or seconds_between(control.cut.at, now) > _REPEAT_S):
-            self._control = replace(self._control, cut=None)
-        if control.reset is not None and (not status.emergency or seconds_between(control.reset.at, now) > _REPEAT_S):
+        reset = control.reset
+        if reset is not None and seconds_between(reset.at, now) > (_REPEAT_S if status.emergency else _CALL_OFF_S):
             self._control = replace(self._control, reset=None)
+
+    def _follow_cut(self, now: MonoNs, status: VehicleStatus | None) -> None:
+        """End the cut of the motors when it is obeyed; tell its sender if that takes long, and when it has come after all."""
+        control = self._control
+        if control.cut is None:
+            return
+        obeyed = status is not None and status.emergency and _since(control.cut, status)
+        if obeyed:
+            self._control = replace(control, cut=None, cut_told=False)
+        if control.cut_told != (not obeyed and seconds_between(control.cut.at, now) > _OBEYED_S):
+            self._control = replace(self._control, cut_told=not obeyed)
+            why = control.cut_failed or "the vehicle does not report that its motors stand"
+            refusal = None if obeyed else f"not obeyed yet, and sent until it is: {why}"
+            self.tell(HandledOrder(now, control.cut.sender, OperatorOrder.EMERGENCY, refusal, "(obeyed)" if obeyed else ""))
 
     def choose(
         self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None, *, trusts_velocity: bool = True
@@ -269,7 +296,7 @@ class OperatorArbiter:
             self._control = replace(control, take_off=None)
             return Chosen(TakeOff(), reason=f"take-off for {control.take_off.sender}")
         if control.called_off is not None:
-            return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called the landing off")
+            return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called it off")
         if control.landing is not None:
             repeated = seconds_between(control.landing.at, now) <= _REPEAT_S
             return Chosen(Land(persistent=True) if repeated else None, LANDING_FOR_PERSON, f"ordered by {control.landing.sender}")
@@ -279,10 +306,12 @@ class OperatorArbiter:
             return Chosen(self._manual() if flies else None, BY_HAND, str(control.hand))
         return Chosen(guided)
 
-    def undelivered(self, command: Command, now: MonoNs) -> None:
-        """Send a take-off again in the next cycle, because the vehicle's link did not take it."""
+    def undelivered(self, command: Command, now: MonoNs, why: str = "") -> None:
+        """Note that the vehicle's link did not take a command, and why: a take-off is sent again in the next cycle."""
         accepted = self._control.accepted
-        if isinstance(command, TakeOff) and accepted is not None and accepted[0] is OperatorOrder.TAKE_OFF:
+        if isinstance(command, CutMotors):
+            self._control = replace(self._control, cut_failed=why)
+        elif isinstance(command, TakeOff) and accepted is not None and accepted[0] is OperatorOrder.TAKE_OFF:
             order = accepted[1] if seconds_between(accepted[1].at, now) <= _REPEAT_S else None
             self._control = replace(self._control, take_off=order)
 
@@ -329,7 +358,7 @@ class OperatorArbiter:
         self._control = control = replace(control, accepted=(order, given))
         match order:
             case OperatorOrder.EMERGENCY:
-                self._control = replace(control, cut=given, hand=None, landing=None, take_off=None, called_off=None)
+                self._control = Control(cut=given, accepted=control.accepted)
                 guided.abort()
             case OperatorOrder.MANUAL:
                 ended = given if control.landing is not None else None
@@ -344,14 +373,16 @@ class OperatorArbiter:
                 )
                 guided.pause()
             case OperatorOrder.LAND:
-                self._control = replace(control, landing=given, hand=None, take_off=None)
+                self._control = replace(control, landing=given, hand=None, take_off=None, called_off=None)
+                if guided.vehicle is not None and guided.vehicle.taken is not None:
+                    guided.take_back()
                 if guided.vehicle is None or guided.vehicle.flying is not False:
                     guided.pause()
             case OperatorOrder.ABORT:
-                self._control = replace(control, hand=None)
+                self._control = replace(control, hand=None, take_off=None, called_off=given)
                 guided.abort()
             case OperatorOrder.HOLD:
-                self._control = replace(control, hand=None)
+                self._control = replace(control, hand=None, take_off=None, called_off=given)
                 guided.pause()
             case OperatorOrder.TAKE_OFF:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
@@ -363,7 +394,7 @@ class OperatorArbiter:
             case OperatorOrder.RELEASE:
                 self._control = replace(control, hand=None)
             case OperatorOrder.RESET:
-                self._control = replace(control, reset=given)
+                self._control = replace(control, cut=None, reset=given)
 
     def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
         """Take the hand from a sender that is gone, and hover."""

@@ -94,8 +94,12 @@ def ordered(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[
     return _taken(p, event, Reason(ReasonCause.OPERATOR), at, o)
 
 
-def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Progress, Transitions]:
-    """Take the vehicle's report about itself."""
+def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:
+    """Take the vehicle's report about itself.
+
+    Args:
+        resumes: whether a landing that a person took over goes on when the vehicle is not taken any more.
+    """
     at = status.stamp.received_at
     if status.emergency:
         return _taken(p, Event.CUT, Reason(ReasonCause.MOTORS_CUT), at, o)
@@ -107,7 +111,7 @@ def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Pr
     # A report from before the order to begin belongs to the flight before.
     if status.taken is not None and (p.asked_at is None or at > p.asked_at):
         return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
-    if status.taken is None and p.state is State.TAKEN and not p.stood:
+    if resumes and status.taken is None and p.state is State.TAKEN and not p.stood:
         return _taken(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
@@ -184,6 +188,7 @@ class LandingGuidance:
         reports: what is believed of the places that ship and vehicle report.
         tilt, climb: how the vehicle answers, by its file; None where nobody says.
         view: the field of a camera that leans with the body; None of another.
+        resumes: whether a landing that a person took over goes on when the vehicle is not taken any more.
     """
 
     def __init__(
@@ -197,13 +202,14 @@ class LandingGuidance:
         tilt: TiltResponse,
         climb: ClimbResponse | None = None,
         view: FieldOfView | None = None,
+        resumes: bool = False,
     ) -> None:
         self._guidance = guidance
         self.mission = Progress.start(automatic=automatic)
         self._make_law = law
         self._law = law(guidance)
         self._law_memory = self._law.start()
-        self._over_ground = over_ground
+        self._over_ground, self._resumes = over_ground, resumes
         self._response = ResponseIdentifier(tilt, guidance)
         self._changes: list[StateChange] = []
         self.before: FlightMemory | None = None
@@ -365,7 +371,7 @@ class LandingGuidance:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         if status.flying is False:
             self.before = None
-        self.mission, changes = reported(self.mission, status, self._guidance)
+        self.mission, changes = reported(self.mission, status, self._guidance, resumes=self._resumes)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()

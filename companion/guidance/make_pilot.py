@@ -52,6 +52,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             manual=settings.operator.manual,
             limits=settings.limits,
             over_ground=_over_ground(settings),
+            resumes=isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.mode_is_order,
             reports=settings.vessel,
             tilt=_flyable_tilt(settings),
             climb=_within_driver(response_model(settings), settings).climb,

@@ -72,6 +72,8 @@ class PilotOptions:
     """Response of its climb, by its file; None where nobody says."""
     view: FieldOfView | None = None
     """The field of a camera that leans with the body; None of another."""
+    resumes: bool = False
+    """True if a landing that a person took over goes on when the driver says that it was given back."""
     gimballed: bool = False
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
@@ -98,9 +100,10 @@ class Pilot:
             tilt=given.tilt or shipped_response("ardrone2").tilt,
             climb=given.climb,
             view=given.view,
+            resumes=given.resumes,
         )
         self.engage: Callable[[], None] = lambda: None
-        """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
+        """Called when a person orders to begin or to land: the driver may take back a vehicle that a person had taken over."""
         self.operator = OperatorArbiter(self, given.manual, given.limits)
         """The arbiter of people's orders, which has the last word."""
 
@@ -158,6 +161,10 @@ class Pilot:
     def abort(self) -> None:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.landing.order(Event.ABORT)
+
+    def take_back(self) -> None:
+        """Allow the driver to take back a vehicle that a person had taken over, for a person's landing."""
+        self.engage()
 
     def overrule(self) -> None:
         """Land in this flight whatever is seen on the pad, for the operator."""

@@ -47,7 +47,7 @@ class ControlSituation(Enum):
     LANDING = "landing"
     """A landing that a person ordered."""
     EMERGENCY = "emergency"
-    """The motors were cut."""
+    """The motors were cut, or are to be."""
 
 
 class Rule(Enum):
@@ -100,7 +100,7 @@ _F, _G, _L, _N, _X, _E, _U = (
 TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyType(
     {
         #                     unheard ground done guided held over manual landing emergency
-        OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _E),
+        OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
         OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),

@@ -394,12 +394,14 @@ class Daemon:
             self._decided.set()
             decided = self._clock.now()
             self.health.delay("decide", seconds_between(began, decided))
-            if decision.command is not None and self._link is not None:
+            if decision.command is not None:
                 try:
+                    if self._link is None:
+                        raise Recoverable("the link to the vehicle is not open")
                     self._link.command(decision.command)
                     self._commanded(decided)
                 except Recoverable as why:
-                    self._pilot.operator.undelivered(decision.command, began)
+                    self._pilot.operator.undelivered(decision.command, began, str(why))
                     log.debug("command not sent: %s", why)
             self._tell(decision)
             self.health.decision(decision, self._pilot.vehicle)

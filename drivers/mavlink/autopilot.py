@@ -12,7 +12,8 @@ import numpy as np
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
-from drivers.mavlink.dialect import Message, TimeSyncV2
+from drivers.mavlink.custody import LEFT_ALONE, Event, Hand
+from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
@@ -27,7 +28,7 @@ from drivers.mavlink.samples import (
     tilt_max_deg,
 )
 from drivers.mavlink.setpoint import Rested
-from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
+from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import (
     VELOCITY_MODE,
@@ -41,7 +42,7 @@ from drivers.mavlink.vehicle import (
 )
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.running_beside import running_beside
-from estimator.contracts.commands import Command, Hover, Lean, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Lean, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
@@ -64,9 +65,9 @@ _MOVED_S, _OVERTAKEN_S = 0.1, 0.05
 
 The second is the time by which a message of the old port may be late.
 """
+_HOLDER = {Hand.NOBODY: "nobody", Hand.PERSON: "a person", Hand.CUT: "nobody, its motors are cut,"}
 _BESIDE_S = 5.0
 """Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
-_LEFT_ALONE = (Hand.IDLE, Hand.RELEASED)
 
 
 @dataclass(slots=True)
@@ -87,8 +88,12 @@ class _Known:
     lost: bool = False
     version: Version | None = None
     """Its firmware and hardware, once it reported them."""
+    hand: Hand = Hand.NOBODY
+    """The holder of the vehicle that was last reported."""
     released_at: MonoNs | None = None
     """Time when the vehicle was taken from this program; None while nobody has it."""
+    suspended: bool = False
+    """True while it is not clear who is the autopilot, and the hold for that was sent."""
 
 
 class Autopilot:
@@ -210,27 +215,38 @@ class Autopilot:
     @property
     def steered(self) -> bool:
         """Return whether this program steers the vehicle."""
-        return self._known is not None and self._known.streamer.hand not in _LEFT_ALONE
+        return self._known is not None and self._known.streamer.hand not in LEFT_ALONE
 
     def command(self, command: Command) -> None:
         """Take the newest command; it is flown as `SetpointStreamer` says.
+
+        The cut of the motors, and a person's hold, are taken without an answering autopilot too, if it was commanded before: it
+        may be received although nothing comes back, and the cut is repeated until it is reported. While several autopilots make
+        it unclear who is meant, the cut goes to the one that was commanded last: that is the one in whose flight a person saw a
+        danger, and a stranger's HEARTBEAT must not be able to prevent it.
 
         Raises:
             Recoverable: the link was closed, no autopilot is connected, or it is not clear who is the autopilot.
         """
         if not self._open:
             raise Recoverable("the link to the autopilot is closed")
-        if self._known is None or self._known.lost:
-            raise Recoverable("no autopilot is connected")
-        if (unclear := self.unclear) is not None:
-            raise Recoverable(unclear)
+        known = self._known
+        why = "no autopilot is connected" if known is None or known.lost else self.unclear
+        ends = isinstance(command, CutMotors | LeaveEmergency) or (isinstance(command, Hover) and command.calls_off)
+        if known is not None and (why is None or (ends and known.streamer.commanded)):
+            self._take(known, command)
+        if why is not None:
+            raise Recoverable(why)
+
+    def _take(self, known: _Known, command: Command) -> None:
         now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity | Lean | Hover) and self.attitude is not None:
             # The autopilot's velocities are over the ground, as a tilt's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
             if isinstance(command, Velocity):
                 command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
-        self._known.streamer.take(command, now, v_deck_level)
+        known.streamer.take(command, now, v_deck_level)
+        self._tell_hand(known, now)
 
     def release(self) -> None:
         """Do nothing, because closing commands the autopilot to hold, and it then holds by itself."""
@@ -307,6 +323,9 @@ class Autopilot:
             for severity, text in self._joined.on_message(message, sender):
                 self.texts.append((received_at, severity, text))
             self._tell_hand(known, received_at)
+        elif name == "COMMAND_ACK" and message.result != mav.MAV_RESULT_IN_PROGRESS:
+            if (message.target_system, message.target_component) == self.links.identity:
+                known.streamer.on_answer(int(message.command), accepted=message.result == mav.MAV_RESULT_ACCEPTED)
         elif name == "EVENT":
             self.events.append(int(message.id))
         elif name == "AUTOPILOT_VERSION":
@@ -322,7 +341,7 @@ class Autopilot:
             if isinstance(fix, GeoFix):
                 known.streamer.on_place(fix.place, received_at)
         self._offer(samples)
-        known.streamer.on_condition(known.sampler.condition)
+        known.streamer.on_condition(known.sampler.condition, beat=name == "HEARTBEAT")
         self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
@@ -333,14 +352,20 @@ class Autopilot:
 
     def _tell_hand(self, known: _Known, now: MonoNs) -> None:
         """Say in the vehicle's status who has taken it, as soon as that or the autopilot's word for it changes."""
+        streamer, sampler = known.streamer, known.sampler
+        if streamer.hand is not known.hand and streamer.cause is not None:
+            level = logging.WARNING if streamer.hand is Hand.PERSON else logging.INFO
+            mode, cause = sampler.condition.mode, streamer.cause.value
+            _log.log(level, "autopilot: %s has the vehicle, mode %s: %s", _HOLDER.get(streamer.hand, "this program"), mode, cause)
+            known.hand = streamer.hand
         taken = self._taken(known, now)
-        if taken != known.sampler.taken:
-            known.sampler.taken = taken
-            self._offer([known.sampler.status(now, link_ok=True)])
+        if (taken, streamer.motors_cut) != (sampler.taken, sampler.motors_cut):
+            sampler.taken, sampler.motors_cut = taken, streamer.motors_cut
+            self._offer([sampler.status(now, link_ok=not known.lost)])
 
     def _taken(self, known: _Known, now: MonoNs) -> str | None:
         """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
-        if known.streamer.hand is not Hand.RELEASED:
+        if known.streamer.hand is not Hand.PERSON or known.sampler.condition.armed is False:
             known.released_at = None
             return None
         known.released_at = known.released_at or now
@@ -350,7 +375,7 @@ class Autopilot:
             if severity <= _WARNING and -_BEFORE_S <= seconds_between(known.released_at, at) <= _AFTER_S
         ]
         stack, mode = known.identity.stack.value, known.sampler.condition.mode
-        if known.streamer.refused:
+        if known.streamer.cause is Event.REFUSED:
             why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
         else:
             why = f"{stack} took the vehicle" if about else "the vehicle was taken over"
@@ -421,7 +446,7 @@ class Autopilot:
             known.identity.system,
             seconds_between(known.received_at, now),
             known.lost,
-            known.streamer.hand not in _LEFT_ALONE,
+            self.steered or known.streamer.hand is Hand.CUT,
             known.origins.several(now),
         )
 
@@ -489,6 +514,13 @@ class Autopilot:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: silent for %.1f s", self._o.silence_s)
+        unclear = self.unclear is not None
+        if known.streamer.hand is Hand.CUT or not (known.lost or unclear):
+            self._send_all(known, known.streamer.period(now))
+        elif unclear and not known.suspended:
+            self._send_all(known, known.streamer.suspend(now))
+        known.suspended = unclear
+        self._tell_hand(known, now)
         if known.lost:
             return
         link = known.source[0]
@@ -499,8 +531,6 @@ class Autopilot:
         if self._request_due and (self._requested is None or seconds_between(self._requested, now) >= _AGAIN_S):
             self._restart_requests(known, now)
         target = known.identity.address
-        if self.unclear is None:
-            self._send_all(known, known.streamer.period(now))
         self._send_all(known, known.sync.due(now, target))
         for request in (known.streams.due, known.parameters.due, self._version.due):
             if self._requests.allows(now):

@@ -232,6 +232,13 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
             public=True,
         ),
     ] = True
+    mode_is_order: Annotated[
+        bool,
+        choice(
+            "whether the velocity mode (GUIDED, OFFBOARD), chosen by a person or a station that took the vehicle, is an order to "
+            "go on; otherwise only begin is"
+        ),
+    ] = False
     deck_hold_s: Annotated[
         float,
         number(

@@ -119,6 +119,8 @@ class MavlinkSampler:
         self.condition = Condition()
         self.taken: str | None = None
         """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
+        self.motors_cut = False
+        """True if a person cut the motors by this program and it has reported that, likewise."""
         self.attitude: Attitude | None = None
         """The newest attitude sample."""
         self.positions: deque[LocalPosition] = deque(maxlen=64)
@@ -215,8 +217,9 @@ class MavlinkSampler:
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")
         return VehicleStatus(
-            stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok, self.taken, self.jerk_max_m_s3, self.tilt_max_deg
-        )
+            stamp, c.flying, c.mode, c.battery_fraction, c.terminated or self.motors_cut, link_ok, self.taken,
+            self.jerk_max_m_s3, self.tilt_max_deg,
+        )  # fmt: skip
 
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition

@@ -12,12 +12,13 @@ the ground in GUIDED by MAV_CMD_NAV_TAKEOFF only, which reads no place; once it 
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.vehicle import VELOCITY_MODE, Condition, Identity, Stack, set_mode
+from drivers.mavlink.vehicle import VELOCITY_MODE, Condition, Identity, Stack
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, seconds_between
@@ -62,6 +63,8 @@ REST_S = 8.0
 _RESET_M_S = 0.5
 """Step between two of the autopilot's velocities that is its filter's: what was averaged before was wrong."""
 _LIFTED_M = 0.3
+SHOWN_S = 0.5
+"""Time from a request or an answer to a HEARTBEAT that surely is later, s."""
 
 
 class Rested(NamedTuple):
@@ -110,7 +113,27 @@ class TakingOff:
     def __init__(self, began: MonoNs, identity: Identity, from_m: float | None, height_m: float) -> None:
         self.began, self._id, self._from_m, self._height_m = began, identity, from_m, height_m
         self._asked: MonoNs | None = None
+        self._arm_asked: MonoNs | None = None
+        self._armed_at: MonoNs | None = None
+        """Time of the answer that it is armed."""
         self.flew = False
+
+    @property
+    def arms(self) -> bool:
+        """True if arming was requested."""
+        return self._arm_asked is not None
+
+    def may_arm(self, now: MonoNs, within_s: float) -> bool:
+        """Return whether arming was requested so lately that it may still follow."""
+        return self._arm_asked is not None and seconds_between(self._arm_asked, now) <= within_s
+
+    def on_armed(self, now: MonoNs) -> None:
+        """Note the answer that it is armed."""
+        self._armed_at = now
+
+    def was_armed(self, now: MonoNs) -> bool:
+        """Return whether it was armed by its answer, so long ago that a report shows it."""
+        return self._armed_at is not None and seconds_between(self._armed_at, now) >= SHOWN_S
 
     def climbed_m(self, down_m: float | None) -> float:
         """Return how far it has climbed."""
@@ -118,7 +141,6 @@ class TakingOff:
 
     def done(self, down_m: float | None, condition: Condition) -> bool:
         """Return whether the height is reached; where no height is known, whether it flies."""
-        self.flew = self.flew or bool(condition.flying)
         blind = down_m is None or self._from_m is None
         return self.flew and (blind or self.climbed_m(down_m) >= self._height_m)
 
@@ -133,28 +155,26 @@ class TakingOff:
         return -CLIMB_M_S if condition.armed else 0.0
 
     def requests(
-        self, now: MonoNs, condition: Condition, streamed_s: float, prestream_s: float, period_s: float
+        self, now: MonoNs, condition: Condition, period_s: float, ask: Callable[[str, MonoNs], list[Message]]
     ) -> list[Message]:
         """Return the request that is due: mode, arming, and ArduCopter's take-off.
 
         Args:
-            streamed_s: time for which setpoints have streamed; PX4 refuses OFFBOARD before `prestream_s`.
             period_s: time after which a request is repeated.
+            ask: makes the request for a mode.
         """
-        mode = VELOCITY_MODE[self._id.stack]
-        early = self._id.stack is Stack.PX4 and streamed_s < prestream_s
-        if early or (self._asked is not None and seconds_between(self._asked, now) < period_s):
+        if self._asked is not None and seconds_between(self._asked, now) < period_s:
             return []
-        if condition.mode != mode:
-            found = set_mode(self._id.stack, self._id.address, mode)
-        elif not condition.armed:
-            found = self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-        elif self._id.stack is Stack.ARDUPILOT and not condition.flying:
-            found = self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)
-        else:
+        mode = VELOCITY_MODE[self._id.stack]
+        if condition.mode == mode and condition.armed and (self._id.stack is not Stack.ARDUPILOT or condition.flying):
             return []
         self._asked = now
-        return [found]
+        if condition.mode != mode:
+            return ask(mode, now)
+        if not condition.armed:
+            self._arm_asked = now
+            return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
+        return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
 
     def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
         return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)

@@ -1,9 +1,8 @@
 """Choose what an autopilot is sent in each period, from the newest command and the state that it reports. No I/O.
 
-It steers only after the order to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
-OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint. A person who chooses
-another mode takes the vehicle over: nothing is sent until the mode is chosen again, the operator starts again, or the vehicle
-has landed.
+`custody` is the table of who has the vehicle; here are the bytes and the few numbers that are streamed in each of its states.
+The first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4 OFFBOARD, whose setpoints must stream for a
+while first). From then on every period carries a setpoint.
 A command of guidance is flown only for a short time unless guidance renews it. A velocity or a landing that is not renewed
 becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
@@ -15,14 +14,15 @@ When the process itself falls silent the autopilot's own failsafe acts: ArduPilo
 """
 
 import math
-from dataclasses import replace
-from enum import Enum
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.mavlink.custody import LEFT_ALONE, TABLE, Event, Hand, ModeRequests
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import Rested, RestVelocity, TakingOff, velocity_setpoint
+from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, velocity_setpoint
 from drivers.mavlink.vehicle import (
     HOLD_MODE,
     LAND_MODE,
@@ -75,7 +75,7 @@ class MotorStop:
     """
 
     def __init__(self, now: MonoNs) -> None:
-        self._began = now
+        self.began = now
         self._asked: MonoNs | None = None
         self._stood: MonoNs | None = None
 
@@ -85,7 +85,7 @@ class MotorStop:
             self._stood = self._stood or now
             return []
         self._stood = None
-        each_s = _EACH_S if seconds_between(self._began, now) < _QUICK_S else _SLOW_S
+        each_s = _EACH_S if seconds_between(self.began, now) < _QUICK_S else _SLOW_S
         if self._asked is not None and seconds_between(self._asked, now) < each_s:
             return []
         self._asked = now
@@ -103,25 +103,55 @@ _REACHED_M = 3.0
 """Distance from another place at which the vehicle is there, m."""
 _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
+_GAP_S = 0.5
+"""Gap between two setpoints with which PX4 takes the stream to have ended, s."""
+_ARMS_S = 1.2
+"""Time after a request to arm for which the motors may turn though no report says so, s: some autopilots report each second."""
 
 
-class Hand(Enum):
-    """The party that controls the vehicle, and how far a change of control has come."""
+class Tries:
+    """The requests for one thing: a period apart, and a few of them."""
 
-    IDLE = "idle"
-    """This program has no order to fly the vehicle."""
-    TAKING = "taking"
-    """This program has requested the velocity mode."""
-    OURS = "ours"
-    LANDING = "landing"
-    STANDING = "standing"
-    """The vehicle stands on the deck: its motors are being stopped."""
-    HOLDING = "holding"
-    """Guidance is silent: the autopilot is in its own hold mode, or on its way there."""
-    LEAVING = "leaving"
-    """The autopilot flies to another place by itself, and lands there."""
-    RELEASED = "released"
-    """A person chose another mode, or the mode was refused."""
+    def __init__(self, options: AutopilotOptions) -> None:
+        self._o = options
+        self._at: MonoNs | None = None
+        self._made = 0
+
+    @property
+    def begun(self) -> bool:
+        """True if a request was sent."""
+        return self._made > 0
+
+    def due(self, now: MonoNs) -> bool:
+        """Return whether a request may be sent or repeated now, and count it."""
+        if self._made >= self._o.request_tries or not self._answered(now):
+            return False
+        self._at, self._made = now, self._made + 1
+        return True
+
+    def spent(self, now: MonoNs) -> bool:
+        """Return whether the last request had its time, too."""
+        return self._made >= self._o.request_tries and self._answered(now)
+
+    def _answered(self, now: MonoNs) -> bool:
+        return self._at is None or seconds_between(self._at, now) >= self._o.request_period_s
+
+
+@dataclass(slots=True)
+class _Landing:
+    """The newest landing."""
+
+    order: Land
+    at: MonoNs
+    """Time of its newest renewal."""
+    began: MonoNs
+    from_m: float | None
+    """Position below the autopilot's origin at which it began; None if it was not known."""
+    by_velocity: bool
+    paused: bool = False
+    """True while it is not renewed; it continues when it is renewed."""
+    spent: bool = False
+    """True if it has used up its time or its height."""
 
 
 class SetpointStreamer:
@@ -130,6 +160,7 @@ class SetpointStreamer:
     def __init__(self, identity: Identity, options: AutopilotOptions) -> None:
         self._id = identity
         self._o = options
+        self._now = MonoNs(0)
         self._motion: Velocity | Lean = STILL
         self._motion_at: MonoNs | None = None
         self._mean_velocity = np.zeros(3)
@@ -137,38 +168,32 @@ class SetpointStreamer:
         self._v_deck = np.zeros(3)
         """The velocity of the surface below at the last commanded velocity, (3,) m/s in the level frame."""
         self._steered_at: MonoNs | None = None
-        self._streaming_since: MonoNs | None = None
-        self._taking_off: TakingOff | None = None
-        self._returns = False
-        """True if the vehicle is to fly back by its own mode."""
+        self._streamed: tuple[MonoNs, MonoNs] | None = None
+        """Times of the first and the last setpoint of the stream."""
+        self._climb: TakingOff | None = None
+        """The take-off under way, or the one whose motors are being stopped."""
         self._place: GeoPoint | None = None
         self._placed_at = MonoNs(0)
         self._goal: GeoPoint | None = None
-        """Place to land at, with the height to fly at."""
+        """Place to land at, with the height to fly at; None if it returns by its own mode."""
         self._there = False
         self._rest = RestVelocity()
-        self._stop: MotorStop | None = None
+        self._stop = MotorStop(MonoNs(0))
         self._felt_at: MonoNs | None = None
         """Time when guidance last reported contact with the deck."""
-        self._cut_at: MonoNs | None = None
-        """Time of a person's order to cut the motors; None without one."""
-        self._asked: MonoNs | None = None
-        self._asks = 0
-        self._landed_from = ""
-        self._descending = False
-        self._land = Land()
-        self._land_at = self._land_began = MonoNs(0)
+        self._landing = _Landing(Land(), MonoNs(0), MonoNs(0), None, by_velocity=False)
         self._down_m: float | None = None
-        self._land_from_m: float | None = None
-        self._paused = False
-        """True while the landing is paused because it is not renewed; it continues when it is renewed."""
-        self._spent = False
-        """True if the landing under way has used up its time or its height."""
         self._condition = Condition()
         self._attitude: Attitude | None = None
-        self.hand = Hand.IDLE
-        self.refused = False
-        """True if the hand was released because the velocity mode was refused, and not because another was chosen."""
+        self._modes = ModeRequests()
+        self._tries = Tries(options)
+        self.hand = Hand.NOBODY
+        self.cause: Event | None = None
+        """The event that led to the present state; None at the start."""
+        self.commanded = False
+        """True once something of ours was sent to it."""
+        self.motors_cut = False
+        """True if a person cut the motors and the autopilot has reported that it is disarmed."""
         self.blind_periods = 0
         """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
         self.stale_periods = 0
@@ -185,116 +210,150 @@ class SetpointStreamer:
         chosen = self._o.landing
         return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
 
+    def _on(self, event: Event) -> bool:
+        """Take an event; return whether another one has the vehicle now, or it does another thing."""
+        target = TABLE[self.hand][event]
+        if target is self.hand:
+            return False
+        self.hand, self.cause, self._tries = target, event, Tries(self._o)
+        self.motors_cut = False
+        self.commanded |= target is not Hand.NOBODY
+        if target in LEFT_ALONE:
+            self._modes.forget()
+            self._streamed = None
+        elif target is Hand.OURS:
+            self._modes.own = self._mode or ""
+        if target not in (Hand.TAKING_OFF, Hand.STANDING):
+            self._climb = None
+        self._stop = MotorStop(self._now)
+        return True
+
     def take(self, command: Command, now: MonoNs, v_deck_level: F64 | None = None) -> None:
         """Take the newest command.
 
         Args:
             v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity; None if it is not known.
         """
-        if isinstance(command, CutMotors):
-            if self._cut_at is None:
-                self._cut_at, self._asked, self._asks = now, None, 0
-        elif isinstance(command, LeaveEmergency):
-            self._cut_at = None
-        elif isinstance(command, TakeOff):
-            self._taking_off = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
-        elif isinstance(command, Land):
-            self._taking_off = None
-            self._motion_at = now
-            if command.on_deck and self.hand not in (Hand.IDLE, Hand.RELEASED):
-                self._felt_at = now
-                self._stand(now)
-            elif self.hand is Hand.STANDING:
-                pass
-            elif self.hand is Hand.LANDING and command.persistent and not self._land.persistent:
-                self._land, self._land_at, self._land_began, self._spent = command, now, now, False
-            elif self.hand is Hand.LANDING and not self._spent:
-                self._land_at = now
-            elif self.hand not in (Hand.LANDING, Hand.RELEASED) and not self._spent:
-                self._land, self._land_at, self._land_began, self._land_from_m = command, now, now, self._down_m
-                self._landed_from = self._condition.mode
-                self._descending = self._lands_by_velocity and self._landed_from == self._mode
-                self._request_again(Hand.LANDING)
-        elif isinstance(command, Hover):
-            self._motion, self._motion_at, self._spent = STILL, now, False
-            if command.returns and not self._returns and self.hand is Hand.OURS:
-                self._request_again(Hand.OURS)
-            self._returns = command.returns
-            if (self.hand is Hand.LEAVING) != (command.elsewhere is not None) and self.hand in (Hand.OURS, Hand.LEAVING):
-                self._leave_for(command.elsewhere, now)
-            if v_deck_level is not None:
-                self._v_deck, self._steered_at = v_deck_level, now
-            if self.hand is Hand.STANDING and self._condition.armed is not False:
-                self._request_again(Hand.TAKING)
+        self._now = now
+        match command:
+            case CutMotors():
+                if not self._on(Event.CUT) and self.motors_cut and self._condition.armed:
+                    self.motors_cut, self._stop = False, MotorStop(now)
+            case LeaveEmergency():
+                self._on(Event.RESET)
+            case TakeOff():
+                if not self._condition.flying and self._on(Event.TAKE_OFF):
+                    self._climb = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
+            case Land():
+                self._motion_at = now
+                self._take_land(command, now)
+            case Hover():
+                self._take_hover(command, now, v_deck_level)
+            case _:
+                self._take_velocity(command, now, v_deck_level)
+
+    def _take_land(self, command: Land, now: MonoNs) -> None:
+        landing = self._landing
+        if command.on_deck and self.hand not in LEFT_ALONE:
+            self._felt_at = now
+        if self.hand is Hand.LANDING and not command.on_deck:
+            if command.persistent and not landing.order.persistent:
+                landing.order, landing.at, landing.began, landing.spent = command, now, now, False
+            elif not landing.spent:
+                landing.at = now
+        elif (command.on_deck or not landing.spent) and (self.hand is not Hand.NOBODY or self._condition.armed is not False):
+            self._on(Event.CONTACT if command.on_deck else Event.LAND)
             if self.hand is Hand.LANDING:
-                self._call_off()
-        else:
-            since_s = math.inf if self._steered_at is None else seconds_between(self._steered_at, now)
-            weight = min(1.0, since_s / _MEAN_S)
-            self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
-            self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
-            self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
-            self._returns = False
-            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING, Hand.STANDING, Hand.LEAVING)
-            if self.hand in willing and self._mode is not None and self._condition.flying is not False:
-                self._request_again(Hand.TAKING)
+                by_velocity = self._lands_by_velocity and self._condition.mode == self._mode
+                self._landing = _Landing(command, now, now, self._down_m, by_velocity)
+
+    def _take_hover(self, command: Hover, now: MonoNs, v_deck_level: F64 | None) -> None:
+        self._motion, self._motion_at, self._landing.spent, self._felt_at = STILL, now, False, None
+        if v_deck_level is not None:
+            self._v_deck, self._steered_at = v_deck_level, now
+        if command.calls_off and self.hand is Hand.TAKING_OFF:
+            self._end_take_off(now)
+        elif command.elsewhere is not None:
+            if self.hand is Hand.OURS:
+                self._leave_for(command.elsewhere, now)
+        elif command.returns and self._id.stack in RETURN_MODE:
+            if self._on(Event.RETURN):
+                self._goal = None
+        elif self.hand is not Hand.STANDING or self._flies_again:
+            self.landings_called_off += self.hand is Hand.LANDING
+            self._on(Event.HOVER)
+
+    def _take_velocity(self, command: Velocity | Lean, now: MonoNs, v_deck_level: F64 | None) -> None:
+        since_s = math.inf if self._steered_at is None else seconds_between(self._steered_at, now)
+        weight = min(1.0, since_s / _MEAN_S)
+        self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
+        self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
+        self._motion, self._motion_at, self._steered_at = command, now, now
+        self._landing.spent, self._felt_at = False, None
+        if self._mode is not None and self._flies_again:
+            self._on(Event.STEER)
+
+    @property
+    def _flies_again(self) -> bool:
+        """True if the vehicle may be taken, or taken back from the deck: it flies by all that is known."""
+        return self._condition.flying is not False and self._condition.armed is not False and self._climb is None
 
     def _here(self, now: MonoNs) -> GeoPoint | None:
         """Return the place of the vehicle; None if none was reported lately."""
         return self._place if seconds_between(self._placed_at, now) <= _PLACE_S else None
 
-    def _modes_on_the_way(self) -> tuple[str | None, ...]:
-        own = self._mode, HOLD_MODE[Stack.PX4] if self._id.stack is Stack.PX4 else None
-        return (*own, LAND_MODE.get(self._id.stack)) if self._there else own
-
-    def _leave_for(self, where: LandingPlace | None, now: MonoNs) -> None:
-        """Begin the way to another place if that is known to be in range, or end it."""
+    def _leave_for(self, where: LandingPlace, now: MonoNs) -> None:
+        """Begin the way to another place if that is known to be in range."""
         here = self._here(now)
-        if where is None:
-            self._request_again(Hand.TAKING)
-        elif here is not None and math.hypot(*ned_between(here, where.place)[:2]) <= where.range_max_m:
+        if here is not None and math.hypot(*ned_between(here, where.place)[:2]) <= where.range_max_m:
             highest_m = max(where.place.height_m or 0.0, here.height_m or 0.0)
             self._goal, self._there = replace(where.place, height_m=highest_m), False
-            self._request_again(Hand.LEAVING)
-
-    def _call_off(self) -> None:
-        """End the landing; the velocity mode then holds the vehicle in place."""
-        self.landings_called_off += 1
-        self._request_again(Hand.TAKING)
+            self._on(Event.LEAVE)
 
     def engage(self) -> None:
-        """Allow a vehicle that a person took over to be taken back, because the operator starts again."""
-        if self.hand is Hand.RELEASED:
-            self._request_again(Hand.IDLE)
+        """Allow a vehicle that a person took over to be taken back, because a person orders to begin or to land."""
+        self._on(Event.ENGAGE)
 
-    def on_condition(self, condition: Condition) -> None:
-        """Take the condition that the autopilot reports."""
-        self._condition = condition
-        in_mode = condition.mode == self._mode
-        held_modes = (self._mode, HOLD_MODE.get(self._id.stack))
-        landing_modes = (self._landed_from, LAND_MODE.get(self._id.stack))
-        taken_over = (
-            (self.hand is Hand.OURS and not in_mode)
-            or (self.hand is Hand.LANDING and condition.mode not in landing_modes)
-            or (self.hand is Hand.HOLDING and condition.mode not in held_modes)
-            or (self.hand is Hand.LEAVING and condition.mode not in self._modes_on_the_way())
-        )
-        if self._taking_off is not None:
-            if self._taking_off.flew and not in_mode:
-                self._taking_off, self.hand, self.refused = None, Hand.RELEASED, False
-            return
-        if condition.flying is False and self.hand not in (Hand.IDLE, Hand.STANDING):
-            landing = self.hand in (Hand.LANDING, Hand.HOLDING)
-            # One that is ours keeps its setpoints for as long as it is armed: their end would be a failure to it.
-            if condition.armed is False or not (landing or self.hand is Hand.OURS):
-                self._request_again(Hand.IDLE)
-            elif landing:
-                self._stop = None
-                self._request_again(Hand.STANDING)
-        elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
-            self.hand = Hand.OURS
-        elif taken_over:
-            self.hand, self.refused = Hand.RELEASED, False
+    def on_answer(self, command: int, *, accepted: bool) -> None:
+        """Take the autopilot's answer to a command of ours, by the command's number."""
+        if command in (mav.MAV_CMD_DO_SET_MODE, mav.MAV_CMD_DO_REPOSITION):
+            self._modes.on_answer(accepted=accepted)
+        elif command == mav.MAV_CMD_COMPONENT_ARM_DISARM and accepted and self._climb is not None:
+            self._climb.on_armed(self._now)
+
+    def on_condition(self, condition: Condition, *, beat: bool = True) -> None:
+        """Take the condition that the autopilot reports.
+
+        Args:
+            beat: whether it comes in a HEARTBEAT, which alone reports mode and motors; otherwise these are old.
+        """
+        before, self._condition = self._condition, condition
+        for event in self._reported(before, condition, beat=beat):
+            self._on(event)
+        if self.hand is Hand.CUT and condition.armed is False and beat:
+            self.motors_cut |= seconds_between(self._stop.began, self._now) >= SHOWN_S
+
+    def _reported(self, before: Condition, now: Condition, *, beat: bool) -> Iterator[Event]:
+        """Yield the events in a report; each is taken before the next is looked for."""
+        ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
+        if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
+            yield Event.OTHER_MODE
+            if in_mode and self._o.mode_is_order:
+                yield Event.MODE_ORDER
+        elif ours and not in_mode:
+            yield Event.LATE
+        climb = self._climb
+        if now.armed is False and (climb is None or before.armed or (beat and climb.was_armed(self._now))):
+            yield Event.DISARMED
+        elif now.armed and before.armed is False and (climb is None or not climb.arms):
+            yield Event.ARMED
+        if now.flying is False:
+            yield Event.DOWN if now.armed is False else Event.STOOD
+        elif now.flying and self._climb is not None:
+            self._climb.flew = True
+            yield Event.LIFTED if in_mode else Event.OTHER_MODE
+        if in_mode:
+            yield Event.IN_MODE
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""
@@ -318,87 +377,97 @@ class SetpointStreamer:
 
     def period(self, now: MonoNs) -> list[Message]:
         """Return the messages of this period; call it at 10 Hz or more."""
-        if self._cut_at is not None:
-            return self._cut(now)
-        if self._taking_off is not None:
-            return self._take_off(now, self._taking_off)
-        out: list[Message] = []
-        if self.hand in (Hand.TAKING, Hand.OURS):
-            out += self._steer(now)
-        elif self.hand is Hand.LANDING:
-            out += self._descend(now)
-        elif self.hand is Hand.STANDING:
-            out += self._stood(now)
-        elif self.hand is Hand.HOLDING:
-            out += self._hold(now)
-        elif self.hand is Hand.LEAVING:
-            out += self._go(now)
-        else:
-            self._streaming_since = None
-        return out
+        self._now = now
+        match self.hand:
+            case Hand.TAKING | Hand.OURS:
+                return self._steer(now)
+            case Hand.LANDING:
+                return self._descend(now)
+            case Hand.STANDING:
+                return self._stood(now)
+            case Hand.HOLDING:
+                return self._hold(now)
+            case Hand.LEAVING:
+                return self._go(now)
+            case Hand.TAKING_OFF:
+                return self._take_off(now)
+            case Hand.CUT if not self.motors_cut:
+                return self._stop.period(now, self._id.address, armed=None, forced=True)
+            case _:
+                return []
 
     def leave(self, now: MonoNs) -> list[Message]:
         """Return the final messages, a hold in place. A landing of guidance is called off; one that a person ordered goes on."""
-        if self.hand is Hand.LANDING and self._land.persistent:
-            descending = self._descending
-            return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if descending else []
+        self._now = now
+        if self.hand is Hand.TAKING_OFF:
+            self._end_take_off(now)
+        landing = self._landing
+        if self.hand is Hand.LANDING and landing.order.persistent:
+            descends, landing.by_velocity = landing.by_velocity, False
+            return self._ask(LAND_MODE.get(self._id.stack), now) if descends else []
         if self.hand is Hand.STANDING:
-            return [disarm(self._id.address, forced=self._forced(now))] if self._condition.armed is not False else []
+            return [disarm(self._id.address, forced=self._forced(now))] if self._armed(now) is not False else []
         if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
             return []
-        by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not self._descending)
-        name = HOLD_MODE.get(self._id.stack)
-        hold = [set_mode(self._id.stack, self._id.address, name)] if by_mode and name is not None else []
-        return self._setpoint(now, STILL) + hold
+        by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not landing.by_velocity)
+        begun = self.hand is not Hand.TAKING or self._modes.pending
+        return self._setpoint(now, STILL) + (self._ask(HOLD_MODE.get(self._id.stack), now) if by_mode and begun else [])
 
-    def _request_again(self, hand: Hand) -> None:
-        self.hand, self._asked, self._asks = hand, None, 0
+    def suspend(self, now: MonoNs) -> list[Message]:
+        """Return the hold that is sent once when nothing may be commanded any more, so that no old velocity is flown on."""
+        out = self.leave(now)
+        if self.hand is not Hand.LANDING or not self._landing.order.persistent:
+            self._on(Event.UNCLEAR)
+        return out
 
-    def _may_ask(self, now: MonoNs) -> bool:
-        """Return whether a request may be sent or repeated now, and count it."""
-        asked_s = math.inf if self._asked is None else seconds_between(self._asked, now)
-        if self._asks >= self._o.request_tries or asked_s < self._o.request_period_s:
-            return False
-        self._asked, self._asks = now, self._asks + 1
-        return True
+    def _due(self, now: MonoNs) -> bool:
+        """Return whether a request may be sent or repeated now, and count it; one that was accepted is not repeated."""
+        return not self._modes.accepted and self._tries.due(now)
+
+    def _ask(self, mode: str | None, now: MonoNs) -> list[Message]:
+        """Return the request for a mode, and remember it; none for a mode that the stack does not have."""
+        if mode is None:
+            return []
+        self._modes.ask(mode, now)
+        return [set_mode(self._id.stack, self._id.address, mode)]
 
     def _steer(self, now: MonoNs) -> list[Message]:
         silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
         fresh = silent_s <= self._o.command_timeout_s
         self.stale_periods += not fresh
-        if self.hand is Hand.OURS and silent_s > self._o.hold_mode_after_s:
-            self._request_again(Hand.HOLDING)
+        if silent_s > self._o.hold_mode_after_s and self._on(Event.SILENT):
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
-        if not out:
-            return []
-        if self._streaming_since is None:
-            self._streaming_since = now
-        if self.hand is Hand.TAKING and self._mode is not None:
-            streamed_s = seconds_between(self._streaming_since, now)
-            if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._may_ask(now):
-                out.append(set_mode(self._id.stack, self._id.address, self._mode))
-            elif self._asks >= self._o.request_tries and seconds_between(self._asked or now, now) >= self._o.request_period_s:
-                self.hand, self.refused = Hand.RELEASED, True
-        back = RETURN_MODE.get(self._id.stack)
-        if self.hand is Hand.OURS and self._returns and back is not None and self._may_ask(now):
-            # In its own mode it is no longer ours.
-            out.append(set_mode(self._id.stack, self._id.address, back))
+        there = self._condition.mode == self._mode and not self._modes.pending
+        if self.hand is not Hand.TAKING or not out or self._streamed is None or there:
+            return out
+        streamed_s = seconds_between(self._streamed[0], now)
+        if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._due(now):
+            return out + self._ask(self._mode, now)
+        if self._tries.spent(now):
+            self._on(Event.REFUSED)
         return out
 
     def _go(self, now: MonoNs) -> list[Message]:
-        """Send the autopilot to the place, and let it land there by its own mode; it lands nowhere else by this."""
+        """Send the autopilot back, or to the place, and let it land there by its own mode; it lands nowhere else by this."""
         goal, here, mode = self._goal, self._here(now), LAND_MODE.get(self._id.stack)
-        if goal is None or here is None or mode is None or self._condition.mode == mode:
+        if goal is None:
+            back = RETURN_MODE.get(self._id.stack)
+            if self._condition.mode != self._mode:
+                return []
+            return self._setpoint(now, self._held(now)) + (self._ask(back, now) if self._due(now) else [])
+        if here is None or self._condition.mode == mode:
             return []
         if not self._there and math.hypot(*ned_between(here, goal)[:2]) <= _REACHED_M:
-            self._there = True
-            self._request_again(Hand.LEAVING)
+            self._there, self._tries = True, Tries(self._o)
         # To PX4 the end of the setpoints is a failure until it has left OFFBOARD; to ArduCopter one more is another goal.
         out = self._setpoint(now, self._held(now)) if self._condition.mode == "offboard" else []
-        if not self._may_ask(now):
+        if not self._due(now):
             return out
-        return [*out, set_mode(self._id.stack, self._id.address, mode) if self._there else reposition(self._id.address, goal)]
+        if self._there:
+            return out + self._ask(mode, now)
+        self._modes.ask("guided" if self._id.stack is Stack.ARDUPILOT else "auto.loiter", now)
+        return [*out, reposition(self._id.address, goal)]
 
     def _held(self, now: MonoNs) -> Velocity:
         """Return the velocity that holds over the surface below while its velocity is known, later over the ground."""
@@ -408,92 +477,96 @@ class SetpointStreamer:
 
     def _descend(self, now: MonoNs) -> list[Message]:
         """Continue a landing while it is renewed and within its bounds, else hold."""
+        landing = self._landing
         if not self._wanted(now):
-            if not self._descending:
-                self._call_off()
-                return self._steer(now)
-            if not self._paused:
-                self._paused = True
+            if not landing.by_velocity:
                 self.landings_called_off += 1
-            silent_s = seconds_between(self._land_at, now)
-            if silent_s > self._o.hold_mode_after_s:
-                self._request_again(Hand.HOLDING)
+                self._on(Event.NOT_RENEWED)
+                return self._steer(now)
+            self.landings_called_off += not landing.paused
+            landing.paused = True
+            silent_s = seconds_between(landing.at, now)
+            if silent_s > self._o.hold_mode_after_s and self._on(Event.SILENT):
                 return self._hold(now)
             velocity = self._mean_velocity * (1.0, 1.0, 0.0) if silent_s <= self._o.deck_hold_s else np.zeros(3)
             return self._setpoint(now, Velocity(velocity, 0.0))
-        self._paused = False
-        if self._descending and self._land.persistent and seconds_between(self._land_began, now) > self._o.landing_most_s:
-            self._descending = False
-        if self._descending:
+        landing.paused = False
+        if landing.order.persistent and seconds_between(landing.began, now) > self._o.landing_most_s:
+            landing.by_velocity = False
+        if landing.by_velocity:
             v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
         mode = LAND_MODE.get(self._id.stack)
-        if mode is None or self._condition.mode == mode or not self._may_ask(now):
-            return []
-        return [set_mode(self._id.stack, self._id.address, mode)]
+        return [] if self._condition.mode == mode or not self._due(now) else self._ask(mode, now)
 
     def _wanted(self, now: MonoNs) -> bool:
         """Return whether the landing continues, by velocity or by mode."""
-        if self._land.persistent:
+        landing = self._landing
+        if landing.order.persistent:
             return True
-        if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:
+        if landing.spent or seconds_between(landing.at, now) > self._o.landing_timeout_s:
             return False
-        if not self._descending:
+        if not landing.by_velocity:
             return True
-        fell_m = 0.0 if self._down_m is None or self._land_from_m is None else self._down_m - self._land_from_m
-        self._spent = seconds_between(self._land_began, now) > self._o.landing_most_s or fell_m > self._o.landing_depth_m
-        return not self._spent
+        fell_m = 0.0 if self._down_m is None or landing.from_m is None else self._down_m - landing.from_m
+        landing.spent = seconds_between(landing.began, now) > self._o.landing_most_s or fell_m > self._o.landing_depth_m
+        return not landing.spent
 
     def _hold(self, now: MonoNs) -> list[Message]:
         """Request the autopilot's own hold mode, hold until it is active, and then send nothing."""
         name = HOLD_MODE.get(self._id.stack)
-        if name is None or self._condition.mode == name or self._asks >= self._o.request_tries:
+        if name is None or self._condition.mode == name:
             return []
-        ask = [set_mode(self._id.stack, self._id.address, name)] if self._may_ask(now) else []
-        return self._setpoint(now, STILL) + ask
-
-    def _stand(self, now: MonoNs) -> None:
-        """Begin to stop the motors, because the deck was felt."""
-        if self.hand is not Hand.STANDING:
-            self._request_again(Hand.STANDING)
-            self._stop = MotorStop(now)
+        ask = self._ask(name, now) if self._due(now) else []
+        return self._setpoint(now, STILL) + ask if ask or not self._tries.spent(now) else []
 
     def _forced(self, now: MonoNs) -> bool:
-        """Return whether the motors are stopped by force: guidance says in every cycle that it has felt the deck."""
+        """Return whether the motors are stopped by force: guidance reports in every cycle that it feels the deck, in our mode."""
         fresh = self._felt_at is not None and seconds_between(self._felt_at, now) <= self._o.command_timeout_s
-        return self._o.disarm_on_contact and fresh
+        lands = self._modes.own in (self._mode, LAND_MODE.get(self._id.stack))
+        return self._o.disarm_on_contact and fresh and lands and self._condition.mode == self._modes.own
+
+    def _armed(self, now: MonoNs) -> bool | None:
+        """Return whether the motors turn; None while a request of ours to arm may still be obeyed."""
+        return None if self._climb is not None and self._climb.may_arm(now, _ARMS_S) else self._condition.armed
 
     def _stood(self, now: MonoNs) -> list[Message]:
         """Press on the deck while its motors are being stopped, and a little longer."""
-        self._stop = self._stop or MotorStop(now)
-        asked = self._stop.period(now, self._id.address, armed=self._condition.armed, forced=self._forced(now))
+        asked = self._stop.period(now, self._id.address, armed=self._armed(now), forced=self._forced(now))
         if self._stop.over(now):
-            self._stop = None
-            self._request_again(Hand.IDLE)
+            self._on(Event.STOPPED)
             return []
-        in_mode = self._condition.mode == self._mode
         down = Velocity(self._v_deck * (1.0, 1.0, 0.0) + (0.0, 0.0, self._o.descent_rate_m_s), 0.0)
-        return asked + (self._setpoint(now, down) if in_mode else [])
+        return asked + (self._setpoint(now, down) if self._condition.mode == self._mode else [])
 
-    def _take_off(self, now: MonoNs, climbing: TakingOff) -> list[Message]:
-        """Arm and climb with the deck's velocity."""
-        o = self._o
+    def _end_take_off(self, now: MonoNs) -> None:
+        """End the take-off: on deck its motors are stopped without force, in the air it holds over the deck."""
+        climb = self._climb
+        if climb is None or not climb.flew:
+            self._on(Event.ON_DECK)
+            return
         v_deck = self._rest_level()
-        done, over = climbing.done(self._down_m, self._condition), seconds_between(climbing.began, now) > o.take_off_timeout_s
-        if self._mode is None or done or over:
-            if done and self._condition.mode == self._mode and v_deck is not None:
-                self._v_deck, self._steered_at, self._motion, self._motion_at = v_deck, now, STILL, now
-                self._request_again(Hand.OURS)
-            self._taking_off, self._streaming_since = None, None
+        if v_deck is not None:
+            self._v_deck, self._steered_at = v_deck, now
+        self._motion, self._motion_at = STILL, now
+        self._on(Event.ALOFT)
+
+    def _take_off(self, now: MonoNs) -> list[Message]:
+        """Arm and climb with the deck's velocity."""
+        o, climb = self._o, self._climb
+        over = climb is None or self._mode is None or seconds_between(climb.began, now) > o.take_off_timeout_s
+        if climb is None or over or climb.done(self._down_m, self._condition):
+            self._end_take_off(now)
             return []
         out: list[Message] = []
-        if v_deck is not None and climbing.steers(self._down_m, self._condition):
-            up = np.array([v_deck[0], v_deck[1], climbing.climb_m_s(self._condition)])
+        v_deck = self._rest_level()
+        if v_deck is not None and climb.steers(self._down_m, self._condition):
+            up = np.array([v_deck[0], v_deck[1], climb.climb_m_s(self._condition)])
             out += self._setpoint(now, Velocity(up, 0.0))
-        if out and self._streaming_since is None:
-            self._streaming_since = now
-        streamed_s = 0.0 if self._streaming_since is None else seconds_between(self._streaming_since, now)
-        return out + climbing.requests(now, self._condition, streamed_s, o.prestream_s, o.request_period_s)
+        streamed_s = 0.0 if self._streamed is None else seconds_between(self._streamed[0], now)
+        if self._id.stack is Stack.PX4 and streamed_s < o.prestream_s:
+            return out
+        return out + climb.requests(now, self._condition, o.request_period_s, self._ask)
 
     def _rest_level(self) -> F64 | None:
         """Return the velocity that the vehicle had on deck, in its level frame; None without a heading."""
@@ -503,26 +576,17 @@ class SetpointStreamer:
         mean = np.zeros(3) if self.rested is None else self.rested.v_ned
         return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ mean)
 
-    def _cut(self, now: MonoNs) -> list[Message]:
-        """Stop the motors by force until the autopilot reports that it is disarmed; the forced form works in flight."""
-        assert self._cut_at is not None
-        if not self._condition.armed or seconds_between(self._cut_at, now) > self._o.request_period_s * self._o.request_tries:
-            self._cut_at = None
-            self._request_again(Hand.RELEASED)
-            return []
-        if not self._may_ask(now):
-            return []
-        return [disarm(self._id.address, forced=True)]
-
     def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
         attitude = self._attitude
-        if attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.attitude_timeout_s:
-            return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, attitude.R_ned_body.rpy_rad[2])]
-        self.blind_periods += 1
-        if attitude is None or self.hand is Hand.TAKING:
+        fresh = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.attitude_timeout_s
+        self.blind_periods += not fresh
+        if attitude is None or (self.hand is Hand.TAKING and not fresh):
             return []
-        # Without any setpoint the autopilot would fly on with the last one, downwards too. The velocity of the surface below was
-        # given by that old heading and turns back with it.
-        up = np.array([0.0, 0.0, min(0.0, float(velocity.v_level[2]))])
-        level = Velocity(self._held(now).v_level + up, 0.0)
-        return [velocity_setpoint(now // 1_000_000, self._id.address, level, attitude.R_ned_body.rpy_rad[2])]
+        last = self._streamed
+        self._streamed = (now if last is None or seconds_between(last[1], now) > _GAP_S else last[0], now)
+        if not fresh:
+            # Without any setpoint the autopilot would fly on with the last one, downwards too. The velocity of the surface below
+            # was given by that old heading and turns back with it.
+            up = np.array([0.0, 0.0, min(0.0, float(velocity.v_level[2]))])
+            velocity = Velocity(self._held(now).v_level + up, 0.0)
+        return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, attitude.R_ned_body.rpy_rad[2])]

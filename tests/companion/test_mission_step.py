@@ -105,7 +105,8 @@ def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> No
     still, aim, _ = mission_step(p, cycle, OPTIONS, over_ground=True)
     assert (still.state, aim) == (State.TAKEN, Hover())
     assert reported(p, taken, OPTIONS) == (p, ())
-    back, changes = reported(p, status(4.0, flying=True), OPTIONS)
+    assert reported(p, status(4.0, flying=True), OPTIONS) == (p, ()), "a ground station may choose that mode for its own ends"
+    back, changes = reported(p, status(4.0, flying=True), OPTIONS, resumes=True)
     assert (back.state, changes[0].reason.cause) == (State.SEARCH, ReasonCause.GIVEN_BACK)
     assert reported(replace(back, asked_at=ns(3.0)), taken, OPTIONS)[1] == (), "a report from before the order"
     for state in (State.READY, State.PAUSED):

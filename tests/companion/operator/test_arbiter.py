@@ -45,6 +45,9 @@ class Guidance:
     def overrule(self) -> None:
         self.told.append("overrule")
 
+    def take_back(self) -> None:
+        self.told.append("take back")
+
     def abort(self) -> None:
         self.told.append("abort")
         self.outcome = self.outcome or FlightOutcome.ABORTED
@@ -60,9 +63,9 @@ class Bridge:
         self.arbiter.on_order = self.reported.append
         self.now = MonoNs(10**9)
 
-    def vehicle(self, flying: bool | None = True, *, emergency: bool = False) -> None:
+    def vehicle(self, flying: bool | None = True, *, emergency: bool = False, taken: str | None = None) -> None:
         stamp = Stamp(self.now, self.now, 0.001, "sim")
-        self.guidance.vehicle = VehicleStatus(stamp, flying, "hovering", 0.9, emergency, True)
+        self.guidance.vehicle = VehicleStatus(stamp, flying, "hovering", 0.9, emergency, True, taken)
 
     def order(self, order: OperatorOrder, sender: OrderSender = PAD) -> str | None:
         return self.arbiter.take(order, sender, self.now).refusal
@@ -266,11 +269,62 @@ def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it
     assert bridge.cycle() == CutMotors()
     bridge.vehicle(True, emergency=True)
     assert bridge.cycle() != CutMotors()
-    assert bridge.order(OperatorOrder.EMERGENCY) == "the motors were cut; reset leaves the emergency state"
+    assert bridge.order(OperatorOrder.TAKE_OFF) == "the motors were cut; reset leaves the emergency state"
     assert bridge.order(OperatorOrder.RESET) is None
     assert bridge.cycle() == LeaveEmergency()
     bridge.vehicle(False)
-    assert bridge.cycle() != LeaveEmergency()
+    assert bridge.cycle(0.2) != LeaveEmergency()
+
+
+@pytest.mark.hazard("H4")
+def test_an_emergency_that_does_not_arrive_is_sent_until_it_does_and_its_sender_is_told() -> None:
+    """It was sent for half a second, and dropped while the vehicle was silent."""
+    bridge = bridge_in(ControlSituation.GROUND)
+    assert bridge.order(OperatorOrder.TAKE_OFF) is None
+    assert bridge.order(OperatorOrder.EMERGENCY) is None
+    for _ in range(200):
+        assert bridge.cycle(heard=False) == CutMotors()
+        bridge.arbiter.undelivered(CutMotors(), bridge.now, "no autopilot is connected")
+        assert bridge.order(OperatorOrder.TAKE_OFF) is not None
+    (said,) = [one for one in bridge.reported if one.order is OperatorOrder.EMERGENCY and not one.accepted]
+    assert said.sender == PAD
+    assert said.refusal == "not obeyed yet, and sent until it is: no autopilot is connected"
+    bridge.vehicle(False, emergency=True)
+    assert not isinstance(bridge.cycle(), CutMotors | TakeOff)
+    assert (bridge.reported[-1].order, bridge.reported[-1].detail) == (OperatorOrder.EMERGENCY, "(obeyed)")
+    assert bridge.arbiter.situation(bridge.now) is ControlSituation.EMERGENCY
+
+
+def test_a_reset_withdraws_a_cut_that_has_not_arrived() -> None:
+    bridge = bridge_in(ControlSituation.GUIDED)
+    bridge.order(OperatorOrder.EMERGENCY)
+    bridge.cycle(3.0)
+    assert bridge.order(OperatorOrder.RESET) is None
+    assert bridge.cycle() == LeaveEmergency()
+    assert bridge.cycle(0.2) is GUIDED
+
+
+@pytest.mark.hazard("H6")
+@pytest.mark.parametrize("order", [OperatorOrder.HOLD, OperatorOrder.ABORT])
+def test_a_hold_and_an_abort_end_a_take_off_whether_it_was_sent_or_not(order: OperatorOrder) -> None:
+    for sent in (False, True):
+        bridge = bridge_in(ControlSituation.GROUND)
+        bridge.order(OperatorOrder.TAKE_OFF)
+        assert not sent or bridge.cycle() == TakeOff()
+        assert bridge.order(order) is None
+        assert bridge.cycle() == Hover(calls_off=True)
+        assert bridge.cycle(0.2) != TakeOff()
+
+
+def test_a_landing_ends_with_the_pilot_who_takes_the_vehicle_and_another_order_takes_it_back() -> None:
+    bridge = bridge_in(ControlSituation.LANDING)
+    bridge.vehicle(taken="mode loiter")
+    bridge.cycle(heard=False)
+    assert bridge.arbiter.situation(bridge.now) is ControlSituation.HELD
+    assert "take back" not in bridge.guidance.told
+    assert bridge.order(OperatorOrder.LAND) is None
+    assert bridge.guidance.told[-2:] == ["take back", "pause"]
+    assert bridge.cycle() == Land(persistent=True)
 
 
 EVENTS = st.lists(

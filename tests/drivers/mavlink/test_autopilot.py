@@ -218,7 +218,7 @@ async def told(fake: MiniatureAutopilot, autopilot: Autopilot, taken: Callable[[
 
 async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_given_back() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
-    async with flown(fake, prestream_s=0.1) as autopilot, asyncio.timeout(30):
+    async with flown(fake, prestream_s=0.1, mode_is_order=True) as autopilot, asyncio.timeout(30):
         while fake.mode != "offboard" or autopilot.condition.mode != "offboard":
             autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
             await asyncio.sleep(0.02)

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
-from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
+from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
 from estimator.contracts.commands import Hover, Land, LandingPlace, Lean, TakeOff, Velocity
 from estimator.contracts.geodesy import GeoPoint, moved
@@ -128,7 +129,7 @@ def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:
 def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> None:
     flight = Flight(Stack.ARDUPILOT, request_tries=3)
     assert len(modes(flight.periods(8.0, GO))) == 3
-    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.streamer.hand is Hand.PERSON
     assert flight.periods(1.0, GO) == []
 
 
@@ -142,16 +143,18 @@ def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again
     assert flight.periods(2.0, Land()) == []
     flight.streamer.engage()
     assert modes(flight.periods(0.2, GO)) == [(4, 0)]
-    flight.told("guided")
-    flight.told("poshold")
-    flight.told("guided")
-    assert flight.streamer.hand is Hand.OURS, "handed back by choosing the mode"
+    for option in (False, True):
+        flight = Flight(Stack.ARDUPILOT, "guided", mode_is_order=option)
+        flight.periods(0.2, GO)
+        for mode in ("guided", "poshold", "guided"):
+            flight.told(mode)
+        assert flight.streamer.hand is (Hand.OURS if option else Hand.PERSON), "a station chooses it for its own fly here"
 
 
 @pytest.mark.parametrize(("stack", "ours", "back", "number"), [
     (Stack.ARDUPILOT, "guided", "rtl", (6, 0)), (Stack.PX4, "offboard", "auto.rtl", (4, 5)),
 ])  # fmt: skip
-def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(stack, ours, back, number):
+def test_a_return_is_the_autopilots_own_and_a_velocity_takes_it_back(stack, ours, back, number):
     flight = Flight(stack, ours)
     assert flight.periods(1.0, Hover(returns=True)) == [], "not ours yet"
     flight.periods(3.0, GO)
@@ -159,7 +162,8 @@ def test_a_return_is_the_autopilots_own_and_then_the_vehicle_is_not_ours(stack, 
     assert modes(flight.periods(0.5, Hover(returns=True))) == [number]
     flight.told(back)
     assert flight.periods(3.0, Hover(returns=True)) == []
-    assert flight.streamer.hand is Hand.RELEASED
+    flight.periods(0.04, GO)
+    assert flight.streamer.hand is Hand.TAKING
 
 
 @pytest.mark.parametrize(("stack", "ours", "way", "land"), [
@@ -189,7 +193,7 @@ def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(sta
     flight.told(way)
     assert velocities(asked(3.0, 200.0)) == [] == modes(asked(3.0, 5.0)), "a setpoint would end the way, and nobody lands on it"
     flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
-    assert flight.streamer.hand is Hand.RELEASED, "a person landed it on the way"
+    assert flight.streamer.hand is Hand.PERSON, "a person landed it on the way"
     flight.streamer.engage()
     for mode, velocity in ((ours, GO), (way, leaves)):
         flight.periods(3.0, velocity)
@@ -199,7 +203,7 @@ def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(sta
     assert modes(asked(0.4, 2.0)) == [land]
     flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
     assert asked(2.0, 0.0) == []
-    assert modes(flight.periods(2.0, Hover())) != [], "an order to hold takes it back"
+    assert modes(flight.periods(2.2, Hover())) != [], "an order to hold takes it back"
 
 
 @pytest.mark.parametrize(("down", "flown"), [(0.125, 0.0), (-0.5, -0.5)])
@@ -238,7 +242,7 @@ def test_ardupilot_lands_by_its_own_mode() -> None:
     assert flight.periods(3.0, Land()) == []
     assert modes(flight.periods(0.2, Hover())) == [(4, 0)], "called off"
     flight.told(flying=False)
-    assert flight.streamer.hand is Hand.IDLE
+    assert flight.streamer.hand is Hand.NOBODY
 
 
 def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
@@ -251,7 +255,7 @@ def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
     assert velocities(sent)[-1] == pytest.approx((0.25, 0.5, 0.4, 0.0))
     flight.told("posctl")
     assert flight.periods(1.0, Land()) == []
-    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.streamer.hand is Hand.PERSON
 
 
 def test_a_person_who_breaks_the_landing_off_keeps_the_vehicle() -> None:
@@ -262,7 +266,7 @@ def test_a_person_who_breaks_the_landing_off_keeps_the_vehicle() -> None:
     flight.told("land")
     flight.told("loiter")
     assert flight.periods(3.0, Land()) == []
-    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.streamer.hand is Hand.PERSON
 
 
 def test_the_last_word() -> None:
@@ -307,7 +311,7 @@ def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_t
     assert all(vz <= 0.0 for _, _, vz, _ in v[7:])
     assert set(modes(sent)) == {(4, 3) if stack is Stack.PX4 else (17, 0)}
     assert len(v) < 12 * 25, "the stream ends, so that the autopilot's own failsafe can act"
-    assert flight.periods(3.0) == []
+    assert flight.periods(1.0) == []
     flight.told("auto.loiter" if stack is Stack.PX4 else "brake")
     assert flight.streamer.hand is Hand.HOLDING
     assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
@@ -320,7 +324,7 @@ def test_a_person_who_takes_the_vehicle_while_it_holds_keeps_it() -> None:
     flight.told("auto.loiter")
     flight.told("posctl")
     assert flight.periods(1.0, GO) == []
-    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.streamer.hand is Hand.PERSON
 
 
 def test_a_persons_landing_needs_no_repeating() -> None:
@@ -403,6 +407,7 @@ def stops(messages: list[Message]) -> list[tuple[float, float]]:
 def test_motors_stop_by_force_once_the_deck_was_felt_and_the_stream_outlives_them(stack: Stack, mode: str) -> None:
     flight = Flight(stack, mode)
     flight.periods(0.2, GO)
+    flight.told(mode)
     sent = flight.periods(0.04, ON_DECK)
     assert stops(sent) == [(0.0, 21196.0)], "at once"
     assert velocities(sent)[0][2] > 0.0, "it presses on the deck meanwhile"
@@ -412,8 +417,8 @@ def test_motors_stop_by_force_once_the_deck_was_felt_and_the_stream_outlives_the
     assert len(velocities(outlived)) == 10
     assert stops(outlived) == []
     flight.streamer.on_condition(Condition(mode, False, False))
-    assert velocities(flight.periods(0.4))[1:] == [] or flight.streamer.hand is Hand.IDLE
-    assert flight.streamer.hand is Hand.IDLE
+    assert velocities(flight.periods(0.4))[1:] == [] or flight.streamer.hand is Hand.NOBODY
+    assert flight.streamer.hand is Hand.NOBODY
     assert flight.periods(1.0) == []
 
 

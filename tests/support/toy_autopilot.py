@@ -1,0 +1,287 @@
+"""A toy autopilot of each stack in virtual time, and it flown by the arbiter of people's orders and the driver together.
+
+The toy obeys as ArduCopter and PX4 were measured to: GUIDED lifts off by NAV_TAKEOFF alone, OFFBOARD wants a stream and falls
+into Hold without one, a plain disarm is refused in the air. What our messages ask for is logged.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from random import Random
+
+import numpy as np
+
+from companion.base.mission import FlightOutcome
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.guidance.arbiter import OperatorArbiter
+from drivers.mavlink.custody import Hand
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.setpoint_streamer import FORCE, SetpointStreamer
+from drivers.mavlink.vehicle import LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, custom_mode, mode_name
+from estimator.contracts.commands import Command, Hover, Land, Velocity
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+
+STEP_S = 0.04
+BEAT_S = 0.2
+"""Interval of the HEARTBEATs, s: five in a second are requested."""
+SPOOL_S = 1.0
+PERSONS_MODE = {Stack.ARDUPILOT: "loiter", Stack.PX4: "posctl"}
+MANUAL_MODE = {Stack.ARDUPILOT: "stabilize", Stack.PX4: "stabilized"}
+STILL = Velocity(np.zeros(3), 0.0)
+_STREAM_LOST_S, _PX4_WANTS_S = 1.0, 1.0
+
+
+class Toy:
+    """An autopilot: `receive` our messages, `step` the time, `switch` and `disarm` as a person would by remote control."""
+
+    def __init__(self, stack: Stack, *, height_m: float = 5.0) -> None:
+        self.stack, self.mode, self.height_m = stack, PERSONS_MODE[stack], height_m
+        self.armed = self.flying = height_m > 0.0
+        self.velocity_mode = VELOCITY_MODE[stack]
+        self.refuses_modes = self.refuses_disarm = self.others_stream = False
+        self.log: list[tuple[float, str]] = []
+        """What our messages asked for, with its time, s: `mode NAME`, `arm`, `disarm`, `disarm forced`, `take off`."""
+        self.setpoints: list[tuple[float, float]] = []
+        """Times of the setpoints, and their velocities down in flight, m/s."""
+        self.answers: list[tuple[int, bool]] = []
+        self.now_s = 0.0
+        self._down_m_s, self._wanted_s, self._stream_s = 0.0, -math.inf, math.inf
+        self._lifts_to_m: float | None = None
+        self._spun_s = self._stood_s = 0.0
+
+    def switch(self, mode: str) -> None:
+        """Enter a mode."""
+        if mode != self.mode:
+            self.mode, self._lifts_to_m, self._down_m_s = mode, None, 0.0
+
+    def disarm(self) -> None:
+        """Stop the motors; in the air it falls."""
+        self.armed, self._lifts_to_m, self._spun_s = False, None, 0.0
+
+    def receive(self, m: Message) -> None:
+        """Obey a message of ours."""
+        kind = m.get_type()
+        if kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._stream_s = self.now_s if self.now_s - self._wanted_s > 0.5 else self._stream_s
+            self._wanted_s, self._down_m_s = self.now_s, m.vz
+            self.setpoints.append((self.now_s, m.vz if self.flying else 0.0))
+            return
+        if kind == "COMMAND_INT":
+            self.log.append((self.now_s, "reposition"))
+            self.switch("guided" if self.stack is Stack.ARDUPILOT else "auto.loiter")
+            return
+        obeyed = {
+            mav.MAV_CMD_DO_SET_MODE: self._on_set_mode,
+            mav.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
+            mav.MAV_CMD_NAV_TAKEOFF: self._on_take_off,
+        }[m.command](m)
+        self.answers.append((m.command, obeyed))
+
+    def _on_set_mode(self, m: Message) -> bool:
+        number = int(m.param2) if self.stack is Stack.ARDUPILOT else int(m.param2) << 16 | int(m.param3) << 24
+        name = mode_name(self.stack, number)
+        assert custom_mode(self.stack, name) == number
+        self.log.append((self.now_s, f"mode {name}"))
+        streams = self.now_s - self._wanted_s <= 0.5 and self.now_s - self._stream_s >= _PX4_WANTS_S
+        if self.refuses_modes or (name == "offboard" and not streams):
+            return False
+        self.switch(name)
+        return True
+
+    def _on_arm(self, m: Message) -> bool:
+        forced = m.param2 == FORCE
+        self.log.append((self.now_s, "arm" if m.param1 else "disarm forced" if forced else "disarm"))
+        if m.param1:
+            self.armed = True
+        elif self.refuses_disarm or (self.flying and not forced):
+            return False
+        else:
+            self.disarm()
+        return True
+
+    def _on_take_off(self, m: Message) -> bool:
+        self.log.append((self.now_s, "take off"))
+        if not self.armed or self.mode != "guided" or self.flying:
+            return False
+        self._lifts_to_m = m.param7
+        return True
+
+    def step(self, now_s: float) -> None:
+        """Go on by one step."""
+        self.now_s = now_s
+        if self.mode == "offboard" and now_s - self._wanted_s > _STREAM_LOST_S and not self.others_stream:
+            self.switch("auto.loiter")
+        down_m_s = self._sinks_m_s()
+        self._spun_s = self._spun_s + STEP_S if self.armed else 0.0
+        if self.armed and not self.flying and down_m_s < 0.0 and self._spun_s > SPOOL_S:
+            self.flying = True
+        if self.flying:
+            self.height_m = max(0.0, self.height_m - down_m_s * STEP_S)
+        self._stood_s = self._stood_s + STEP_S if self.height_m == 0.0 and (down_m_s > 0.0 or not self.armed) else 0.0
+        if self._stood_s > (0.5 if self.armed else 0.0):
+            self.flying = False
+            if self.armed and self.mode == LAND_MODE[self.stack]:
+                self.disarm()
+
+    def _sinks_m_s(self) -> float:
+        if not self.armed:
+            return 5.0
+        if self.mode == self.velocity_mode and self._lifts_to_m is not None:
+            return -1.0 if self.height_m < self._lifts_to_m else 0.0
+        if self.mode == self.velocity_mode:
+            lifts = self.flying or self.stack is Stack.PX4
+            return self._down_m_s if lifts and self.now_s - self._wanted_s <= 3.0 else 0.0
+        return 0.5 if self.mode == LAND_MODE[self.stack] else 0.0
+
+
+@dataclass
+class Guidance:
+    """Guidance as the arbiter needs it; its command is set from outside."""
+
+    command: Command | None = None
+    vehicle: VehicleStatus | None = None
+    outcome: Enum | None = None
+    paused: bool = False
+    take_back: Callable[[], None] = lambda: None
+    resumed: Command | None = None
+    """The command after an order to begin."""
+    calls: list[str] = field(default_factory=list)
+
+    @property
+    def may_try_again(self) -> bool:
+        return self.outcome is not FlightOutcome.ABORTED
+
+    def begin(self) -> None:
+        self.outcome, self.paused, self.command = None, False, self.resumed
+        self.take_back()
+
+    def pause(self) -> None:
+        self.paused, self.command = True, Hover()
+
+    def abort(self) -> None:
+        self.outcome, self.command = FlightOutcome.ABORTED, Hover()
+
+    def overrule(self) -> None:
+        self.calls.append("overrule")
+
+
+PAGE = OrderSender(OrderSource.PAGE, "1")
+
+
+class Flown:
+    """A toy, the driver and the arbiter, 25 steps a second.
+
+    Args:
+        late_s: time that a report is under way.
+        seed: draws the phase of the HEARTBEATs, and losses.
+        lost: share of our messages that do not arrive.
+    """
+
+    def __init__(
+        self, stack: Stack, *, height_m: float = 5.0, late_s: float = 0.05, seed: int = 0, lost: float = 0.0, **options: object
+    ) -> None:
+        self.rng, self.late_s, self.lost, self.silent = Random(seed), late_s, lost, False
+        self.toy = Toy(stack, height_m=height_m)
+        self.streamer = SetpointStreamer(Identity(1, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
+        self.guidance = Guidance(take_back=self.streamer.engage, resumed=STILL)
+        self.arbiter = OperatorArbiter(self.guidance)
+        self.answers: list[HandledOrder] = []
+        self.arbiter.on_order = self.answers.append
+        self.now_s = 10.0
+        self._beat_s = self.now_s + BEAT_S * self.rng.random()
+        self.reported: Condition | None = None
+        """The newest condition that the driver has been given."""
+        self._under_way: list[tuple[float, Condition]] = []
+
+    @property
+    def hand(self) -> Hand:
+        """The holder of the vehicle by the driver."""
+        return self.streamer.hand
+
+    @property
+    def now(self) -> MonoNs:
+        return MonoNs(round(1e9 * self.now_s))
+
+    def order(self, order: OperatorOrder) -> str | None:
+        """Give an order at the computer; return why it is refused."""
+        return self.arbiter.take(order, PAGE, self.now).refusal
+
+    def step(self) -> None:
+        """Run one cycle: reports, arbiter, driver, autopilot."""
+        self.now_s += STEP_S
+        toy, now, streamer = self.toy, self.now, self.streamer
+        if self.now_s >= self._beat_s:
+            self._beat_s += BEAT_S
+            self._under_way.append((self.now_s + self.late_s, Condition(toy.mode, toy.armed, toy.flying)))
+        level, stamp = Rotation.identity(), Stamp(now, now, 0.001, "synced")
+        streamer.on_attitude(Attitude(stamp, level, 1e-4 * np.eye(3)))
+        streamer.on_position(-toy.height_m)
+        while self._under_way and self._under_way[0][0] <= self.now_s and not self.silent:
+            _, condition = self._under_way.pop(0)
+            streamer.on_condition(condition)
+            self.reported = condition
+            taken = condition.mode if streamer.hand is Hand.PERSON and condition.armed else None
+            self.guidance.vehicle = VehicleStatus(
+                stamp, condition.flying, condition.mode, 0.9, streamer.motors_cut, link_ok=True, taken=taken
+            )
+        self.arbiter.tick(now)
+        command = self.arbiter.choose(now, self.guidance.command).command
+        if command is not None:
+            streamer.take(command, now)
+        for message in streamer.period(now):
+            if self.rng.random() >= self.lost:
+                toy.receive(message)
+        for number, accepted in toy.answers:
+            streamer.on_answer(number, accepted=accepted)
+        toy.answers.clear()
+        toy.step(self.now_s)
+
+    def run(self, seconds: float) -> None:
+        """Run that long."""
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+
+    def until(self, what: Callable[[], bool], most_s: float = 20.0) -> None:
+        """Run until something is true.
+
+        Raises:
+            TimeoutError: it does not become true.
+        """
+        for _ in range(round(most_s / STEP_S)):
+            if what():
+                return
+            self.step()
+        raise TimeoutError(f"{self.hand}, {self.toy.mode}: it does not come about")
+
+    def sent(self, since_s: float) -> list[str]:
+        """Return what our messages have asked for since then."""
+        return [what for at, what in self.toy.log if at > since_s]
+
+    def bring_to(self, hand: Hand) -> None:
+        """Bring it into a state on the natural way; a take-off is only ordered."""
+        toy, guidance = self.toy, self.guidance
+        self.run(0.5)
+        if hand is Hand.TAKING_OFF:
+            assert self.order(OperatorOrder.TAKE_OFF) is None
+        if hand in (Hand.NOBODY, Hand.TAKING_OFF):
+            self.until(lambda: self.hand is hand)
+            return
+        toy.refuses_modes = hand is Hand.TAKING
+        guidance.command = STILL
+        self.until(lambda: self.hand is (Hand.TAKING if hand is Hand.TAKING else Hand.OURS))
+        toy.refuses_disarm = hand is Hand.STANDING
+        if hand is Hand.STANDING:
+            toy.height_m = 0.0
+        if hand is Hand.PERSON:
+            toy.switch(PERSONS_MODE[toy.stack])
+        if hand is Hand.CUT:
+            assert self.order(OperatorOrder.EMERGENCY) is None
+        commands = {
+            Hand.LANDING: Land(), Hand.STANDING: Land(on_deck=True), Hand.HOLDING: None, Hand.LEAVING: Hover(returns=True),
+        }  # fmt: skip
+        guidance.command = commands.get(hand, guidance.command)
+        self.until(lambda: self.hand is hand)
