@@ -37,6 +37,7 @@ class Scene:
     """Time when the pad was last seen; None for just now."""
     rested: Rested | None = None
     steered: bool = False
+    sigma_m_s: float = 0.1
     p_body_ned: F64 = field(default_factory=lambda: np.zeros(3))
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
 
@@ -55,7 +56,7 @@ class Scene:
     def believe(self, now: MonoNs) -> RelativeState | None:
         v = Rotation.from_rpy(0.0, 0.0, YAW).inv @ (self.v_pad_ned - self.v_body_ned + self.rng.normal(0.0, 0.1, 3))
         sighted = now if self.sighted_s is None else MonoNs(round(self.sighted_s * NS_PER_S))
-        return RelativeState(now, "ekf", np.array([0.1, 0.2, 3.0]), v, 0.3, np.eye(7) * 0.01, sighted, True)
+        return RelativeState(now, "ekf", np.array([0.1, 0.2, 3.0]), v, 0.3, np.eye(7) * self.sigma_m_s**2, sighted, True)
 
 
 def run(way: DeckVelocity, scene: Scene, seconds: float) -> F64:
@@ -82,6 +83,15 @@ def test_heave_is_followed_at_once_and_not_without_sight() -> None:
     assert run(way, scene, 0.6)[2] == pytest.approx(-0.8, abs=0.12)
     scene.sighted_s = scene.t_s
     assert run(way, scene, 1.0) == pytest.approx([1.2, -0.9, 0.0], abs=0.06)
+
+
+def test_a_velocity_that_is_hardly_known_is_nobodys_way() -> None:
+    """WHY: a hold that goes with a velocity known to 1 m/s leaves the deck."""
+    scene = Scene(np.array([1.2, -0.9, 0.0]), sigma_m_s=1.0)
+    way = DeckVelocity(scene.believe, scene)
+    assert run(way, scene, 3.0).tolist() == [0.0, 0.0, 0.0]
+    scene.sigma_m_s = 0.1
+    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
 def test_a_pad_that_lies_still_has_none() -> None:

@@ -13,8 +13,9 @@ from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.roster import Roster
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.commands import Land, Velocity
+from estimator.contracts.commands import CutMotors, Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
@@ -196,6 +197,25 @@ async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
         setpoints = len(fake.setpoints)
         await asyncio.sleep(0.2)
         assert len(fake.setpoints) == setpoints, "silent on the ground"
+
+
+async def test_while_it_is_unclear_who_is_the_autopilot_nothing_old_is_flown_and_only_a_cut_is_sent(monkeypatch) -> None:
+    """ArduCopter flew its last velocity for 3 s, down too."""
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
+    async with flown(fake) as autopilot, asyncio.timeout(30):
+        autopilot.command(Velocity(np.array([1.0, 0.0, 0.5]), 0.0))
+        await until(lambda: fake.v_ned[0] > 0.5)
+        monkeypatch.setattr(Roster, "unclear", "two autopilots")
+        await until(lambda: bool(fake.v_ned[0] == 0.0))
+        setpoints = len(fake.setpoints)
+        for command in (Velocity(np.array([1.0, 0.0, 0.5]), 0.0), CutMotors()):
+            await asyncio.sleep(0.2)
+            assert len(fake.setpoints) == setpoints
+            with pytest.raises(Recoverable, match="two autopilots"):
+                autopilot.command(command)
+        await until(lambda: not fake.armed)
+        fake.landed_state = 1
+        await until(lambda: any(s.emergency for s in drain(autopilot) if isinstance(s, VehicleStatus)))
 
 
 async def test_leaving_holds_the_vehicle() -> None:

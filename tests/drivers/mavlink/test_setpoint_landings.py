@@ -8,7 +8,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.vehicle import Condition, Identity, Stack
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -287,6 +287,56 @@ def test_a_hover_on_deck_takes_back_a_vehicle_whose_motors_turn(armed: bool | No
     flight = standing(armed)
     flight.take(Hover(), 1100)
     assert flight.streamer.hand is hand
+
+
+def test_a_cut_waits_for_no_other_request_and_is_repeated_until_it_is_reported() -> None:
+    for before, t in ((Land(), 100), (Land(on_deck=True), 101)):
+        flight = ours()
+        flight.take(before, t)
+        flight.sends(t)
+        flight.take(CutMotors(), t + 1)
+        assert stops(flight.streamer.period(ms(t + 1))) == [FORCED]
+    sent = 0
+    for t in range(200, 20_000, 100):
+        flight.take(Land(persistent=True), t)
+        flight.take(TakeOff(), t)
+        sent += len(stops(flight.streamer.period(ms(t))))
+    assert sent > 30
+    flight.told("guided", flying=False, armed=False)
+    assert flight.streamer.motors_cut
+    flight.take(TakeOff(), 20_000)
+    assert flight.streamer.period(ms(20_000)) == [] == flight.streamer.leave(ms(20_000))
+    flight.take(LeaveEmergency(), 20_100)
+    flight.take(TakeOff(), 20_200)
+    assert stops(flight.streamer.period(ms(20_200))) == [(1.0, 0.0)]
+
+
+def test_a_report_from_before_the_cut_ends_no_cut() -> None:
+    """The motors were commanded to arm, and the newest HEARTBEAT knows nothing of it."""
+    flight = Flight(mode="guided")
+    flight.told("guided", flying=False, armed=False)
+    flight.take(TakeOff(), 0)
+    assert stops(flight.streamer.period(ms(0))) == [(1.0, 0.0)]
+    flight.take(CutMotors(), 40)
+    for t in (40, 240, 440):
+        assert stops(flight.streamer.period(ms(t))) == [FORCED]
+        flight.told("guided", flying=False, armed=False)
+    flight.streamer.period(ms(640))
+    flight.told("guided", flying=False, armed=False)
+    assert stops(flight.streamer.period(ms(840))) == []
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_what_was_flown_is_held_once_when_it_is_unclear_who_is_the_autopilot(stack: Stack) -> None:
+    flight = ours(stack)
+    held = said(flight.streamer.suspend(ms(40)))
+    assert held == ([STILL], [LOITER] if stack is Stack.PX4 else [])
+    assert flight.streamer.hand is Hand.HOLDING
+    flight.take(GO, 80)
+    assert flight.streamer.hand is Hand.TAKING, "guidance has it again when it is clear"
+    taken = ours(stack)
+    taken.told("poshold" if stack is Stack.ARDUPILOT else "posctl")
+    assert taken.streamer.suspend(ms(40)) == []
 
 
 def climbing_from_deck() -> Flight:
