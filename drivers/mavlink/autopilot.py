@@ -220,9 +220,9 @@ class Autopilot:
     def command(self, command: Command) -> None:
         """Take the newest command; it is flown as `SetpointStreamer` says.
 
-        The cut of the motors, and a person's hold, are taken without an answering autopilot too, if it was commanded before: it
-        may be received although nothing comes back, and the cut is repeated until it is reported. While several autopilots make
-        it unclear who is meant, the cut goes to the one that was commanded last: that is the one in whose flight a person saw a
+        The cut of the motors, and a person's hold, are taken for a silent autopilot too: it may receive although nothing comes
+        back, and the cut is repeated until it is reported. While several autopilots make it unclear who is meant, the cut goes
+        to the one that was commanded last: that is the one in whose flight a person saw a
         danger, and a stranger's HEARTBEAT must not be able to prevent it.
 
         Raises:
@@ -233,7 +233,7 @@ class Autopilot:
         known = self._known
         why = "no autopilot is connected" if known is None or known.lost else self.unclear
         ends = isinstance(command, CutMotors | LeaveEmergency) or (isinstance(command, Hover) and command.calls_off)
-        if known is not None and (why is None or (ends and known.streamer.commanded)):
+        if known is not None and (why is None or (ends and (known.streamer.commanded or self.unclear is None))):
             self._take(known, command)
         if why is not None:
             raise Recoverable(why)

@@ -135,6 +135,9 @@ async def test_silence_is_reported_and_everything_is_requested_again() -> None:
         assert lost[-1].link_ok is False
         with pytest.raises(Recoverable, match="no autopilot"):
             autopilot.command(Land())
+        with pytest.raises(Recoverable, match="no autopilot"):
+            autopilot.command(CutMotors())
+        await until(lambda: not fake.armed)  # it was heard all the same
         fake.silent = False
         await until(lambda: fake.commands[511] >= 2 * asked)
         assert autopilot.connects == 2
