@@ -253,7 +253,9 @@ class ModeRequests:
 
 def markdown() -> str:
     """Return the table as docs/mavlink.md shows it."""
-    shared = {event: target for event, target in _BORROWED.items() if event in (_E.OTHER_MODE, _E.ARMED, _E.CUT, _E.TAKE_OFF)}
+    shared: dict[Event, Hand] = {
+        event: target for event, target in _BORROWED.items() if event in (_E.OTHER_MODE, _E.ARMED, _E.CUT, _E.TAKE_OFF)
+    }
     rows = [_row("all of ours", shared)]
     for hand in Hand:
         left = {} if hand in LEFT_ALONE else shared
