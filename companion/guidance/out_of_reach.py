@@ -31,6 +31,8 @@ A commit that must not end awaits its contact. A drone that refused may hover fo
 """
 _BY_TIME = FLOWN | {State.REFUSED, State.GAVE_UP}
 """States that climb where nothing says how high the drone is. Where a person ordered it to hold, only a witness moves it."""
+_WAITS_S = 3.0
+"""Time for which a search hovers first that knows nothing of its height, s: the pad is about to be seen, and wind moves a climb."""
 _MOST = 2.0
 """Height beyond which no range sensor is believed against the climb so far, and the most that is climbed, in safe heights."""
 
@@ -93,6 +95,8 @@ def climb_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     if not low(p, s, o):
         return 0.0
     known_m = height_m(p, s)
+    if known_m is None and s.range_m is None and p.state is State.SEARCH and p.in_state_s(s.at) < _WAITS_S:
+        return 0.0
     hurries = near(p, s, o) or (known_m is not None and (s.estimate is None or known_m - o.cone.feet_below_m < _LIFT_M))
     return fastest_climb_m_s(s, o) if hurries else o.tries.climb_m_s
 

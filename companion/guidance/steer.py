@@ -155,8 +155,8 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             # not held on a deck that falls: it lands by itself, and no motor is stopped by force before it has pressed.
             pressed = p.state is State.DOWN or estimate is None
             return p, Land(on_deck=o.mission != "thesis" and pressed and _felt(p, s, o))
-        case State.RENDEZVOUS | State.SEARCH if (climb_m_s := out_of_reach.climb_m_s(p, s, o)) > 0.0:
-            return _climbs(p, s, climb_m_s, over_ground=over_ground)
+        case State.RENDEZVOUS | State.SEARCH if out_of_reach.low(p, s, o):
+            return _climbs(p, s, out_of_reach.climb_m_s(p, s, o), over_ground=over_ground)
         case State.RENDEZVOUS if s.place is not None:
             return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.SEARCH if s.place is not None:
@@ -260,7 +260,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     climb_m_s = out_of_reach.climb_m_s(p, s, o)
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        searches = p.state in (State.SEARCH, State.HOLD_BLIND) and climb_m_s == 0.0
+        searches = p.state in (State.SEARCH, State.HOLD_BLIND) and not out_of_reach.low(p, s, o)
         looks = _looks_upwind(p, s, o) if searches else None
         return (replace(p, held=None), looks) if looks else _climbs(replace(p, held=None), s, climb_m_s, over_ground=over_ground)
     # A sight so short ago comes back as likely; a question about another pad is best asked from higher up.

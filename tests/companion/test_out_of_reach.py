@@ -118,7 +118,7 @@ class Sea:
 @pytest.mark.parametrize("ranged", [True, False])
 @pytest.mark.parametrize("state", BY_ITSELF)
 def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged: bool, over_ground: bool) -> None:
-    sea = Sea(state, 0.3, ranged=ranged, over_ground=over_ground).fly(6.0)
+    sea = Sea(state, 0.3, ranged=ranged, over_ground=over_ground).fly(9.0)
     assert sea.height_m > SAFE_M - 0.3
     assert sea.low_moves == 0.0
     flown = sea.fly(60.0)
