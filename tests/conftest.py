@@ -130,6 +130,7 @@ SLOW = (
     "tests/contracts/test_geometry.py",
     "tests/estimator/test_pipeline.py",
     "tests/companion/mavlink/test_process.py",
+    "tests/benches/test_hands.py",
     "tests/sitl/ardrone/test_serve.py",
     "tests/companion/mavlink/test_border.py",
     "tests/sitl/test_vehicle.py",
