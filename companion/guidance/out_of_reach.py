@@ -32,7 +32,7 @@ A commit that must not end awaits its contact. A drone that refused may hover fo
 _BY_TIME = FLOWN | {State.REFUSED, State.GAVE_UP}
 """States that climb where nothing says how high the drone is. Where a person ordered it to hold, only a witness moves it."""
 _WAITS_S = 3.0
-"""Time for which a search hovers first that knows nothing of its height, s: the pad is about to be seen, and wind moves a climb."""
+"""Time for which a search that knows nothing of its height hovers first, s: the pad is about to be seen, wind moves a climb."""
 _MOST = 2.0
 """Height beyond which no range sensor is believed against the climb so far, and the most that is climbed, in safe heights."""
 
