@@ -45,6 +45,7 @@ from sitl.campaign.plan import (
     make_plan,
     place_of,
     seeds_of,
+    set_of,
     shipped_sets,
     unpacked,
 )
@@ -93,7 +94,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
         f"with a fault); or a set of scenarios ({', '.join(shipped_sets())}, or its file); or the word report",
     )
-    parser.add_argument("folder", nargs="?", help="with report: the folder of a campaign")
+    parser.add_argument("more", nargs="*", metavar="SCENARIO", help="further scenarios; with report: the folder of a campaign")
     parser.add_argument(
         "--runs", type=int, metavar="N", help="number of flights, at each point (default: 100; with --soak: by --hours)"
     )
@@ -146,8 +147,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     more.add_argument(
         "--faults",
         choices=("random",),
-        help="add one or two faults to what sensors, frames and commands say, drawn by each seed; every failing flight of the "
-        f"first {WORST} becomes a scenario file beside the results, with the fewest and weakest faults that fail",
+        help="let each seed draw one or two faults: of sensors, frames, commands, lens, rotor, battery or service, or a person's "
+        f"act; the first {WORST} failing flights become scenario files beside the results, with the fewest and weakest faults",
     )
     output = parser.add_argument_group("results")
     output.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
@@ -166,8 +167,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.scenario == "report":
         return _report(args)
-    if args.folder is not None:
-        raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
+    if args.more and (args.soak or args.map):
+        raise BadInput(f"--soak and --map take one scenario, found {args.more[0]!r} besides")
     if args.wrong_model is not None:
         args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
     refuse(args)
@@ -187,7 +188,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--against goes with --report")
     if args.report:
         require_drawing("--report")
-    plan, points, search = _set_plan(args) if is_set(args.scenario) else _design(args, *_plan(args))
+    plan, points, search = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
     _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
         try:
@@ -209,9 +210,13 @@ def _names(plan: AnyPlan) -> Sequence[str]:
 
 
 def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
-    if args.vary or args.search or args.design or args.faults:
-        raise BadInput("--vary, --design, --search and --faults go with one scenario, not with a set of them")
-    chosen, scenarios = load_set(args.scenario)
+    if args.vary or args.search or args.design:
+        raise BadInput("--vary, --design and --search go with one scenario, not with several")
+    if args.more:
+        args.scenario, args.perception = ", ".join(names := [args.scenario, *args.more]), args.perception or "pixels"
+        chosen, scenarios = set_of(names), {name: load_scenario(name) for name in names}
+    else:
+        chosen, scenarios = load_set(args.scenario)
     members = {}
     for member in chosen.scenario:
         name = member.name
@@ -219,11 +224,13 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
         try:
             members[name], _ = _plan_of(args, name, scenarios[name], level)
             perceive(members[name].perception, args.perception_model).refuse(scenarios[name].faults)
+            if args.faults is not None:
+                members[name] = _with_random_faults(args, members[name], scenarios[name])
         except BadInput as why:
             raise BadInput(f"{args.scenario}: {name}: {why}") from why
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
-    found = {name: place_of(args.scenario, name) for name in members}
+    found = {} if args.more else {name: place_of(args.scenario, name) for name in members}
     places = {name: place for name, place in found.items() if place != name}
     return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()], None
 
@@ -276,8 +283,7 @@ def _design(
     if args.faults is not None:
         if args.vary or args.search:
             raise BadInput("--faults does not go with --vary or --search")
-        with_random_faults(given.scenario, args.seed, plan.perception)
-        return plan.with_design(described("random faults", [])), [()], None
+        return _with_random_faults(args, plan, given.scenario), [()], None
     if (args.design is None) != (args.points is None) or (args.design is not None and not args.vary):
         raise BadInput("--design, --points and --vary go together")
     axes = [parse_axis(text, given, "--vary") for text in args.vary]
@@ -300,6 +306,12 @@ def _design(
     for point in points:
         given.with_values(point, "--vary")
     return plan.with_design(design), points, None
+
+
+def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: Scenario) -> CampaignPlan:
+    """Return the plan with faults that each seed draws; raises BadInput where there can be none."""
+    with_random_faults(scenario, args.seed, plan.perception)
+    return plan.with_design(described("random faults", []))
 
 
 def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> ResultStore:
@@ -408,7 +420,7 @@ def _conclude(
         summary["varied"] = {effect.key: as_json(effect) for effect in effects}
     files = []
     tally = None
-    if args.faults is not None and isinstance(plan, CampaignPlan):
+    if args.faults is not None:
         tally = FaultTally()
         for flight in _asked(store, asked):
             tally.take(flight)
@@ -434,11 +446,15 @@ def _conclude(
     return 0 if counted.failed == 0 else 1
 
 
-def _cases(plan: CampaignPlan, store: ResultStore, tally: FaultTally) -> list[str]:
-    """Write a scenario file for each failing flight, and return where they are."""
-    name, base, perception, model = unpacked(plan.base())
-    cases = Cases(name, base.scenario, base.settings, perception, model, plan.options)
-    return [store.put(file, content) for file, content in cases.of(tally.failing)]
+def _cases(plan: AnyPlan, store: ResultStore, tally: FaultTally) -> list[str]:
+    """Write a scenario file for each of the first failing flights of each scenario, and return where they are."""
+    written = []
+    for one in plan.members.values() if isinstance(plan, SetPlan) else (plan,):
+        name, base, perception, model = unpacked(one.base())
+        cases = Cases(name, base.scenario, base.settings, perception, model, one.options)
+        failing = [flight for flight in tally.failing if flight["scenario"] == name]
+        written += [store.put(file, content) for file, content in cases.of(failing)]
+    return written
 
 
 def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
@@ -453,10 +469,10 @@ def _say(flight: Flight) -> None:
 
 def _report(args: argparse.Namespace) -> int:
     """Write the report of the folder; return 0."""
-    if args.folder is None:
+    if len(args.more) != 1:
         raise BadInput("campaign report needs the folder of a campaign")
     require_drawing("campaign report")
-    folder = Path(args.folder)
+    folder = Path(args.more[0])
     manifest = manifest_of(folder)
     path = folder / FLIGHTS
     page = render_report(manifest, flights_in(path), wall_s_in(path), _compared_with(args.against))

@@ -76,9 +76,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="SCENARIO",
         help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
     )
-    parser.add_argument(
-        "--faults", choices=("random",), help="add one or two faults to what sensors, frames and commands say, drawn by the seed"
-    )
+    parser.add_argument("--faults", choices=("random",), help="add one or two faults that the seed draws (docs/campaigns.md)")
     parser.add_argument("--pad", metavar="FILE", help="pad file, or the name of a shipped one, on deck and looked for")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -61,6 +61,18 @@ class ScenarioSet(Struct, frozen=True, forbid_unknown_fields=True):
     def level(self, member: SetMember) -> Literal["pixels", "model", "truth"]:
         """Return how a member perceives the pad."""
         return member.perception or self.perception
+
+
+def set_of(names: Sequence[str]) -> ScenarioSet:
+    """Return the set of these scenarios.
+
+    Raises:
+        BadInput: one of them is named twice.
+    """
+    try:
+        return ScenarioSet(", ".join(names), tuple(map(SetMember, names)))
+    except ValueError as why:
+        raise BadInput(str(why)) from why
 
 
 def shipped_sets() -> list[str]:

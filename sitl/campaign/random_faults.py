@@ -6,24 +6,23 @@ A case is a scenario file with the fewest and weakest faults that were found to 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from msgspec.structs import replace
-
 from companion.settings.model import Settings
+from sitl.campaign.summary import name_of
 from sitl.campaign.task import ERROR, Flight, fly_flight
-from sitl.faults.corrupted import UNSIZED, Corrupted
+from sitl.faults.drawn import simpler
+from sitl.faults.kinds import AnyFault
 from sitl.flight.one_flight import Perception
 from sitl.scenario.scenario import Scenario
-from sitl.scenario.with_fault import as_toml, with_corrupted, with_random_faults
+from sitl.scenario.with_fault import as_toml, with_faults, with_random_faults
 
 WORST = 10
 """Number of flights that are named for each measure, and of cases that are written."""
 _SHRINKING_FLIGHTS = 12
 """Largest number of flights in which a case is made smaller."""
-_LENGTH_S, _SHORTEST_S = 16.0, 0.05
-"""Length that is tried for a fault that lasts for good, and the shortest."""
-Fails = Callable[[Sequence[Corrupted]], bool]
+Fails = Callable[[Sequence[AnyFault]], bool]
 
 
 def fly_with_random_faults(
@@ -94,7 +93,7 @@ class FaultTally:
         lines = [f"random faults: {shares}"]
         for name, (unit, measure) in MEASURES.items():
             lines.append(f"worst by {name}, {unit}:")
-            lines += [f"  {measure(f):8.2f}  seed {f['seed']}, {verdict_of(f)}: {_faults(f)}" for f in self._worst[name]]
+            lines += [f"  {measure(f):8.2f}  {name_of(f)}, {verdict_of(f)}: {_faults(f)}" for f in self._worst[name]]
         return "\n".join(lines)
 
 
@@ -103,7 +102,13 @@ def _faults(flight: Flight) -> str:
 
 
 def _named(flight: Flight) -> dict[str, Any]:
-    return {"seed": flight["seed"], "verdict": verdict_of(flight), "faults": flight["faults"], "unsafe": flight["unsafe"]}
+    return {
+        "scenario": flight["scenario"],
+        "seed": flight["seed"],
+        "verdict": verdict_of(flight),
+        "faults": flight["faults"],
+        "unsafe": flight["unsafe"],
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,35 +133,38 @@ class Cases:
         """Return the name and the content of a file for each of the first failing flights, unsafe ones first."""
         unsafe_first = sorted(failing, key=lambda f: (verdict_of(f) != "unsafe", f["seed"]))
         for flight in unsafe_first[:WORST]:
-            yield f"{verdict_of(flight)}-{flight['seed']}.toml", self._file(flight).encode()
+            of = f"{Path(self.name).stem}-" if flight.get("in_set") else ""
+            yield f"{verdict_of(flight)}-{of}{flight['seed']}.toml", self._file(flight).encode()
 
     def _file(self, flight: Flight) -> str:
         seed, verdict = flight["seed"], verdict_of(flight)
         newest = flight
 
-        def fails(faults: Sequence[Corrupted]) -> bool:
+        def fails(faults: Sequence[AnyFault]) -> bool:
             nonlocal newest
-            again = self._fly(with_corrupted(self.scenario, faults), seed)
+            again = self._fly(with_faults(self.scenario, faults), seed)
             if verdict_of(again) != verdict:
                 return False
             newest = again
             return True
 
         drawn = with_random_faults(self.scenario, seed, self.perception).faults[len(self.scenario.faults) :]
-        faults = shrunk([fault for fault in drawn if isinstance(fault, Corrupted)], fails)
+        faults = shrunk(drawn, fails)
         options = " ".join(option for option in self.options if option not in ("--faults", "random"))
+        if self.perception != "pixels" and "--perception" not in self.options:
+            options = f"--perception {self.perception} {options}".rstrip()
         head = [
             f"{verdict}: {'; '.join(newest['unsafe']) or newest['because']}",
             f"drawn by seed {seed} of {self.name}; fly it with",
             f"decklander simulate FILE --seed {seed} {options}".rstrip(),
         ]
-        return as_toml(self.name, with_corrupted(self.scenario, faults), faults, head)
+        return as_toml(self.name, with_faults(self.scenario, faults), faults, head)
 
     def _fly(self, scenario: Scenario, seed: int) -> Flight:
         return fly_flight(self.name, scenario, seed, self.settings, self.perception, self.perception_model)
 
 
-def shrunk(faults: Sequence[Corrupted], fails: Fails, flights: int = _SHRINKING_FLIGHTS) -> tuple[Corrupted, ...]:
+def shrunk(faults: Sequence[AnyFault], fails: Fails, flights: int = _SHRINKING_FLIGHTS) -> tuple[AnyFault, ...]:
     """Return the fewest and weakest faults that still fail, found greedily.
 
     Args:
@@ -168,28 +176,11 @@ def shrunk(faults: Sequence[Corrupted], fails: Fails, flights: int = _SHRINKING_
     found = True
     while found:
         found = False
-        for simpler in _simpler(smallest):
+        for tried in simpler(smallest):
             if flights == 0:
                 return smallest
             flights -= 1
-            if fails(simpler):
-                smallest, found = simpler, True
+            if fails(tried):
+                smallest, found = tried, True
                 break
     return smallest
-
-
-def _simpler(faults: tuple[Corrupted, ...]) -> Iterator[tuple[Corrupted, ...]]:
-    """Return scenarios that are simpler by one step: one fault less, half as long, half as much."""
-    if len(faults) > 1:
-        yield from (faults[:n] + faults[n + 1 :] for n in range(len(faults)))
-    for n, fault in enumerate(faults):
-        length_s = _LENGTH_S if fault.for_s is None else _short(0.5 * fault.for_s)
-        if length_s >= _SHORTEST_S:
-            yield (*faults[:n], replace(fault, for_s=length_s), *faults[n + 1 :])
-        if fault.error not in UNSIZED:
-            size = 1.0 + 0.5 * (fault.size - 1.0) if fault.error == "scaled" else 0.5 * fault.size
-            yield (*faults[:n], replace(fault, size=_short(size)), *faults[n + 1 :])
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.3g}")

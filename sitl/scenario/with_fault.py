@@ -14,9 +14,10 @@ import numpy as np
 
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
-from sitl.faults.corrupted import Corrupted, draw
-from sitl.faults.kinds import OperatorActs, ServiceKilled, VesselReports
+from sitl.faults.drawn import Drawable, draw
+from sitl.faults.kinds import AnyFault, OperatorActs, ServiceKilled, VesselReports
 from sitl.scenario.scenario import FAULTS, TITLE_MAX, Scenario, load, shipped_scenarios, signals_of, vehicle_model
+from sitl.vehicle.airframe import rotors
 
 VIRTUAL_ONLY = (ServiceKilled, OperatorActs, VesselReports)
 """Faults of what runs beside the drone, which no drone behind sockets can have."""
@@ -79,7 +80,7 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
     """Return the scenario with one or two faults that the seed draws; to land on the pad and to refuse are both right then.
 
     Args:
-        level: of perception: only drawn detections can be corrupted by themselves.
+        level: of perception: only drawn detections can be corrupted by themselves, and only a rendered pad can be another.
 
     Raises:
         BadInput: at the level `truth`, which has no filter that a fault could deceive.
@@ -89,34 +90,35 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
     signals = [s for s in signals_of(scenario.vessel, scenario.vehicle) if s != "sighting" or level == "model"]
     start = scenario.start
     highest_m = _HIGHEST_M if start.where == "pad" else start.height_m
-    lowest_m = vehicle_model(scenario).airframe().feet.below_m + _OVER_FEET_M
-    return with_corrupted(scenario, draw(seed, signals, (min(lowest_m, highest_m), highest_m)))
+    frame = vehicle_model(scenario).airframe()
+    heights_m = min(frame.feet.below_m + _OVER_FEET_M, highest_m), highest_m
+    names = [rotor.name for rotor in rotors(frame)]
+    return with_faults(scenario, draw(seed, Drawable(signals, heights_m, names, scenario.pad.file, level == "pixels")))
 
 
-def with_corrupted(scenario: Scenario, faults: Sequence[Corrupted]) -> Scenario:
-    """Return the scenario with these faults besides; it may land or refuse."""
+def with_faults(scenario: Scenario, faults: Sequence[AnyFault]) -> Scenario:
+    """Return the scenario with these faults besides; it may land or refuse, and touch what it must while no service runs."""
     title = _title(f"{', '.join(fault.words for fault in faults)}: {scenario.title}")
-    because = "whatever a sensor says, it lands on the pad or says why not"
-    return msgspec.structs.replace(
-        scenario, title=title, faults=(*scenario.faults, *faults), expect="either", refusal="", because=because
-    )
+    alone = any(isinstance(fault, ServiceKilled) for fault in faults)
+    own = {"unreached_contacts": alone, "because": "whatever goes wrong, it lands on the pad or says why not"}
+    return msgspec.structs.replace(scenario, title=title, faults=(*scenario.faults, *faults), expect="either", refusal="", **own)
 
 
-def as_toml(name: str, faulty_one: Scenario, faults: Sequence[Corrupted], head: Sequence[str]) -> str:
+def as_toml(name: str, faulty_one: Scenario, faults: Sequence[AnyFault], head: Sequence[str]) -> str:
     """Return a scenario file that adds faults to a scenario.
 
     Args:
         name: a shipped scenario or the path of one, which becomes the base.
-        faulty_one: the scenario with the faults, as `with_corrupted` returns it.
+        faulty_one: the scenario with the faults, as `with_faults` returns it.
         head: lines of the comment at its top.
     """
     base = name if name in shipped_scenarios() else str(Path(name).resolve())
-    own = {"title": faulty_one.title, "base": base, "expect": faulty_one.expect, "because": faulty_one.because}
+    keys = ("expect", "unreached_contacts", "because")
+    own = {"title": faulty_one.title, "base": base, **{key: getattr(faulty_one, key) for key in keys}}
     lines = [f"# {line}" for line in head] + [f"{key} = {_toml(value)}" for key, value in own.items()]
     for fault in faults:
-        output = {key: value for key, value in msgspec.structs.asdict(fault).items() if value is not None}
-        if fault.size == 0.0:
-            del output["size"]
+        usual = {field.name: field.default for field in msgspec.structs.fields(type(fault))}
+        output = {key: value for key, value in msgspec.structs.asdict(fault).items() if value != usual[key]}
         lines += ["", "[[faults]]", *(f"{key} = {_toml(value)}" for key, value in {"kind": fault.kind, **output}.items())]
     return "\n".join(lines) + "\n"
 

@@ -1,22 +1,18 @@
 """Corrupted signals by what a flight's parts get of them, and faults drawn by a seed as files that fly the same."""
 
 import math
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from msgspec.structs import asdict, replace
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.corrupted import ERRORS, FACTS, SIGNALS, UNSIZED, Corrupted, Corruptions, draw, errors_of
+from sitl.faults.corrupted import FACTS, Corrupted, Corruptions
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import from_mapping, load
-from sitl.scenario.with_fault import as_toml, with_random_faults
+from sitl.scenario.with_fault import with_random_faults
 from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM
 
@@ -113,44 +109,6 @@ def test_stamps_frames_and_commands_are_wrong_as_well() -> None:
     climb = Stick(gaz=0.5, progressive=True)
     up, down = corrupted((), 1.0, climb), corrupted((Corrupted(signal="commands", error="sign", axis="z", at_s=0.0),), 1.0, climb)
     assert up.truth().v_body_ned[2] < -0.1 < 0.1 < down.truth().v_body_ned[2]
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_holds_the_same(seed: int) -> None:
-    base = load("rendezvous")
-    drawn = with_random_faults(base, seed, "model")
-    faults = [fault for fault in drawn.faults if isinstance(fault, Corrupted)]
-    assert 1 <= len(faults) <= 2
-    words = f"{', '.join(fault.words for fault in faults)}: {base.title}".split()
-    assert len(drawn.title) <= 120
-    assert drawn.title.removesuffix(" ...").split() == words[: len(drawn.title.removesuffix(" ...").split())], "whole words"
-    text = as_toml("rendezvous", drawn, faults, ["head"])
-    data = tomllib.loads(text)
-    assert data.pop("base") == "rendezvous"
-    data |= {
-        "vessel": {"reports_hz": 1.0, "reports_place": True},
-        "vehicle": {"gnss_hz": 5.0},
-        "start": {"height_m": 8.0},
-    }  # of the base
-    assert from_mapping(data, "written").faults == tuple(faults)
-
-
-def test_a_written_file_is_the_scenario_that_was_flown(tmp_path: Path) -> None:
-    drawn = with_random_faults(load("calm"), 5, "model")
-    path = tmp_path / "case.toml"
-    path.write_text(as_toml("calm", drawn, [f for f in drawn.faults if isinstance(f, Corrupted)], ["one", "two"]))
-    assert load(path) == drawn
-
-
-def test_a_generator_of_many_seeds_draws_everything_that_is_there_and_nothing_else() -> None:
-    pairs = [draw(seed, SIGNALS, (0.2, 7.0)) for seed in range(4000)]
-    faults = [fault for pair in pairs for fault in pair]
-    assert {(f.signal, f.error) for f in faults} == {(s, e) for s in SIGNALS for e in errors_of(s)}
-    assert {f.error for f in faults} == set(ERRORS)
-    assert 0.45 < np.mean([len(pair) == 2 for pair in pairs]) < 0.55
-    assert all((f.size == 0.0) == (f.error in UNSIZED) for f in faults)
-    assert {f.signal for pair in (draw(n, ("gyro",), (0.2, 7.0)) for n in range(50)) for f in pair} == {"gyro"}
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,23 @@
 
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from companion.cli import main as cli
 from sitl.campaign import random_faults
 from sitl.campaign.random_faults import FaultTally, shrunk
 from sitl.campaign.task import Flight
-from sitl.faults.corrupted import Corrupted
+from sitl.faults.corrupted import SIGNALS, UNSIZED, Corrupted, errors_of
+from sitl.faults.drawn import SHARES, Drawable, draw, simpler
+from sitl.faults.kinds import AnyFault, CommandStream, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
+from sitl.scenario.scenario import from_mapping, load
+from sitl.scenario.with_fault import as_toml, with_random_faults
 from tests.sitl.near import NEAR
 
 GYRO = Corrupted(signal="gyro", error="biased", size=40.0, at_s=3.0)
@@ -19,7 +28,7 @@ RANGE = Corrupted(signal="range", error="scaled", size=3.0, at_s=2.0, for_s=8.0)
 def test_a_case_keeps_the_fault_that_matters_as_long_and_as_large_as_it_must_be() -> None:
     tried = []
 
-    def fails(faults: Sequence[Corrupted]) -> bool:
+    def fails(faults: Sequence[Any]) -> bool:
         tried.append(tuple(faults))
         return any(f.signal == "range" and f.size >= 2.0 and (f.for_s or 99.0) >= 1.5 for f in faults)
 
@@ -32,7 +41,7 @@ def test_a_case_keeps_the_fault_that_matters_as_long_and_as_large_as_it_must_be(
 def test_shrinking_ends_with_its_budget_and_never_with_what_does_not_fail() -> None:
     flown = 0
 
-    def fails(faults: Sequence[Corrupted]) -> bool:
+    def fails(faults: Sequence[Any]) -> bool:
         nonlocal flown
         flown += 1
         return True
@@ -43,9 +52,124 @@ def test_shrinking_ends_with_its_budget_and_never_with_what_does_not_fail() -> N
     assert shrunk((GYRO, RANGE), lambda _: False) == (GYRO, RANGE)
 
 
+THERE = Drawable(SIGNALS, (0.2, 7.0))
+SIMPLE = {
+    "weak_rotor": WeakRotor(thrust_fraction=0.8, at_s=1.0),
+    "commands": CommandStream(dropped_fraction=0.4, in_phase="gate", for_s=4.0),
+    "service_killed": ServiceKilled(for_s=2.0, at_s=1.0),
+    "low_battery": LowBattery(fraction=0.1, at_s=1.0),
+}
+
+
+def test_every_kind_is_made_simpler_until_nothing_is_left_of_it() -> None:
+    """A person's order that ends the flight has no length, and only sticks have a size."""
+    for fault in (*SIMPLE.values(), OperatorActs(order="manual", right=0.2, climb=0.1, at_s=1.0)):
+        for (weaker,) in simpler((fault,)):
+            assert weaker != fault
+            assert type(weaker) is type(fault)
+            assert (weaker.for_s or 16.0) <= (fault.for_s or 16.0)
+    assert [one.thrust_fraction for (one,) in simpler((SIMPLE["weak_rotor"],))] == [0.8, 0.9]  # type: ignore[union-attr]
+    assert list(simpler((OperatorActs(order="emergency", at_s=1.0),))) == []
+    two = shrunk((OperatorActs(order="land", at_s=1.0), SIMPLE["commands"]), lambda faults: len(faults) == 2, 40)
+    assert [fault.kind for fault in two] == ["operator", "commands"]
+    assert two[1].dropped_fraction < 0.4
+
+
+def kinds(faults: Sequence[AnyFault]) -> set[str]:
+    return {
+        f"{f.kind} {f.signal}" if isinstance(f, Corrupted) and f.signal in ("commands", "sighting") else f.kind for f in faults
+    }
+
+
+def test_three_hundred_draws_hold_every_kind_half_of_them_two_and_most_near_the_deck() -> None:
+    drawn = [draw(seed, THERE) for seed in range(830_000, 830_300)]
+    assert drawn == [draw(seed, THERE) for seed in range(830_000, 830_300)]
+    every = [fault for faults in drawn for fault in faults]
+    assert SHARES.keys() - {"pad_size"} <= kinds(every) | {"corrupted"}
+    assert {"corrupted", "corrupted commands", "corrupted sighting"} <= kinds(every)
+    assert {"hold", "manual", "abort", "land", "emergency", "begin"} == {f.order for f in every if isinstance(f, OperatorActs)}
+    assert 0.4 < sum(len(faults) == 2 for faults in drawn) / 300 < 0.6
+    pairs = [faults for faults in drawn if len(faults) == 2]
+    assert 0.35 < sum(started(a) == started(b) for a, b in pairs) / len(pairs) < 0.65
+    phases = Counter(fault.in_phase for fault in every if fault.in_phase)
+    assert min(phases[near] for near in ("gate", "commit", "press")) > max(phases[far] for far in ("intercept", "descend"))
+    weak = [fault.thrust_fraction for fault in every if isinstance(fault, WeakRotor)]
+    assert 0.7 <= min(weak) < max(weak) <= 0.95
+
+
+def started(fault: AnyFault) -> tuple[object, ...]:
+    return fault.at_s, fault.below_height_m, fault.in_phase
+
+
+def test_a_generator_of_many_seeds_draws_every_error_that_is_there_and_no_other() -> None:
+    every = [fault for seed in range(8000) for fault in draw(seed, THERE) if isinstance(fault, Corrupted)]
+    assert {(f.signal, f.error) for f in every} == {(s, e) for s in SIGNALS for e in errors_of(s)}
+    assert all((f.size == 0.0) == (f.error in UNSIZED) for f in every)
+    gyro = Drawable(("gyro",), (0.2, 7.0), rendered=True)
+    few = [fault for seed in range(200) for fault in draw(seed, gyro)]
+    assert {f.signal for f in few if isinstance(f, Corrupted)} == {"gyro", "commands"}
+    assert {f.size for f in few if isinstance(f, OtherPad) and f.instead}
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["model", "pixels"]))
+def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_flies_the_same(seed: int, level: str) -> None:
+    base = load("rendezvous")
+    drawn = with_random_faults(base, seed, level)
+    faults = drawn.faults
+    assert 1 <= len(faults) <= 2
+    words = f"{', '.join(fault.words for fault in faults)}: {base.title}".split()
+    assert len(drawn.title) <= 120
+    assert drawn.title.removesuffix(" ...").split() == words[: len(drawn.title.removesuffix(" ...").split())], "whole words"
+    data = tomllib.loads(as_toml("rendezvous", drawn, faults, ["head"]))
+    assert data.pop("base") == "rendezvous"
+    data |= {
+        "vessel": {"reports_hz": 1.0, "reports_place": True},
+        "vehicle": {"gnss_hz": 5.0},
+        "start": {"height_m": 8.0},
+    }  # of the base
+    written = from_mapping(data, "written")
+    assert (written.faults, written.expect, written.unreached_contacts) == (faults, "either", drawn.unreached_contacts)
+    assert drawn.unreached_contacts == any(isinstance(fault, ServiceKilled) for fault in faults)
+
+
+def test_a_written_file_is_the_scenario_that_was_flown(tmp_path: Path) -> None:
+    for seed in (5, 830_000, 830_003):
+        drawn = with_random_faults(load("calm"), seed, "model")
+        path = tmp_path / f"case-{seed}.toml"
+        path.write_text(as_toml("calm", drawn, drawn.faults, ["one", "two"]))
+        assert load(path) == drawn
+
+
+def test_several_scenarios_are_flown_with_the_same_seeds_and_each_has_its_cases(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(random_faults, "verdict_of", lambda flight: "unsafe")
+    monkeypatch.setattr(random_faults, "simpler", lambda faults: iter(()))
+    names = []
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.toml").write_text(NEAR)
+        names.append(str(tmp_path / f"{name}.toml"))
+    out = tmp_path / "out"
+    common = ["--runs", "1", "--seed", "3", "--perception", "model", "--faults", "random", "--workers", "1"]
+    cli.main(["campaign", *names, *common, "--json", "--out", str(out)])
+    *flights, summary = map(json.loads, capsys.readouterr().out.splitlines())
+    assert sorted(flight["scenario"] for flight in flights) == names
+    assert flights[0]["faults"] == flights[1]["faults"]
+    assert summary["summary"]["random_faults"]["counts"]["unsafe"] == 2
+    assert sorted(path.name for path in out.glob("unsafe*")) == ["unsafe-one-3.toml", "unsafe-two-3.toml"]
+    assert "--perception model" in (out / "unsafe-one-3.toml").read_text()
+
+
 def flight(seed: int, **over: Any) -> Flight:
     touch = {"lateral_m": 0.1 * seed, "lateral_speed_m_s": 1.0 / (1 + seed)}
-    own = {"seed": seed, "outcome": "landed", "grade": "on pad", "unsafe": [], "highest_m": 7.0 + seed, "contacts": [touch]}
+    own = {
+        "scenario": "near",
+        "seed": seed,
+        "outcome": "landed",
+        "grade": "on pad",
+        "unsafe": [],
+        "highest_m": 7.0 + seed,
+        "contacts": [touch],
+    }
     return {**own, "faults": [{"kind": "gyro sign", "at_s": 1.0}], "because": "", **over}
 
 
@@ -62,7 +186,7 @@ def test_shares_and_worst_flights_are_counted_and_reported() -> None:
     assert [f["seed"] for f in output["worst"]["speed"]] == list(range(10))
     assert [f["seed"] for f in output["worst"]["distance"]] == list(range(19, 9, -1))
     assert "20 landed (87.0 %), 1 refused (4.3 %)" in tally.in_words()
-    assert "seed 20, unsafe: gyro sign from 1.0 s" in tally.in_words()
+    assert "near seed 20, unsafe: gyro sign from 1.0 s" in tally.in_words()
     assert [f["seed"] for f in tally.failing] == [20, 22]
 
 

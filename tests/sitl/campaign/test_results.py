@@ -99,7 +99,7 @@ def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
         (["--out", "nowhere://x"], "Protocol not known: nowhere"),
         (["--against", "x"], "--against goes with --report"),
         (["--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
-        (["calm"], "campaign takes one scenario, found 'calm' besides"),
+        (["calm"], "scenario 'calm' is listed twice"),
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "--workers does not go with --scheduler"),
     ],
 )

@@ -160,6 +160,6 @@ def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str)
 
 def test_wrong_use_of_a_set_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["campaign", "thirty_faults", "--vary", "wind.speed_m_s=0:4:2"]) == 2
-    assert "--vary, --design, --search and --faults go with one scenario" in capsys.readouterr().err
+    assert "--vary, --design and --search go with one scenario" in capsys.readouterr().err
     assert cli.main(["campaign", "thirty_faults", "--perception", "truth"]) == 2
     assert "thirty_faults: faults/camera_freezes: the fault frames_frozen acts on vision" in capsys.readouterr().err

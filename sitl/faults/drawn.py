@@ -1,0 +1,263 @@
+"""Faults that a seed draws, one or two: corrupted signals, a service that is killed, a person's acts, and what wears or breaks.
+
+Whatever is drawn can be written into a scenario file, and made simpler step by step (`simpler`).
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from msgspec.structs import replace
+
+from sitl.faults.corrupted import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Signal, SignalError, errors_of
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import (
+    AnyFault,
+    CommandStream,
+    FocalLength,
+    Gust,
+    LensCovered,
+    LowBattery,
+    OperatorActs,
+    OtherPad,
+    ServiceKilled,
+    WeakRotor,
+)
+
+Rng = np.random.Generator
+_T = TypeVar("_T")
+_STREAM = 0x4A1D
+_PAIRS = 0.5
+"""Fraction of the flights with two faults, and of the pairs that begin together."""
+_LATEST_S = 20.0
+"""Latest beginning at an instant: most landings are over by then."""
+_BEGINS = ("at_s", "below_height_m", "in_phase", "in_phase")
+_PHASES = ("intercept", "descend", "gate", "gate", "commit", "commit", "press", "press")
+"""Each counts as often as it stands here: close to the deck there is the least time."""
+_FOR_GOOD = 0.25
+_LENGTHS_S = (0.05, 30.0)
+_FACTORS = (0.2, 5.0)
+_FACTOR_LEAST = 0.03
+"""Least change by a factor."""
+_COMMAND_S = 0.5
+"""Longest time in which commands do something else than they say. Nothing on board can fly a vehicle that turns right for left;
+the requirement is that it gets over it."""
+
+
+class Sizes(NamedTuple):
+    """Least and largest size of an error, by its magnitude: bias, drift a second, spike."""
+
+    biased: tuple[float, float]
+    drifting: tuple[float, float]
+    spiking: tuple[float, float]
+
+
+_STAMPS = Sizes((0.01, 5.0), (0.002, 0.5), (0.02, 5.0))
+_PLACES = Sizes((0.5, 300.0), (0.05, 10.0), (1.0, 300.0))
+SIZES: dict[Signal, Sizes] = {
+    "accelerometer": Sizes((0.2, 20.0), (0.05, 5.0), (2.0, 400.0)),
+    "gyro": Sizes((0.5, 100.0), (0.2, 20.0), (10.0, 2000.0)),
+    "attitude": Sizes((0.5, 25.0), (0.1, 10.0), (1.0, 45.0)),
+    "heading": Sizes((2.0, 180.0), (0.5, 45.0), (5.0, 180.0)),
+    "velocity": Sizes((0.1, 5.0), (0.02, 2.0), (0.3, 10.0)),
+    "range": Sizes((0.05, 5.0), (0.02, 1.0), (0.1, 6.0)),
+    "barometer": Sizes((2.0, 500.0), (0.5, 50.0), (5.0, 1000.0)),
+    "gnss": _PLACES,
+    "sample_stamps": _STAMPS,
+    "frame_stamps": _STAMPS,
+    "sighting": Sizes((0.03, 3.0), (0.01, 0.5), (0.1, 5.0)),
+    "ship_velocity": Sizes((0.1, 10.0), (0.02, 2.0), (0.3, 20.0)),
+    "ship_heading": Sizes((2.0, 180.0), (0.5, 45.0), (5.0, 180.0)),
+    "ship_place": _PLACES,
+    "commands": Sizes((0.02, 0.3), (0.005, 0.1), (0.1, 1.0)),
+}
+"""Fault sizes in the units of a scenario file."""
+
+
+class Drawable(NamedTuple):
+    """What a flight has that faults may be drawn for."""
+
+    signals: Sequence[Signal]
+    heights_m: tuple[float, float]
+    """Lowest and highest height at which a fault may begin on the way down."""
+    rotors: Sequence[str] = ("front_left", "front_right", "rear_right", "rear_left")
+    pad: str = "thesis"
+    rendered: bool = False
+    """Frames are rendered, so that another pad can be painted over the right one."""
+
+
+SHARES: Mapping[str, int] = {
+    "corrupted": 8,
+    "operator": 4,
+    "commands": 3,
+    "service_killed": 3,
+    "weak_rotor": 2,
+    "lens_covered": 2,
+    "focal_length": 1,
+    "pad_size": 1,
+    "low_battery": 1,
+    "gust": 1,
+}
+"""How often each kind is drawn, against the others."""
+_BAG = tuple(kind for kind, share in SHARES.items() for _ in range(share))
+NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
+    CommandStream: {"dropped_fraction": 0.0, "delay_s": 0.0},
+    WeakRotor: {"thrust_fraction": 1.0},
+    FocalLength: {"scale": 1.0},
+    OtherPad: {"size": 1.0},
+    LowBattery: {"fraction": 0.2},
+    Gust: {"speed_m_s": 0.0},
+    OperatorActs: {"forward": 0.0, "right": 0.0, "climb": 0.0, "turn": 0.0},
+}
+"""The value of each key at which a fault does nothing."""
+
+
+def draw(seed: int, there: Drawable) -> tuple[AnyFault, ...]:
+    """Return the faults of a seed: one, or two of different kinds, half of which begin together."""
+    rng = np.random.default_rng([seed, _STREAM])
+    kinds = [_pick(rng, _BAG)]
+    while len(kinds) == 1 and rng.random() < _PAIRS:
+        kinds.append(_pick(rng, _BAG))
+    if kinds[0] == kinds[-1] != "corrupted":
+        kinds[1:] = ["corrupted"] * (len(kinds) - 1)
+    begins = _begins(rng, there)
+    first = _one(rng, kinds[0], there, begins)
+    if len(kinds) == 1:
+        return (first,)
+    return first, _one(rng, kinds[1], there, begins if rng.random() < _PAIRS else _begins(rng, there))
+
+
+def _begins(rng: Rng, there: Drawable) -> dict[str, Any]:
+    """Return when a fault begins."""
+    begins = _pick(rng, _BEGINS)
+    if begins == "at_s":
+        return {"at_s": _short(rng.uniform(0.0, _LATEST_S))}
+    if begins == "below_height_m":
+        return {"below_height_m": _short(_between(rng, *there.heights_m))}
+    return {"in_phase": _pick(rng, _PHASES)}
+
+
+def _one(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> AnyFault:
+    """Return a fault of a kind with this beginning."""
+    match kind:
+        case "operator":
+            return _act(rng, begins)
+        case "commands":
+            if rng.random() < 1.0 / 3.0:
+                return Corrupted(signal="commands", error="scaled", size=0.5, for_s=_for(rng, 1.0, 20.0), **begins)
+            if rng.random() < 0.5:
+                return CommandStream(dropped_fraction=_short(rng.uniform(0.1, 0.7)), for_s=_for(rng, 1.0, 30.0), **begins)
+            return CommandStream(delay_s=_short(_between(rng, 0.03, 0.4)), for_s=_for(rng, 1.0, 30.0), **begins)
+        case "service_killed":
+            return ServiceKilled(for_s=_for(rng, 0.3, 8.0), **begins)
+        case "weak_rotor":
+            rotor: Any = _pick(rng, there.rotors)
+            return WeakRotor(rotor=rotor, thrust_fraction=_short(rng.uniform(0.7, 0.95)), **begins)
+        case "lens_covered":
+            return LensCovered(for_s=_for(rng, 0.3, 20.0), **begins)
+        case "focal_length":
+            return FocalLength(scale=_short(1.0 + _some(rng, 0.01, 0.06)), **begins)
+        case "pad_size":
+            size = _short(1.0 + _some(rng, 0.01, 0.06))
+            if there.rendered:
+                return OtherPad(file=there.pad, size=size, instead=True, **begins)
+            # Drawn detections of a larger pad are nearer by its factor, in all directions.
+            return Corrupted(signal="sighting", error="scaled", size=_short(1.0 / size), **begins)
+        case "low_battery":
+            return LowBattery(fraction=_short(rng.uniform(0.02, 0.15)), **begins)
+        case "gust":
+            blows = {"speed_m_s": _short(rng.uniform(3.0, 9.0)), "from_deg": float(rng.integers(360))}
+            return Gust(for_s=_for(rng, 1.0, 5.0), **blows, **begins)
+    return _corrupted(rng, there.signals, begins)
+
+
+def _act(rng: Rng, begins: dict[str, Any]) -> OperatorActs:
+    """Return what a person does: he gives the vehicle back after a time, or it stays his."""
+    order = _pick(rng, ("hold", "hold", "manual", "manual", "abort", "land", "emergency", "begin"))
+    if order in ("hold", "manual"):
+        for_s = None if rng.random() < _FOR_GOOD else _for(rng, 0.3, 10.0)
+        sticks = {}
+        if order == "manual":
+            sticks = {name: _short(rng.uniform(-0.3, 0.3)) for name in ("forward", "right", "turn")}
+            sticks["climb"] = _short(rng.uniform(-0.1, 0.4))
+        return OperatorActs(order=order, for_s=for_s, **sticks, **begins)
+    return OperatorActs(order=order, **begins)
+
+
+def _corrupted(rng: Rng, signals: Sequence[Signal], begins: dict[str, Any]) -> Corrupted:
+    signal = _pick(rng, signals)
+    error = _pick(rng, errors_of(signal))
+    more: dict[str, Any] = {}
+    axes = FACTS[signal].axes
+    if axes > 1 and rng.random() < 0.7:
+        more["axis"] = "xyz"[int(rng.integers(axes))]
+    if error not in UNSIZED:
+        more["size"] = _size(rng, signal, error)
+    length_s = None if rng.random() < _FOR_GOOD else _for(rng, *_LENGTHS_S)
+    if signal == "commands" and error in ("frozen", "swapped", "sign"):
+        length_s = min(_COMMAND_S, length_s or _COMMAND_S)
+    return Corrupted(signal=signal, error=error, for_s=length_s, **more, **begins)
+
+
+def _size(rng: Rng, signal: Signal, error: SignalError) -> float:
+    """Return a size, evenly over its orders of magnitude."""
+    if error == "late":
+        return _short(_between(rng, 0.02, LATE_MAX_S))
+    if error == "scaled":
+        factor = _between(rng, *_FACTORS)
+        return _short(factor if abs(factor - 1.0) >= _FACTOR_LEAST else 1.0 + _FACTOR_LEAST)
+    low, high = getattr(SIZES[signal], error)
+    return _short(_between(rng, low, high) * (1.0 if rng.random() < 0.5 else -1.0))
+
+
+def _between(rng: Rng, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _some(rng: Rng, low: float, high: float) -> float:
+    """Return a size of either sign."""
+    return rng.uniform(low, high) * (1.0 if rng.random() < 0.5 else -1.0)
+
+
+def _for(rng: Rng, low_s: float, high_s: float) -> float:
+    return _short(_between(rng, low_s, high_s))
+
+
+def _short(value: float) -> float:
+    """Return the value with the digits that a scenario file shows, so that the file flies the same."""
+    return float(f"{value:.3g}")
+
+
+def _pick(rng: Rng, among: Sequence[_T]) -> _T:
+    return among[int(rng.integers(len(among)))]
+
+
+_LENGTH_S, _SHORTEST_S = 16.0, 0.05
+"""Length that is tried for a fault that lasts for good, and the shortest."""
+
+
+def simpler(faults: Sequence[AnyFault]) -> Iterator[tuple[AnyFault, ...]]:
+    """Return faults that are simpler by one step: one fault less, half as long, half as much."""
+    if len(faults) > 1:
+        yield from ((*faults[:n], *faults[n + 1 :]) for n in range(len(faults)))
+    for n, fault in enumerate(faults):
+        for change in _changes(fault):
+            try:
+                weaker = replace(fault, **change)
+            except ValueError:
+                continue  # a fault that would do nothing, or that has no length
+            yield (*faults[:n], weaker, *faults[n + 1 :])
+
+
+def _changes(fault: AnyFault) -> Iterator[dict[str, float]]:
+    """Return a shorter length, and half of each size."""
+    length_s = _LENGTH_S if fault.for_s is None else _short(0.5 * fault.for_s)
+    if length_s >= _SHORTEST_S:
+        yield {"for_s": length_s}
+    neutral = NEUTRAL.get(type(fault), {})
+    if isinstance(fault, Corrupted) and fault.error not in UNSIZED:
+        neutral = {"size": 1.0 if fault.error == "scaled" else 0.0}
+    for name, none in neutral.items():
+        if (value := getattr(fault, name)) != none:
+            yield {name: _short(none + 0.5 * (value - none))}
