@@ -167,7 +167,7 @@ class FlightGrader:
             world.now,
             errand_of(scenario, settings, com_watchdog_s),
             vehicle.contact,
-            self.feet,
+            vehicle.airframe(),
             pad_model(scenario).disc_radius_m,
         )
         """Counts, also after the outcome."""

@@ -14,7 +14,7 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.flight.hands import MOTORS_TURN, STAYS_UP, HandsWatch
 from sitl.flight.sight import SightWatch
-from sitl.vehicle.airframe import ContactSettings, Feet
+from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Touchdown, Truth
 
@@ -26,6 +26,7 @@ LOW_WITHIN_M = 10.0
 """Distance from the pad within which there is deck under a low vehicle; beyond it is water, and `away` counts."""
 ENDING = 0.1
 """Charge of a battery that ends."""
+_TILT_MARGIN_DEG = 5.0
 _HOP_M = 0.05
 """Height of the lowest foot from which on the vehicle has left the deck."""
 _BOUNCE_MAX_M = 0.5
@@ -61,9 +62,10 @@ class Limit(NamedTuple):
     source: str
 
 
-def limits_of(errand: Errand, contact: ContactSettings, feet: Feet) -> dict[str, Limit]:
+def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dict[str, Limit]:
     """Return the limit of each count."""
     c = contact
+    tilt_deg = falls_deg - _TILT_MARGIN_DEG if c.tilt_max_deg is None else c.tilt_max_deg
     drop_m = c.into_deck_max_m_s**2 / (2.0 * G_M_S2)
     return {
         "died": Limit(0, "the service died in flight: {why}", "nobody flies then"),
@@ -86,10 +88,10 @@ def limits_of(errand: Errand, contact: ContactSettings, feet: Feet) -> dict[str,
         ),
         "along_deck_m_s": Limit(c.along_deck_max_m_s, "touched the {surface} at {value:.2f} m/s along it", "the vehicle's file"),
         "contact_tilt_deg": Limit(
-            c.tilt_max_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:g} are the most",
+            tilt_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:.0f} are the most",
             "the vehicle's file",
         ),
-        "tipped_deg": Limit(feet.tips_over_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet and height"),
+        "tipped_deg": Limit(falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"),
         "bounces": Limit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
         "motors_off_m": Limit(
             drop_m, "the motors stopped {value:.2f} m over the deck, where {most:.2f} m are the most",
@@ -206,18 +208,18 @@ class Referee:
         start: the first instant.
         errand: what the flight calls for.
         contact: what the vehicle bears.
-        feet: the vehicle's.
+        frame: the vehicle.
         disc_radius_m: of the pad.
     """
 
-    def __init__(self, start: MonoNs, errand: Errand, contact: ContactSettings, feet: Feet, disc_radius_m: float) -> None:
-        self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, feet).items()}
+    def __init__(self, start: MonoNs, errand: Errand, contact: ContactSettings, frame: Airframe, disc_radius_m: float) -> None:
+        self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, frame.falls_deg).items()}
         self.sight = SightWatch(start)
         self.hands = HandsWatch(takes_off=errand.takes_off)
         self.unreached = UnreachedContacts()
         self.highest_m = -math.inf
         """Highest height over the highest level of the pad so far, while the flight was ours."""
-        self._errand, self._feet, self._disc_radius_m = errand, feet, disc_radius_m
+        self._errand, self._feet, self._disc_radius_m = errand, frame.feet, disc_radius_m
         self._contacts = self._bounced = 0
         self._crest_m = -math.inf
         self._at, self._before = start, Moment(math.inf, math.inf, 0.0, 0.0, motors=False)
@@ -340,9 +342,9 @@ class Referee:
         self.counts["unordered"].note(len(hands.unordered), what="; ".join(hands.unordered))
 
 
-def unsafe_contacts(contacts: Sequence[Touchdown], contact: ContactSettings, feet: Feet) -> tuple[str, ...]:
+def unsafe_contacts(contacts: Sequence[Touchdown], contact: ContactSettings, frame: Airframe) -> tuple[str, ...]:
     """Return what was unsafe about the contacts of a flight that was not watched, one line each."""
-    referee = Referee(MonoNs(0), Errand(math.inf, math.inf, math.inf), contact, feet, math.inf)
+    referee = Referee(MonoNs(0), Errand(math.inf, math.inf, math.inf), contact, frame, math.inf)
     for one in contacts:
         referee._touch(one)
     return referee.unsafe

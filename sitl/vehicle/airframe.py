@@ -97,11 +97,6 @@ class Feet:
         a, z = self.half_base_m, self.below_m
         return np.array([[a, a, z], [a, -a, z], [-a, -a, z], [-a, a, z]])
 
-    @property
-    def tips_over_deg(self) -> float:
-        """Tilt beyond which the vehicle falls over: its centre of gravity, at the body's origin, is past two of its feet."""
-        return math.degrees(math.atan2(self.half_base_m, self.below_m))
-
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
@@ -147,6 +142,23 @@ class Airframe:
     avionics: Avionics = field(default_factory=Avionics)
     feet: Feet = field(default_factory=Feet)
 
+    @property
+    def falls_deg(self) -> float:
+        """Least tilt, over the feet of one side, at which the vehicle falls over or a rotor touches the deck.
+
+        Its centre of gravity is at the body's origin.
+        """
+        feet_m = self.feet.corners_m[:, :2]
+        axes_m = np.array([(self.arm_m * r.forward, self.arm_m * r.right) for r in rotors(self)])
+        over_m, least = self.feet.below_m + self.rotors_above_m, math.inf
+        for way in np.linspace(0.0, math.tau, 72, endpoint=False):
+            u = np.array([math.cos(way), math.sin(way)])
+            edge_m = float((feet_m @ u).max())
+            beyond_m = float((axes_m @ u).max()) + self.rotor_radius_m - edge_m
+            falls = math.atan2(edge_m, self.feet.below_m)
+            least = min(least, falls, math.atan2(over_m, beyond_m) if beyond_m > 0.0 else falls)
+        return math.degrees(least)
+
 
 @dataclass(slots=True)
 class StickLimits:
@@ -187,13 +199,13 @@ class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     The defaults: a foot strikes at twice the rate of ArduPilot's own landing (LAND_SPEED 0.5 m/s), which is a drop from 5 cm;
     along the deck at under a third of the speed at which the slimmest shipped vehicle tips over a foot that catches (1.7 m/s, by
-    the energy of its turn about the foot); tilted by half of the 39 degrees at which that one falls over (FAA-H-8083-21B,
-    chapter 11, warns of rolling over about a skid from 15 degrees on, and with thrust earlier).
+    the energy of its turn about the foot); tilted to 5 degrees (assumed: feet give, and the deck turns until all feet stand) before
+    it falls over or a rotor touches (`Airframe.falls_deg`).
     """
 
     into_deck_max_m_s: Annotated[float, number("speed of a foot into the deck", "m/s", 0.1, 5.0)] = 1.0
     along_deck_max_m_s: Annotated[float, number("speed along the deck", "m/s", 0.1, 5.0)] = 0.5
-    tilt_max_deg: Annotated[float, number("tilt against the deck", "deg", 1.0, 60.0)] = 19.0
+    tilt_max_deg: Annotated[float, number("tilt against the deck; by feet and rotors without it", "deg", 1.0, 60.0)] | None = None
 
 
 class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):

@@ -15,6 +15,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.orders import StickPositions
 from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.settings.guidance import GuidanceOptions, PidOptions
+from companion.settings.load import SHIPPED
 from companion.settings.load import load as load_settings
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, ComWdg, Pcmd, Ref
 from estimator.contracts.estimates import Verdict
@@ -26,12 +27,14 @@ from sitl.flight.hands import Asks, Wire, of_at
 from sitl.flight.referee import Errand, Referee, limits_of, unsafe_contacts
 from sitl.flight.sight import SightWatch
 from sitl.scenario.scenario import load
-from sitl.vehicle.airframe import ContactSettings, Feet
+from sitl.vehicle.airframe import ContactSettings
+from sitl.vehicle.airframe import load as load_vehicle
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Touchdown, Truth
 
 START = MonoNs(0)
-FEET, CONTACT, RADIUS_M = Feet(half_base_m=0.12, below_m=0.1, top_m=0.08), ContactSettings(), 0.39
+FRAME, CONTACT, RADIUS_M = load_vehicle(SHIPPED / "vehicles/quad_1_5kg.toml").airframe(), ContactSettings(), 0.39
+FEET = FRAME.feet
 ERRAND = Errand(highest_m=7.0, farthest_m=5.0, fastest_m_s=1.5, unreached_m=(1.7, 2.0), battery_life_s=1000.0)
 FLIES, LANDS, LANDED, CUT = VehiclePhase.FLYING, VehiclePhase.LANDING, VehiclePhase.LANDED, VehiclePhase.EMERGENCY
 STARTS = VehiclePhase.TAKING_OFF
@@ -73,7 +76,7 @@ class Step:
 
 def judged(steps: list[Step], errand: Errand = ERRAND, **world: Any) -> Referee:
     """Return a referee that saw all steps."""
-    referee = Referee(START, errand, CONTACT, FEET, RADIUS_M)
+    referee = Referee(START, errand, CONTACT, FRAME, RADIUS_M)
     for step in steps:
         at = after(START, step.at_s)
         for act, sticks in step.acts:
@@ -112,14 +115,14 @@ def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
 
 
 HOLD = (("hold", StickPositions()),)
-TIPS = FEET.tips_over_deg
+TIPS = FRAME.falls_deg
 DROP_M = CONTACT.into_deck_max_m_s**2 / (2 * 9.80665)
 EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "in_water": (lambda n: contact(surface="water") if n else [Step(0.0)], 0, 1),
     "off_pad": (lambda n: contact(surface="deck", over_rim_m=0.02) if n else contact(), 0, 1),
     "into_deck_m_s": (lambda v: contact(foot_speed_m_s=v), 1.0, 1.01),
     "along_deck_m_s": (lambda v: contact(lateral_speed_m_s=v), 0.5, 0.51),
-    "contact_tilt_deg": (lambda tilt: contact(tilt_rad=math.radians(tilt)), 18.9, 19.1),
+    "contact_tilt_deg": (lambda tilt: contact(tilt_rad=math.radians(tilt)), TIPS - 5.1, TIPS - 4.9),
     "tipped_deg": (lambda tilt: [Step(0.0, 0.0, tilt_deg=tilt, phase=LANDED)], TIPS - 0.1, TIPS + 0.1),
     "bounces": (lambda n: bounced(round(n)), 2, 3),
     "motors_off_m": (lambda h: [Step(0.0, h), Step(0.05, h, phase=CUT)], DROP_M - 1e-3, DROP_M + 1e-3),
@@ -149,7 +152,7 @@ def test_each_count_is_safe_just_inside_its_limit_and_unsafe_just_outside(name: 
 
 
 def test_every_count_has_a_source_and_an_edge() -> None:
-    limits = limits_of(ERRAND, CONTACT, FEET)
+    limits = limits_of(ERRAND, CONTACT, FRAME.falls_deg)
     assert limits.keys() == EDGES.keys() | {"died", "flew_into"}, "those two are events that are handed in"
     assert all(limit.source for limit in limits.values())
     referee = judged([])
@@ -287,8 +290,8 @@ def test_a_contact_on_the_pad_within_its_limits_is_safe_whatever_the_phase() -> 
     strays = [touched(guidance_phase="descend"), touched(guidance_phase=None)]
     meant = [touched(), touched(guidance_phase=LANDING_FOR_PERSON), touched(guidance_phase=BY_HAND), still]
     assert outside_commit([*strays, *meant]) == 2
-    assert unsafe_contacts([*strays, *meant], CONTACT, FEET) == ()
-    assert unsafe_contacts([touched("deck", lateral_m=0.48, over_rim_m=0.21)] * 2, CONTACT, FEET) == (
+    assert unsafe_contacts([*strays, *meant], CONTACT, FRAME) == ()
+    assert unsafe_contacts([touched("deck", lateral_m=0.48, over_rim_m=0.21)] * 2, CONTACT, FRAME) == (
         "touched the deck 0.48 m from the pad's centre, a foot 0.21 m over the rim, 2 times so",
     )
 
@@ -396,7 +399,7 @@ def test_a_heaving_deck_under_a_hovering_vehicle_is_neither_a_descent_nor_a_clim
 )
 def test_a_flight_is_worth_what_its_scenario_expects(outcome, contacts, expect, worth):
     flown = [touched(surface) for surface in contacts]
-    assert grade(outcome, on_pad_m(flown), unsafe_contacts(flown, CONTACT, FEET), expect)[0] is worth
+    assert grade(outcome, on_pad_m(flown), unsafe_contacts(flown, CONTACT, FRAME), expect)[0] is worth
 
 
 def test_what_ends_a_flight_otherwise() -> None:

@@ -22,7 +22,7 @@ from sitl.scenario.scenario import Scenario, from_mapping, load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
 from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
-from sitl.vehicle.airframe import ContactSettings, Feet
+from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
 from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.logged_motion import read_log
 from sitl.world.stage import airframe, true_camera
@@ -190,7 +190,7 @@ FEET = Feet()
 
 
 def referee_of(highest_m: float) -> Referee:
-    return Referee(MonoNs(0), Errand(highest_m, 10.0, 2.0), ContactSettings(), FEET, 0.39)
+    return Referee(MonoNs(0), Errand(highest_m, 10.0, 2.0), ContactSettings(), Airframe(), 0.39)
 
 
 def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:

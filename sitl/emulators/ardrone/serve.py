@@ -110,7 +110,7 @@ def _result(world: World) -> dict[str, Any]:
         "surface": None if touched is None else touched.surface,
         "on_pad": touched is not None and touched.on_pad,
         "lateral_m": None if touched is None else round(touched.lateral_m, 4),
-        "unsafe": list(unsafe_contacts(truth.contacts, vehicle.contact, vehicle.airframe().feet)),
+        "unsafe": list(unsafe_contacts(truth.contacts, vehicle.contact, vehicle.airframe())),
         "left_alone": world.active("link_lost"),
     }
 
