@@ -199,8 +199,8 @@ class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     The defaults: a foot strikes at twice the rate of ArduPilot's own landing (LAND_SPEED 0.5 m/s), which is a drop from 5 cm;
     along the deck at under a third of the speed at which the slimmest shipped vehicle tips over a foot that catches (1.7 m/s, by
-    the energy of its turn about the foot); tilted to 5 degrees (assumed: feet give, and the deck turns until all feet stand) before
-    it falls over or a rotor touches (`Airframe.falls_deg`).
+    the energy of its turn about the foot); tilted to 5 degrees (assumed: feet give, and the deck turns) before it falls over or a
+    rotor touches (`Airframe.falls_deg`).
     """
 
     into_deck_max_m_s: Annotated[float, number("speed of a foot into the deck", "m/s", 0.1, 5.0)] = 1.0
