@@ -155,6 +155,8 @@ def test_every_count_has_a_source_and_an_edge() -> None:
     limits = limits_of(ERRAND, CONTACT, FRAME.falls_deg)
     assert limits.keys() == EDGES.keys() | {"died", "flew_into"}, "those two are events that are handed in"
     assert all(limit.source for limit in limits.values())
+    given = limits_of(ERRAND, ContactSettings(tilt_max_deg=15.0), FRAME.falls_deg)
+    assert given["contact_tilt_deg"].most == 15.0, "the vehicle's file"
     referee = judged([])
     referee.died("KeyError: 'x' (pilot.py:3)")
     referee.hit("flew into a bird, 0.20 m from its middle")
@@ -205,6 +207,8 @@ def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
     assert of_at([ComWdg()], START) is None
     assert of_at([UP, STILL], START) == Wire(START, Asks.HOVER)
     assert of_at([UP, GOES], START) == Wire(START, Asks.MOVE, StickPositions(0.2, 0.1, 0.3, 0.4))
+    full = of_at([UP, Pcmd(1, 1.5, 1.5, -1.5, -1.5)], START)
+    assert full == Wire(START, Asks.MOVE, StickPositions(-1.0, 1.0, -1.0, -1.0)), "more than full stick is full stick"
     assert of_at([Ref(REF_BASE), GOES], START) == Wire(START, Asks.LAND)
     assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == Wire(START, Asks.STOP)
 
@@ -245,7 +249,18 @@ def test_a_vehicle_that_is_flown_by_hand_goes_where_the_sticks_point() -> None:
         assert len(judged([act, Step(0.1, sent=(Wire(after(START, 0.1), Asks.MOVE, right),)), flown]).unsafe) == lines
 
 
+def test_a_held_vehicle_follows_the_deck_and_is_not_charged_for_what_it_did_alone() -> None:
+    held = [Step(0.0, acts=HOLD), Step(0.1)]
+    assert judged([*held, Step(1.0, deck_up=-1.0)]).hands.sank_m == 0.0
+    alone = [*held, Step(0.2, reached=False), Step(1.0, 2.0, reached=False), Step(1.1, 2.0)]
+    assert judged(alone).hands.sank_m == 0.0
+    assert judged([*alone, Step(2.0, 1.4)]).hands.sank_m == pytest.approx(0.6)
+    assert judged([*held, Step(0.2, acts=(("clear", StickPositions()),)), Step(1.0, 2.0)]).hands.sank_m == pytest.approx(1.0)
+
+
 def test_nothing_starts_that_nobody_ordered() -> None:
+    assert judged([Step(0.0, 0.0, phase=STARTS)]).unsafe == ("nobody ordered it: the motors started",)
+    assert judged([Step(1.0), Step(2.0, sent=(Wire(after(START, 2.0), Asks.MODE),))]).unsafe == (), "nobody has it but we"
     down, up = Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS)
     again = [Step(2.0), Step(3.0, 0.0, phase=LANDED), Step(4.0, 0.0, phase=STARTS)]
     begins = ERRAND._replace(takes_off=True)
