@@ -83,7 +83,7 @@ HAZARDS = {
         "L1 L2",
         "a velocity leads out of the fence, above the height limit, or climbs without end by a lying sensor",
         "Fence, heights and time budgets bound every velocity of guidance and of people, and never make the drone descend.",
-        "`python -m benches.dangers`",
+        "`decklander campaign thirty_faults`",
     ),
     "H8": Hazard(
         "Somebody else's vehicle is commanded, or somebody else commands",

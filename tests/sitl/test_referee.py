@@ -157,6 +157,8 @@ def test_every_count_has_a_source_and_an_edge() -> None:
     assert all(limit.source for limit in limits.values())
     given = limits_of(ERRAND, ContactSettings(tilt_max_deg=15.0), FRAME.falls_deg)
     assert given["contact_tilt_deg"].most == 15.0, "the vehicle's file"
+    hard = limits_of(ERRAND, ContactSettings(into_deck_max_m_s=2.0), FRAME.falls_deg)["motors_off_m"]
+    assert hard.most == pytest.approx(4.0 * DROP_M)
     referee = judged([])
     referee.died("KeyError: 'x' (pilot.py:3)")
     referee.hit("flew into a bird, 0.20 m from its middle")
