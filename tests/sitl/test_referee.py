@@ -162,11 +162,17 @@ def test_every_count_has_a_source_and_an_edge() -> None:
     referee = judged([])
     referee.died("KeyError: 'x' (pilot.py:3)")
     referee.hit("flew into a bird, 0.20 m from its middle")
+    assert referee.counts["flew_into"].over
     referee.hit("touched a vest on the pad, 0.01 m from its middle")
     assert referee.unsafe == (
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "flew into a bird, 0.20 m from its middle; touched a vest on the pad, 0.01 m from its middle",
     )
+
+
+def test_the_worst_of_a_flight_stays_with_its_words() -> None:
+    strikes = (touched(where, 0.1 * n, foot_speed_m_s=v) for n, (v, where) in enumerate(((1.3, "pad"), (1.2, "deck"))))
+    assert unsafe_contacts(tuple(strikes), CONTACT, FRAME)[-1] == "a foot struck the pad at 1.30 m/s, where 1 m/s is the most"
 
 
 @pytest.mark.parametrize("name", ["on_deck_s", "low_outside_s", "away_m", "fast_m_s", "high_m", "ending_battery"])
