@@ -168,9 +168,8 @@ def moment_of(truth: Truth, feet: Feet) -> Moment:
     d = R_ned_pad.T @ (truth.p_body_ned - truth.p_pad_ned)
     clearance_m = -float((d + feet.corners_m @ R.T)[:, 2].max())
     top_m = -float(d[2] - feet.top_m * R[2, 2])
-    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(R[2, 2])))))
-    motors = truth.phase in MOTORS_TURN
-    return Moment(clearance_m, min(clearance_m, top_m), math.hypot(d[0], d[1]), tilt_deg, motors)
+    tilt_deg = math.degrees(math.atan2(math.hypot(R[0, 2], R[1, 2]), R[2, 2]))
+    return Moment(clearance_m, min(clearance_m, top_m), math.hypot(d[0], d[1]), tilt_deg, truth.phase in MOTORS_TURN)
 
 
 class UnreachedContacts:

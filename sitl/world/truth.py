@@ -78,7 +78,7 @@ def touchdown_of(
         motors=motors,
         guidance_phase=guidance_phase,
         centre_on_pad=vehicle.touched_what != SEA and lateral_m <= disc_radius_m,
-        tilt_rad=math.acos(min(1.0, float(R[2, 2]))),
+        tilt_rad=math.atan2(math.hypot(R[0, 2], R[1, 2]), R[2, 2]),
         over_rim_m=over_rim_m,
         foot_speed_m_s=float((v + np.cross(w, arms))[touching, 2].max()),
     )

@@ -24,7 +24,7 @@ from estimator.contracts.time import MonoNs, after
 from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
 from sitl.flight.hands import Asks, Wire, of_at
-from sitl.flight.referee import Errand, Referee, limits_of, unsafe_contacts
+from sitl.flight.referee import Errand, Referee, limits_of, moment_of, unsafe_contacts
 from sitl.flight.sight import SightWatch
 from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import ContactSettings
@@ -168,6 +168,19 @@ def test_every_count_has_a_source_and_an_edge() -> None:
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "flew into a bird, 0.20 m from its middle; touched a vest on the pad, 0.01 m from its middle",
     )
+
+
+def test_a_moment_is_that_of_feet_and_hull_in_the_pads_frame() -> None:
+    turned, upset = Rotation.from_rpy(0.0, 0.0, 0.7), Rotation.from_rpy(math.radians(170.0), 0.0, 0.0)
+    at = turned.matrix @ np.array([0.3, 0.4, -1.0])
+    lies = replace(Step(0.0, phase=LANDED).truth(), p_body_ned=at, R_ned_body=turned @ upset, R_ned_pad=turned)
+    moment = moment_of(lies, FEET)
+    c, s = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
+    assert moment.clearance_m == pytest.approx(1.0 + c * FEET.below_m - s * FEET.half_base_m)
+    assert moment.lowest_m == pytest.approx(1.0 - c * FEET.top_m)
+    assert (moment.aside_m, moment.tilt_deg, moment.motors) == (pytest.approx(0.5), pytest.approx(170.0), False)
+    upright = moment_of(Step(0.0, 0.2, tilt_deg=20.0).truth(), FEET)
+    assert (upright.clearance_m, upright.lowest_m) == (pytest.approx(0.2), pytest.approx(0.2))
 
 
 def test_the_worst_of_a_flight_stays_with_its_words() -> None:
