@@ -5,7 +5,7 @@ that it was refused for, over a ship that goes on.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,8 @@ class Aftermath:
     """Unsafe events after the outcome, one line each."""
     at_most_m: float = -math.inf
     """Highest height over the pad of the whole flight, as the referee measures it."""
+    counts: dict[str, list[float]] = field(default_factory=dict)
+    """What the referee counted in the whole flight."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""
@@ -174,4 +176,5 @@ class AftermathWatch:
             water,
             tuple(f"{self._outcome}, and then {count.in_words()}" for count in over.values()),
             self._referee.highest_m,
+            self._referee.as_json(),
         )

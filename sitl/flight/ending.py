@@ -162,7 +162,7 @@ class Ending:
         judged = None if self.judged is None else replace(self.judged, cpu_s=cpu_s)
         unsafe = () if aftermath is None else aftermath.unsafe
         if judged is not None and aftermath is not None and math.isfinite(aftermath.at_most_m):
-            judged = replace(judged, highest_m=round(aftermath.at_most_m, 3))
+            judged = replace(judged, highest_m=round(aftermath.at_most_m, 3), counts=aftermath.counts)
         if judged is not None and unsafe:
             judged = replace(
                 judged, grade="failed", because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)

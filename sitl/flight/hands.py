@@ -12,8 +12,6 @@ from sitl.world.truth import Truth
 
 MOTORS_TURN = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 """Phases of a vehicle in which its motors turn."""
-_CENTRED = 0.02
-"""A stick below this fraction commands nothing."""
 STAYS_UP = ("hold", "abort")
 HANDS_ON = ("manual", "land", "emergency")
 """Acts after which the flight is the person's, until he gives it back."""
@@ -36,8 +34,6 @@ class Wire(NamedTuple):
 
     at: MonoNs
     asks: Asks
-    sticks: StickPositions = CENTRED
-    """Of MOVE: forward, right, up, clockwise, as fractions of the most, or with the signs of a velocity."""
 
 
 def of_at(commands: Iterable[AtCommand], at: MonoNs) -> Wire | None:
@@ -50,10 +46,7 @@ def of_at(commands: Iterable[AtCommand], at: MonoNs) -> Wire | None:
         return Wire(at, Asks.LAND)
     if not sticks:
         return None
-    p = sticks[-1]
-    if not p.flags & PCMD_PROGRESSIVE:
-        return Wire(at, Asks.HOVER)
-    return Wire(at, Asks.MOVE, StickPositions(*(max(-1.0, min(1.0, x)) for x in (-p.pitch, p.roll, p.gaz, p.yaw))))
+    return Wire(at, Asks.MOVE if sticks[-1].flags & PCMD_PROGRESSIVE else Asks.HOVER)
 
 
 class HandsWatch:
@@ -75,12 +68,12 @@ class HandsWatch:
         self.act: str | None = None
         """The newest act that stands."""
         self._since = MonoNs(0)
-        self._sticks = CENTRED
         self._answered = True
         self._may_start = takes_off
         self._motors = False
         self.sank_m = 0.0
-        """Largest descent after an act that holds the vehicle in place, against the deck or over the ground, the smaller."""
+        """Largest descent after an act that keeps the vehicle up, against the deck or over the ground, the smaller."""
+        self._stays_up = False
         self._held_at_m: tuple[float, float] | None = None
 
     @property
@@ -93,7 +86,8 @@ class HandsWatch:
         if act in GIVES_BACK:
             self.act, self._may_start = None, True
         elif act in (*STAYS_UP, *HANDS_ON, "mode", "disarm"):
-            self.act, self._since, self._sticks, self._answered = act, at, sticks, False
+            self.act, self._since, self._answered = act, at, False
+            self._stays_up = act in STAYS_UP or (act == "manual" and sticks.climb >= 0.0)
             self._may_start, self._held_at_m = False, None
 
     def sent(self, wire: Wire) -> None:
@@ -125,7 +119,7 @@ class HandsWatch:
         if self.act is not None and not self._answered:
             self._note(truth.at, "nothing that obeys")
         at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
-        if self.act not in STAYS_UP or not motors or not reached:
+        if self.act is None or not self._stays_up or not motors or not reached:
             self._held_at_m = None
         else:
             self._held_at_m = self._held_at_m or at_m
@@ -145,10 +139,9 @@ class HandsWatch:
                 return wire.asks is Asks.STOP
             case "land":
                 return wire.asks is Asks.LAND
-            case "manual":
-                return wire.asks in (Asks.HOVER, Asks.MOVE) and _with(self._sticks, wire.sticks)
-            case "hold" | "abort":
-                return wire.asks in (Asks.HOVER, Asks.MOVE)  # over a deck its place is held by moving
+            case "manual" | "hold" | "abort":
+                # A place over a deck is held by moving, and a velocity flown by tilts either way: `step` sees what comes of it.
+                return wire.asks in (Asks.HOVER, Asks.MOVE)
         return wire.asks not in (Asks.MODE, Asks.ARM)
 
 
@@ -158,9 +151,3 @@ def descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
     Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
     """
     return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
-
-
-def _with(person: StickPositions, sent: StickPositions) -> bool:
-    """Return whether what is sent goes where the person's sticks point; centred ones say nothing."""
-    pairs = [(getattr(person, name), getattr(sent, name)) for name in ("forward", "right", "climb", "turn")]
-    return all(abs(asked) < _CENTRED or asked * got > 0.0 for asked, got in pairs)

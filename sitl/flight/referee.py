@@ -119,7 +119,7 @@ def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dic
             0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
         ),
         "disobeyed_s": Limit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
-        "held_sank_m": Limit(0.5, "a person held it, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"),
+        "held_sank_m": Limit(0.5, "a person kept it up, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"),
         "unordered": Limit(0, "nobody ordered it: {what}", "the person's hand wins"),
         "flew_into": Limit(0, "{what}", "the thing is hit"),
     }  # fmt: skip
