@@ -183,6 +183,15 @@ def test_a_moment_is_that_of_feet_and_hull_in_the_pads_frame() -> None:
     assert (upright.clearance_m, upright.lowest_m) == (pytest.approx(0.2), pytest.approx(0.2))
 
 
+def test_standing_counts_each_stay_and_flying_low_all_of_them() -> None:
+    def twice(seconds: float, **of: Any) -> list[Step]:
+        stay = holds(seconds, **of)
+        return [*stay, *(replace_step(step, at_s=step.at_s + seconds + 1.0) for step in stay)]
+
+    assert judged(twice(2.0, clearance=0.0)).counts["on_deck_s"].value == pytest.approx(2.0)
+    assert judged(twice(2.0, clearance=0.9, aside=0.5)).counts["low_outside_s"].value == pytest.approx(4.0)
+
+
 def test_the_worst_of_a_flight_stays_with_its_words() -> None:
     strikes = (touched(where, 0.1 * n, foot_speed_m_s=v) for n, (v, where) in enumerate(((1.3, "pad"), (1.2, "deck"))))
     assert unsafe_contacts(tuple(strikes), CONTACT, FRAME)[-1] == "a foot struck the pad at 1.30 m/s, where 1 m/s is the most"
