@@ -167,17 +167,17 @@ def _one(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> AnyFau
         case "low_battery":
             return LowBattery(fraction=_short(rng.uniform(0.02, 0.15)), **begins)
         case "gust":
-            blows = {"speed_m_s": _short(rng.uniform(3.0, 9.0)), "from_deg": float(rng.integers(360))}
+            blows: dict[str, Any] = {"speed_m_s": _short(rng.uniform(3.0, 9.0)), "from_deg": float(rng.integers(360))}
             return Gust(for_s=_for(rng, 1.0, 5.0), **blows, **begins)
     return _corrupted(rng, there.signals, begins)
 
 
 def _act(rng: Rng, begins: dict[str, Any]) -> OperatorActs:
     """Return what a person does: he gives the vehicle back after a time, or it stays his."""
-    order = _pick(rng, ("hold", "hold", "manual", "manual", "abort", "land", "emergency", "begin"))
+    order: Any = _pick(rng, ("hold", "hold", "manual", "manual", "abort", "land", "emergency", "begin"))
     if order in ("hold", "manual"):
         for_s = None if rng.random() < _FOR_GOOD else _for(rng, 0.3, 10.0)
-        sticks = {}
+        sticks: dict[str, Any] = {}
         if order == "manual":
             sticks = {name: _short(rng.uniform(-0.3, 0.3)) for name in ("forward", "right", "turn")}
             sticks["climb"] = _short(rng.uniform(-0.1, 0.4))
