@@ -108,7 +108,7 @@ def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dic
             "the length of a small ship, within which a person sees and reaches it",
         ),
         "fast_m_s": Limit(
-            errand.fastest_m_s + 3.0, "flew at {value:.1f} m/s against the ship, where {most:.1f} m/s are the most",
+            errand.fastest_m_s + 3.0, "flew at {value:.1f} m/s, where {most:.1f} m/s are the most",
             "a gust of three standard deviations of a Beaufort 6",
         ),
         "high_m": Limit(
@@ -221,6 +221,8 @@ class Referee:
         self._errand, self._feet, self._disc_radius_m = errand, frame.feet, disc_radius_m
         self._contacts = self._bounced = 0
         self._crest_m = -math.inf
+        self._left_ned: tuple[float, float] | None = None
+        """Place in which it was last as near to the pad as the flight calls for, m north and east."""
         self._at, self._before = start, Moment(math.inf, math.inf, 0.0, 0.0, motors=False)
         self._was_standing = self._was_low = self._was_ending = False
         self._stood_s = self._low_s = self._flown_s = 0.0
@@ -313,9 +315,13 @@ class Referee:
 
     def _way(self, truth: Truth) -> None:
         """Count where and how fast the vehicle flies."""
-        d, v = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned
-        self.counts["away_m"].note(math.hypot(d[0], d[1]))
-        self.counts["fast_m_s"].note(math.hypot(v[0], v[1]))
+        d, v, p = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned, truth.p_body_ned
+        away_m, farthest_m = math.hypot(d[0], d[1]), self._errand.farthest_m
+        if away_m <= farthest_m or self._left_ned is None:
+            self._left_ned = float(p[0]), float(p[1])
+        # A ship that goes on leaves a vehicle behind that hovers over the ground: that is neither a flight away nor a speed.
+        self.counts["away_m"].note(min(away_m, farthest_m + math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])))
+        self.counts["fast_m_s"].note(min(math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())))
         # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
         self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
         self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)

@@ -60,14 +60,17 @@ class Step:
     acts: tuple[tuple[str, StickPositions], ...] = ()
     sent: tuple[Wire, ...] = field(default=())
 
+    ship: float = 0.0
+    """Way that the ship has gone ahead, and its speed."""
+
     def truth(self, yaw_rad: float = 0.0, at_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
         """Return the true state, with the whole world turned and moved."""
         turned = Rotation.from_rpy(0.0, 0.0, yaw_rad)
         R = turned @ Rotation.from_rpy(math.radians(self.tilt_deg), 0.0, 0.0)
         lowest = float((R.matrix @ FEET.corners_m.T)[2].max())
-        pad = np.array([0.0, 0.0, -self.deck_up]) + at_ned
+        pad = turned.matrix @ np.array([self.ship, 0.0, -self.deck_up]) + at_ned
         body = pad + turned.matrix @ np.array([self.aside, 0.0, -self.clearance - lowest])
-        v_pad = np.array([0.0, 0.0, self.deck_falls])
+        v_pad = turned.matrix @ np.array([self.ship, 0.0, self.deck_falls])
         return Truth(
             after(START, self.at_s), body, turned.matrix @ np.array(self.v), R, pad, v_pad, turned, self.phase,
             self.contacts[-1] if self.contacts else None, self.contacts, battery=self.battery,
@@ -128,7 +131,7 @@ EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "motors_off_m": (lambda h: [Step(0.0, h), Step(0.05, h, phase=CUT)], DROP_M - 1e-3, DROP_M + 1e-3),
     "on_deck_s": (lambda s: holds(s, clearance=0.0, aside=0.1), 3.0, 3.25),
     "low_outside_s": (lambda s: holds(s, clearance=0.9, aside=RADIUS_M + 0.01), 5.0, 5.25),
-    "away_m": (lambda d: [Step(0.0, aside=d)], 24.9, 25.1),
+    "away_m": (lambda d: [Step(0.0, aside=5.0), Step(1.0, aside=d)], 24.9, 25.1),
     "fast_m_s": (lambda v: [Step(0.0, v=(0.0, v, 0.0))], 4.5, 4.6),
     "high_m": (lambda h: [Step(0.0, h - FEET.below_m)], 9.99, 10.01),
     "ending_battery": (lambda s: holds(s, battery=0.05), 25.0, 25.25),
@@ -181,6 +184,16 @@ def test_a_moment_is_that_of_feet_and_hull_in_the_pads_frame() -> None:
     assert (moment.aside_m, moment.tilt_deg, moment.motors) == (pytest.approx(0.5), pytest.approx(170.0), False)
     upright = moment_of(Step(0.0, 0.2, tilt_deg=20.0).truth(), FEET)
     assert (upright.clearance_m, upright.lowest_m) == (pytest.approx(0.2), pytest.approx(0.2))
+
+
+def test_a_ship_that_goes_on_leaves_a_vehicle_that_hovers_over_the_ground() -> None:
+    left = [Step(0.0), Step(1.0, aside=-90.0, ship=90.0)]
+    assert judged(left).unsafe == ()
+    assert judged([*left, Step(2.0, aside=-90.0 - 21.0, ship=90.0)]).unsafe == (
+        "flew 26 m away from the pad, where 25 m are the most",
+    )
+    with_her = Step(1.0, ship=90.0, v=(90.0, 0.0, 0.0))
+    assert judged([Step(0.0), with_her]).unsafe == (), "nor is one that goes with her fast"
 
 
 def test_standing_counts_each_stay_and_flying_low_all_of_them() -> None:
