@@ -269,7 +269,7 @@ def _vertical(
 
 
 class Unmeasured(Struct, frozen=True, eq=False):
-    """What flies a vehicle while its measured velocity is refused."""
+    """Tilt and turn that are flown while the measured velocity is refused."""
 
     trim_level: F64
     """Acceleration that holds against the wind, (2,) m/s^2 forward and right."""

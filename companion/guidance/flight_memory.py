@@ -1,4 +1,4 @@
-"""What a service knows of its flight, for the service that comes after it in the air if it dies.
+"""Keep the state of a flight for the service that takes over in the air if this one dies.
 
 A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
 the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; a hold or
@@ -31,7 +31,7 @@ class FlightMemory(Struct, frozen=True):
     """The state of a flight at an instant."""
 
     at: MonoNs
-    """By a clock that outlives the service."""
+    """Instant by a clock that outlives the service."""
     state: str
     """Name of the mission's state."""
     begun: bool

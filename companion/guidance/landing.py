@@ -213,9 +213,9 @@ class LandingGuidance:
         self._response = ResponseIdentifier(tilt, guidance)
         self._changes: list[StateChange] = []
         self.before: FlightMemory | None = None
-        """What a service before this one knew of the flight, until a vehicle is found in the air."""
+        """The flight's state as the service before this one left it, until a vehicle is found in the air."""
         self.memory: FlightMemory | None = None
-        """What the one after this needs to know; None before the first guidance cycle."""
+        """The flight's state for the service after this one; None before the first guidance cycle."""
         self.vehicle: VehicleStatus | None = None
         """The vehicle's latest status; None before the first."""
         self._now = MonoNs(0)

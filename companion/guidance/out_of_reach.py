@@ -90,7 +90,7 @@ def low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
 def climb_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return how fast a drone without sight climbs against the deck, m/s; 0 where it is not low.
 
-    A deck of which nothing is known may rise as fast as a drone can climb.
+    A deck whose motion is unknown may rise as fast as a drone can climb.
     """
     if not low(p, s, o):
         return 0.0

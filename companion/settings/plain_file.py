@@ -59,5 +59,5 @@ def unzipped(path: Path, largest: int, wanted: Callable[[str], bool] = lambda _:
             if any(entry.compress_type not in _PACKINGS for entry in entries):
                 raise ValueError("a packing that is neither stored nor deflated")
             return {entry.filename: archive.read(entry) for entry in entries}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError) as why:
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as why:
         raise ValueError(str(why) or type(why).__name__) from why

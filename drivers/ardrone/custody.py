@@ -1,4 +1,4 @@
-"""Who has the AR.Drone, and so what REF it is sent: one table of states and events. No I/O.
+"""The AR.Drone's custody, which decides the REF that it is sent: one table of states and events. No I/O.
 
 The drone is its own autopilot, and REF has two bits. With `REF_TAKE_OFF` a drone on the ground takes off, one that lands stays up
 and one that flies flies on; without it a flying drone lands. A rising `REF_EMERGENCY` toggles: it cuts the motors, or leaves the

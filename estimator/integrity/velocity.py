@@ -3,7 +3,7 @@
 A velocity that lies is dangerous where a loop is closed on it: one of the wrong sign is flown away from at full tilt. So what is
 compared are changes within two seconds, as a vehicle that begins to fly away makes them: the velocity and the integral, each
 less its mean. A surface that moves below a flow sensor makes neither a large difference nor a wrong sign: in clean flights up to
-weather_5 the difference is 0.5 m/s, a root mean square, at most. A leap of the velocity alone begins the comparison anew: below
+weather_5 the difference is 0.5 m/s, a root mean square, at most. A leap of the velocity alone begins the comparison again: below
 the vehicle the deck has ended and the water begun.
 
 In sight of the pad its sightings decide who of both is right. Out of sight nobody does, and the velocity is not flown by.
@@ -23,7 +23,7 @@ _LEAP_M_S = 0.8
 _APART_M_S, _SHARE, _SWINGS_M_S = 0.6, 0.25, 0.25
 """Difference, a root mean square; largest share of the integral's swing that the velocity has; and least swing that shows it."""
 _AGAINST_M_S, _AGAINST_SHARE, _AGAINST_SWINGS_M_S = 0.45, -0.4, 0.2
-"""The same where the velocity swings against the integral."""
+"""Limits where the velocity swings against the integral."""
 _WELL_M_S, _WELL_SHARE = 0.35, 0.5
 _SEEN_M, _SEEN_SHARE = 0.08, 0.4
 """Least way against the pad, a root mean square, that shows something, and the share of it from which the velocity is right."""

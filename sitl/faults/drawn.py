@@ -76,7 +76,7 @@ SIZES: dict[Signal, Sizes] = {
 
 
 class Drawable(NamedTuple):
-    """What a flight has that faults may be drawn for."""
+    """The parts of a flight that faults may be drawn for."""
 
     signals: Sequence[Signal]
     heights_m: tuple[float, float]
@@ -99,7 +99,7 @@ SHARES: Mapping[str, int] = {
     "low_battery": 1,
     "gust": 1,
 }
-"""How often each kind is drawn, against the others."""
+"""Weight of each kind in the draw."""
 _BAG = tuple(kind for kind, share in SHARES.items() for _ in range(share))
 NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
     CommandStream: {"dropped_fraction": 0.0, "delay_s": 0.0},
@@ -114,7 +114,7 @@ NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
 
 
 def draw(seed: int, there: Drawable) -> tuple[AnyFault, ...]:
-    """Return the faults of a seed: one, or two of different kinds, half of which begin together."""
+    """Return the faults of a seed: one, or two of different kinds. Half of the pairs begin together."""
     rng = np.random.default_rng([seed, _STREAM])
     kinds = [_pick(rng, _BAG)]
     while len(kinds) == 1 and rng.random() < _PAIRS:

@@ -82,7 +82,7 @@ class Aftermath:
     at_most_m: float = -math.inf
     """Highest height over the pad of the whole flight, as the referee measures it."""
     counts: dict[str, list[float]] = field(default_factory=dict)
-    """What the referee counted in the whole flight."""
+    """Counts of the referee over the whole flight."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""

@@ -116,7 +116,7 @@ class FlightGrade:
     named: tuple[tuple[str, float], ...] = ()
     """Untrusted sensors in words, each with the time in s; see `FlightResult`."""
     counts: Mapping[str, list[float]] = field(default_factory=dict)
-    """What the referee counted, each beside its limit."""
+    """Counts of the referee, each beside its limit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,7 @@ class FlightResult:
     named: tuple[tuple[str, float], ...] = ()
     """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
     counts: dict[str, list[float]] = field(default_factory=dict)
-    """What the referee counted, each beside its limit."""
+    """Counts of the referee, each beside its limit."""
 
     @property
     def landed_on_pad(self) -> bool:

@@ -19,7 +19,7 @@ GIVES_BACK = ("begin", "release", "takeoff", "reset")
 
 
 class Asks(Enum):
-    """What a packet asks of the vehicle."""
+    """The action that a packet requests of the vehicle."""
 
     HOVER = "hover"
     MOVE = "move"
@@ -29,24 +29,24 @@ class Asks(Enum):
     ARM = "arm"
 
 
-class Wire(NamedTuple):
+class SentPacket(NamedTuple):
     """One packet that was sent to the vehicle, whether it arrives or not."""
 
     at: MonoNs
     asks: Asks
 
 
-def of_at(commands: Iterable[AtCommand], at: MonoNs) -> Wire | None:
+def of_at(commands: Iterable[AtCommand], at: MonoNs) -> SentPacket | None:
     """Return what a datagram of AT commands asks; None where it steers nothing."""
     words = [command for command in commands if isinstance(command, Ref)]
     sticks = [command for command in commands if isinstance(command, Pcmd)]
     if any(word.emergency for word in words):
-        return Wire(at, Asks.STOP)
+        return SentPacket(at, Asks.STOP)
     if words and not words[-1].take_off:
-        return Wire(at, Asks.LAND)
+        return SentPacket(at, Asks.LAND)
     if not sticks:
         return None
-    return Wire(at, Asks.MOVE if sticks[-1].flags & PCMD_PROGRESSIVE else Asks.HOVER)
+    return SentPacket(at, Asks.MOVE if sticks[-1].flags & PCMD_PROGRESSIVE else Asks.HOVER)
 
 
 class HandsWatch:
@@ -62,9 +62,9 @@ class HandsWatch:
         self.late_s = 0.0
         """Longest time after an act at which the vehicle was still sent something else, or nothing."""
         self.disobeyed = ""
-        """That act, and what was sent."""
+        """The act that was not obeyed, and the packet that was sent."""
         self.unordered: list[str] = []
-        """What started although nobody had ordered it."""
+        """Starts that nobody had ordered."""
         self.act: str | None = None
         """The newest act that stands."""
         self._since = MonoNs(0)
@@ -90,7 +90,7 @@ class HandsWatch:
             self._stays_up = act in STAYS_UP or (act == "manual" and sticks.climb >= 0.0)
             self._may_start, self._held_at_m = False, None
 
-    def sent(self, wire: Wire) -> None:
+    def sent(self, wire: SentPacket) -> None:
         """Note a packet; call it in order of time."""
         if self.act is None:
             return
@@ -133,7 +133,7 @@ class HandsWatch:
         elif late_s > self.late_s:
             self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {asks}"
 
-    def _agrees(self, act: str, wire: Wire) -> bool:
+    def _agrees(self, act: str, wire: SentPacket) -> bool:
         match act:
             case "emergency":
                 return wire.asks is Asks.STOP

@@ -36,7 +36,7 @@ _CLIMB_OUT_S = 1.0
 
 
 class Errand(NamedTuple):
-    """What a flight calls for, as figures of its scenario and of the way that is ordered; the margins are the limits'."""
+    """Figures that a flight calls for, by its scenario and the ordered way; the margins are those of the limits."""
 
     highest_m: float
     """Highest height over the pad at its highest."""
@@ -53,7 +53,7 @@ class Errand(NamedTuple):
     """Flight time of a full battery."""
 
 
-class Limit(NamedTuple):
+class CountLimit(NamedTuple):
     """The most that a count may be."""
 
     most: float
@@ -62,66 +62,72 @@ class Limit(NamedTuple):
     source: str
 
 
-def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dict[str, Limit]:
+def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dict[str, CountLimit]:
     """Return the limit of each count."""
     c = contact
     tilt_deg = falls_deg - _TILT_MARGIN_DEG if c.tilt_max_deg is None else c.tilt_max_deg
     drop_m = c.into_deck_max_m_s**2 / (2.0 * G_M_S2)
     return {
-        "died": Limit(0, "the service died in flight: {why}", "nobody flies then"),
-        "blind_m": Limit(
+        "died": CountLimit(0, "the service died in flight: {why}", "nobody flies then"),
+        "blind_m": CountLimit(
             0.5, "came down {value:.2f} m, to {lowest:.2f} m over the deck, without true sight of the pad for {blind:.1f} s",
             "what wind and the vehicle's own landing cause",
         ),
-        "unreached_m": Limit(
+        "unreached_m": CountLimit(
             errand.unreached_m[0], "came down {value:.2f} m while nothing reached it",
             "the fastest way down until the vehicle's own timeout, and 0.3 m to stop",
         ),
-        "in_water": Limit(0, "in the water, {lateral:.2f} m from the pad's centre", "it is lost"),
-        "off_pad": Limit(
+        "in_water": CountLimit(0, "in the water, {lateral:.2f} m from the pad's centre", "it is lost"),
+        "off_pad": CountLimit(
             0, "touched the deck {lateral:.2f} m from the pad's centre, a foot {over:.2f} m over the rim, {value:.0f} times so",
             "people and things stand beside a pad",
         ),
-        "into_deck_m_s": Limit(
+        "into_deck_m_s": CountLimit(
             c.into_deck_max_m_s, "a foot struck the {surface} at {value:.2f} m/s, where {most:g} m/s is the most",
             "the vehicle's file",
         ),
-        "along_deck_m_s": Limit(c.along_deck_max_m_s, "touched the {surface} at {value:.2f} m/s along it", "the vehicle's file"),
-        "contact_tilt_deg": Limit(
+        "along_deck_m_s": CountLimit(
+            c.along_deck_max_m_s, "touched the {surface} at {value:.2f} m/s along it", "the vehicle's file"
+        ),
+        "contact_tilt_deg": CountLimit(
             tilt_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:.0f} are the most",
             "the vehicle's file",
         ),
-        "tipped_deg": Limit(falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"),
-        "bounces": Limit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
-        "motors_off_m": Limit(
+        "tipped_deg": CountLimit(
+            falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"
+        ),
+        "bounces": CountLimit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
+        "motors_off_m": CountLimit(
             drop_m, "the motors stopped {value:.2f} m over the deck, where {most:.2f} m are the most",
             "the drop to the most speed into the deck",
         ),
-        "on_deck_s": Limit(
+        "on_deck_s": CountLimit(
             3.0, "stood on the deck for {value:.1f} s with turning motors", "several times what pressing on and a landing take"
         ),
-        "low_outside_s": Limit(
+        "low_outside_s": CountLimit(
             5.0, "flew lower than 1 m beside the pad for {value:.1f} s", "twice a climb of 1 m at 0.5 m/s, and as much to decide"
         ),
-        "away_m": Limit(
+        "away_m": CountLimit(
             errand.farthest_m + 20.0, "flew {value:.0f} m away from the pad, where {most:.0f} m are the most",
             "the length of a small ship, within which a person sees and reaches it",
         ),
-        "fast_m_s": Limit(
+        "fast_m_s": CountLimit(
             errand.fastest_m_s + 3.0, "flew at {value:.1f} m/s, where {most:.1f} m/s are the most",
             "a gust of three standard deviations of a Beaufort 6",
         ),
-        "high_m": Limit(
+        "high_m": CountLimit(
             errand.highest_m + 3.0, "flew {value:.1f} m high, where {called:.1f} m are the most that is called for",
             "gusts do not carry a vehicle there",
         ),
-        "ending_battery": Limit(
+        "ending_battery": CountLimit(
             0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
         ),
-        "disobeyed_s": Limit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
-        "held_sank_m": Limit(0.5, "a person kept it up, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"),
-        "unordered": Limit(0, "nobody ordered it: {what}", "the person's hand wins"),
-        "flew_into": Limit(0, "{what}", "the thing is hit"),
+        "disobeyed_s": CountLimit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
+        "held_sank_m": CountLimit(
+            0.5, "a person kept it up, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"
+        ),
+        "unordered": CountLimit(0, "nobody ordered it: {what}", "the person's hand wins"),
+        "flew_into": CountLimit(0, "{what}", "the thing is hit"),
     }  # fmt: skip
 
 
@@ -129,7 +135,7 @@ def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dic
 class Count:
     """One count of a flight."""
 
-    limit: Limit
+    limit: CountLimit
     value: float = 0.0
     facts: dict[str, object] = field(default_factory=dict)
 

@@ -195,7 +195,7 @@ class FeetSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What the vehicle bears at a contact with the deck.
+    """Loads that the vehicle bears at a contact with the deck.
 
     The defaults: a foot strikes at twice the rate of ArduPilot's own landing (LAND_SPEED 0.5 m/s), which is a drop from 5 cm;
     along the deck at under a third of the speed at which the slimmest shipped vehicle tips over a foot that catches (1.7 m/s, by

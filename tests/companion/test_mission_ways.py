@@ -109,7 +109,7 @@ def test_a_go_around_is_high_enough_by_sight() -> None:
     ],
 )  # fmt: skip
 def test_without_sight_it_is_high_enough_by_what_it_has_climbed(fields: dict[str, Any], needs_m: float) -> None:
-    """From where it was seen last, unless it was silent and may have come to the deck; a nearer range is believed."""
+    """It climbs from where it was seen last, unless it was silent and may have come to the deck; a nearer range is believed."""
     for more_m in (0.001, -0.001):
         p = memory(State.GO_AROUND, in_sight=False, climbed_m=needs_m + more_m, **fields)
         assert clear(p, cycle(), OPTIONS) is (more_m > 0.0)

@@ -1,4 +1,4 @@
-"""Who has the AR.Drone: the table, and random orders, reports and losses against a toy of the firmware."""
+"""The AR.Drone's custody: the table, and random orders, reports and losses against a toy of the firmware."""
 
 from collections import deque
 from collections.abc import Iterable

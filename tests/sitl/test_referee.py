@@ -23,7 +23,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
-from sitl.flight.hands import Asks, Wire, of_at
+from sitl.flight.hands import Asks, SentPacket, of_at
 from sitl.flight.referee import Errand, Referee, limits_of, moment_of, unsafe_contacts
 from sitl.flight.sight import SightWatch
 from sitl.scenario.scenario import load
@@ -58,7 +58,7 @@ class Step:
     seen: bool = True
     contacts: tuple[Touchdown, ...] = ()
     acts: tuple[tuple[str, StickPositions], ...] = ()
-    sent: tuple[Wire, ...] = field(default=())
+    sent: tuple[SentPacket, ...] = field(default=())
 
     ship: float = 0.0
     """Way that the ship has gone ahead, and its speed."""
@@ -114,7 +114,7 @@ def bounced(times: int, height: float = 0.2) -> list[Step]:
 def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
     """Return a flight in which the last packet of a kind that does not obey is sent this long after an act."""
     act_at = Step(1.0, acts=((act, StickPositions()),))
-    return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(Wire(after(START, 1.0 + sent_s), asks),))]
+    return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(SentPacket(after(START, 1.0 + sent_s), asks),))]
 
 
 HOLD = (("hold", StickPositions()),)
@@ -141,7 +141,7 @@ EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "blind_m": (lambda h: [Step(0.0), Step(1.5, seen=False), Step(1.6, 3.0 - h, seen=False)], 0.49, 0.51),
     "unreached_m": (lambda h: [Step(0.0), Step(0.5, reached=False), Step(0.6, 3.0 - h, reached=False)], 1.69, 1.71),
 }  # fmt: skip
-"""For each count a flight by its value, and values just inside and just outside the limit."""
+"""A flight by its value for each count, and values just inside and just outside the limit."""
 
 
 @pytest.mark.parametrize("name", EDGES)
@@ -230,7 +230,7 @@ NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "blind_m", "unreached_m", 
 def test_a_flight_that_a_person_has_is_his(name: str, act: str) -> None:
     flight, _, outside = EDGES[name]
     obeyed = {"manual": Asks.HOVER, "land": Asks.LAND, "emergency": Asks.STOP}[act]
-    first = Step(-0.1, acts=((act, StickPositions(climb=-0.5)),), sent=(Wire(START, obeyed),))
+    first = Step(-0.1, acts=((act, StickPositions(climb=-0.5)),), sent=(SentPacket(START, obeyed),))
     assert judged([first, *flight(outside)]).unsafe == ()
     assert len(judged([first, Step(-0.05, acts=(("begin", StickPositions()),)), *flight(outside)]).unsafe) == 1, "given back"
 
@@ -238,7 +238,7 @@ def test_a_flight_that_a_person_has_is_his(name: str, act: str) -> None:
 def test_a_cut_that_a_person_ordered_is_no_stop_of_ours_and_one_that_the_service_sends_is() -> None:
     cut = EDGES["motors_off_m"][0](3.0)
     assert judged(cut).unsafe == ("the motors stopped 3.00 m over the deck, where 0.05 m are the most",)
-    his = Step(-0.1, acts=(("emergency", StickPositions()),), sent=(Wire(START, Asks.STOP),))
+    his = Step(-0.1, acts=(("emergency", StickPositions()),), sent=(SentPacket(START, Asks.STOP),))
     assert judged([his, *cut]).unsafe == ()
 
 
@@ -248,10 +248,10 @@ UP = Ref(REF_BASE | REF_TAKE_OFF)
 
 def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
     assert of_at([ComWdg()], START) is None
-    assert of_at([UP, STILL], START) == Wire(START, Asks.HOVER)
-    assert of_at([UP, GOES], START) == Wire(START, Asks.MOVE)
-    assert of_at([Ref(REF_BASE), GOES], START) == Wire(START, Asks.LAND)
-    assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == Wire(START, Asks.STOP)
+    assert of_at([UP, STILL], START) == SentPacket(START, Asks.HOVER)
+    assert of_at([UP, GOES], START) == SentPacket(START, Asks.MOVE)
+    assert of_at([Ref(REF_BASE), GOES], START) == SentPacket(START, Asks.LAND)
+    assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == SentPacket(START, Asks.STOP)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_an_act_is_obeyed_by_what_it_means_from_a_third_of_a_second_on(act: str,
         assert judged(ordered(act, 0.29, asks)).unsafe == ()
         (line,) = judged(ordered(act, 5.0, asks)).unsafe
         assert line == f"a person ordered {act}, and was sent: {asks.value}, still 5.0 s later"
-    late = Step(6.0, sent=(Wire(after(START, 6.0), not_[0]),))
+    late = Step(6.0, sent=(SentPacket(after(START, 6.0), not_[0]),))
     assert len(judged([*ordered(act, 0.1, obeys[0]), late]).unsafe) == 1, "to the end"
 
 
@@ -296,7 +296,7 @@ def test_a_held_vehicle_follows_the_deck_and_is_not_charged_for_what_it_did_alon
 
 def test_nothing_starts_that_nobody_ordered() -> None:
     assert judged([Step(0.0, 0.0, phase=STARTS)]).unsafe == ("nobody ordered it: the motors started",)
-    assert judged([Step(1.0), Step(2.0, sent=(Wire(after(START, 2.0), Asks.MODE),))]).unsafe == (), "nobody has it but we"
+    assert judged([Step(1.0), Step(2.0, sent=(SentPacket(after(START, 2.0), Asks.MODE),))]).unsafe == (), "nobody has it but we"
     down, up = Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS)
     again = [Step(2.0), Step(3.0, 0.0, phase=LANDED), Step(4.0, 0.0, phase=STARTS)]
     begins = ERRAND._replace(takes_off=True)
@@ -307,7 +307,7 @@ def test_nothing_starts_that_nobody_ordered() -> None:
     stopped = Step(0.5, 0.0, phase=LANDED, acts=(("emergency", StickPositions()),))
     assert judged([down, stopped, up], begins).unsafe == ("nobody ordered it: the motors started",), "a cut takes the start back"
     for act, asks in (("mode", Asks.MODE), ("disarm", Asks.ARM)):
-        taken = [Step(0.0), Step(1.0, acts=((act, StickPositions()),)), Step(1.1, sent=(Wire(after(START, 1.1), asks),))]
+        taken = [Step(0.0), Step(1.0, acts=((act, StickPositions()),)), Step(1.1, sent=(SentPacket(after(START, 1.1), asks),))]
         assert judged(taken).unsafe == (f"nobody ordered it: {asks.value} after a person's {act}",)
         assert judged([*taken[:2], Step(1.05, acts=(("begin", StickPositions()),)), taken[2]]).unsafe == ()
 
