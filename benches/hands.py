@@ -1,4 +1,4 @@
-"""Fly every state of who has the vehicle against every act of a person, and count what is disobeyed.
+"""Fly every state of the vehicle's custody against every act of a person, and count what is disobeyed.
 
 python -m benches.hands [--runs 20] [--seed 0] [--stack ArduPilot|PX4] [--state NAME ...] [--act NAME ...]
 python -m benches.hands --arducopter PATH --px4 PATH [--minutes 30] ...
@@ -9,7 +9,7 @@ seconds every message is judged: what this act forbids is disobedience, and the 
 the autopilot is up to 0.25 s old, so a message may cross the act; later than `OBEY_S` none may come. Exit code 0: none did.
 
 With the programs themselves (PATH, or "stand-in" for our own in their place) they are flown over a pad instead of the toys, one
-run of each cell after the other until the runs are made or the time is over, and it is told who flew afterwards.
+run of each cell after the other until the runs are made or the time is over, and prints who flew afterwards.
 """
 
 import argparse
@@ -50,9 +50,9 @@ class Run:
     worst_s: float
     """Time of the last message that the act forbids, s after it; 0 if there is none."""
     sent: tuple[str, ...]
-    """What was sent after the act."""
+    """Messages that were sent after the act."""
     after: str
-    """Who has the vehicle in the end, and its mode."""
+    """The vehicle's custody in the end, and its mode."""
 
 
 @dataclass(frozen=True, slots=True)

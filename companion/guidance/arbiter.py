@@ -31,7 +31,7 @@ _REPEAT_S = 0.5
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing or of a take-off is repeated, and the least of a landing; sticks count after it."""
 _OBEYED_S = 2.0
-"""Time for which a cut of the motors may be unconfirmed until its sender is told, s; a vehicle may report once a second."""
+"""Time for which a cut of the motors may be unconfirmed until its sender is warned, s; a vehicle may report once a second."""
 _LIMIT_GAP_S = 1.0
 _SAMPLES_MOST = 64
 """Number of samples from which they are processed though no command needs the place."""
@@ -91,9 +91,9 @@ class Control(Struct, frozen=True):
     cut: Given | None = None
     """The order to cut the motors, until the vehicle reports that it is obeyed."""
     cut_failed: str = ""
-    """Reason why the vehicle's link did not take the cut, or why it is told that it is not obeyed."""
-    cut_told: bool = False
-    """True if the sender was told that the cut is not obeyed yet."""
+    """Reason why the vehicle's link did not take the cut, or why its sender is warned that it is not obeyed."""
+    cut_warned: bool = False
+    """True if the sender was warned that the cut is not obeyed yet."""
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None
     """The newest accepted order among those that have a rank."""
@@ -250,9 +250,9 @@ class OperatorArbiter:
             return
         obeyed = status is not None and status.emergency and _since(control.cut, status)
         if obeyed:
-            self._control = replace(control, cut=None, cut_told=False)
-        if control.cut_told != (not obeyed and seconds_between(control.cut.at, now) > _OBEYED_S):
-            self._control = replace(self._control, cut_told=not obeyed)
+            self._control = replace(control, cut=None, cut_warned=False)
+        if control.cut_warned != (not obeyed and seconds_between(control.cut.at, now) > _OBEYED_S):
+            self._control = replace(self._control, cut_warned=not obeyed)
             why = control.cut_failed or "the vehicle does not report that its motors stand"
             refusal = None if obeyed else f"not obeyed yet, and sent until it is: {why}"
             self.tell(HandledOrder(now, control.cut.sender, OperatorOrder.EMERGENCY, refusal, "(obeyed)" if obeyed else ""))

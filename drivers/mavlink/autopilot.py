@@ -223,7 +223,7 @@ class Autopilot:
         The cut of the motors, and a person's hold, are taken for a silent autopilot too: it may receive although nothing comes
         back, and the cut is repeated until it is reported. While several autopilots make it unclear who is meant, the cut goes
         to the one that was commanded last: that is the one in whose flight a person saw a
-        danger, and a stranger's HEARTBEAT must not be able to prevent it.
+        danger, and the HEARTBEAT of another must not be able to prevent it.
 
         Raises:
             Recoverable: the link was closed, no autopilot is connected, or it is not clear who is the autopilot.

@@ -1,4 +1,4 @@
-"""Who has the vehicle: one total table for an autopilot over MAVLink, and to whom a reported mode is attributed. No I/O.
+"""The vehicle's custody: one total table for an autopilot over MAVLink, and to whom a reported mode is attributed. No I/O.
 
 Theory of operation.
 
@@ -47,7 +47,7 @@ from drivers.mavlink.vehicle import Condition
 from estimator.contracts.time import MonoNs, seconds_between
 
 _SHOWN_BEATS = 2
-"""HEARTBEATs after an accepted request of which the last must show its mode; the first may have been under way."""
+"""Number of HEARTBEATs after an accepted request until its mode must show; the first may have been under way."""
 LAPSES_S = 3.0
 """Age at which a request that was not obeyed is no longer expected to be, s: that of an autopilot that counts as silent."""
 
@@ -106,7 +106,7 @@ class Event(Enum):
     STOPPED = "stopped"
     NOT_RENEWED = "unrenewed"
     SILENT = "silence"
-    """Of guidance."""
+    """Guidance is silent."""
     REFUSED = "refused"
     """All requests were used up."""
     UNCLEAR = "unclear"

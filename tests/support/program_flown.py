@@ -129,7 +129,7 @@ class ProgramFlown:
         start = replace(scenario.start, where="pad", height_m=HEIGHT_M, pad_forward_m=0.0, pad_right_m=0.0)
         self._scenario = replace(scenario, start=start)
         self.starts = 0
-        """How often the program was started: a vehicle that turned over is not flown on."""
+        """Number of starts of the program: a vehicle that turned over is not flown on."""
         self._links: Links | None = None
         self._autopilot: Autopilot | None = None
         self._sticks_s = 0.0

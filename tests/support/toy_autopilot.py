@@ -44,7 +44,7 @@ class Toy:
         self.velocity_mode = VELOCITY_MODE[stack]
         self.refuses_modes = self.refuses_disarm = self.others_stream = False
         self.log: list[tuple[float, str]] = []
-        """What our messages asked for, with its time, s: `mode NAME`, `arm`, `disarm`, `disarm forced`, `take off`."""
+        """Requests of our messages, with their times, s: `mode NAME`, `arm`, `disarm`, `disarm forced`, `take off`."""
         self.setpoints: list[tuple[float, float]] = []
         """Times of the setpoints, and their velocities down in flight, m/s."""
         self.answers: list[tuple[int, bool]] = []

@@ -1,4 +1,4 @@
-"""Who has the vehicle: the table, to whom a mode is attributed, and random flights of arbiter, driver and toy autopilots."""
+"""The vehicle's custody: the table, to whom a mode is attributed, and random flights of arbiter, driver and toy autopilots."""
 
 from pathlib import Path
 
