@@ -21,7 +21,7 @@ _LONGEST = 4096
 """Most bytes that are read."""
 
 
-class KeptFlight(Struct, frozen=True, forbid_unknown_fields=True):
+class FlightRecord(Struct, frozen=True, forbid_unknown_fields=True):
     """The file: one JSON object."""
 
     boot: str
@@ -51,7 +51,7 @@ class FlightKeeper(NullObserver):
     def _read(self) -> FlightMemory | None:
         try:
             with self._path.open("rb") as file:
-                kept = msgspec.json.decode(file.read(_LONGEST), type=KeptFlight)
+                kept = msgspec.json.decode(file.read(_LONGEST), type=FlightRecord)
         except FileNotFoundError:
             return None
         except (OSError, msgspec.DecodeError) as why:
@@ -66,7 +66,7 @@ class FlightKeeper(NullObserver):
         if not due or memory is None or (self._writer is not None and self._writer.is_alive()):
             return
         self._written = decision.at
-        text = msgspec.json.encode(KeptFlight(self._boot, self._vehicle, memory))
+        text = msgspec.json.encode(FlightRecord(self._boot, self._vehicle, memory))
         self._writer = threading.Thread(target=self._write, args=(text,), name="flight-memory", daemon=True)
         self._writer.start()
 

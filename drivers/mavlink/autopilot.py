@@ -12,7 +12,7 @@ import numpy as np
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
-from drivers.mavlink.custody import LEFT_ALONE, Event, Hand
+from drivers.mavlink.custody import LEFT_ALONE, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
@@ -375,7 +375,7 @@ class Autopilot:
             if severity <= _WARNING and -_BEFORE_S <= seconds_between(known.released_at, at) <= _AFTER_S
         ]
         stack, mode = known.identity.stack.value, known.sampler.condition.mode
-        if known.streamer.cause is Event.REFUSED:
+        if known.streamer.cause is HandEvent.REFUSED:
             why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
         else:
             why = f"{stack} took the vehicle" if about else "the vehicle was taken over"

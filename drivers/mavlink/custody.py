@@ -72,7 +72,7 @@ class Hand(Enum):
     """A person cut the motors."""
 
 
-class Event(Enum):
+class HandEvent(Enum):
     """An order, a report of the autopilot, or the end of a time."""
 
     STEER = "velocity"
@@ -113,10 +113,10 @@ class Event(Enum):
     """It is not clear which autopilot is meant."""
 
 
-Row = Mapping[Event, Hand]
+Row = Mapping[HandEvent, Hand]
 Table = Mapping[Hand, Row]
 
-_H, _E = Hand, Event
+_H, _E = Hand, HandEvent
 
 _CUT: Row = {_E.CUT: _H.CUT}
 _BORROWED: Row = {
@@ -167,10 +167,10 @@ def whole(rows: Table) -> Table:
             raise ValueError(f"{hand}: no row says what follows")
         if idle := [event for event, target in rows[hand].items() if target is hand]:
             raise ValueError(f"{hand}: {idle[0]} leads nowhere else, so the row must not name it")
-        table[hand] = MappingProxyType({event: rows[hand].get(event, hand) for event in Event})
-        if hand not in LEFT_ALONE and table[hand][Event.OTHER_MODE] is not Hand.PERSON:
+        table[hand] = MappingProxyType({event: rows[hand].get(event, hand) for event in HandEvent})
+        if hand not in LEFT_ALONE and table[hand][HandEvent.OTHER_MODE] is not Hand.PERSON:
             raise ValueError(f"{hand}: another mode must be a person's")
-        if table[hand][Event.CUT] is not Hand.CUT:
+        if table[hand][HandEvent.CUT] is not Hand.CUT:
             raise ValueError(f"{hand}: the motors must be cut")
     return MappingProxyType(table)
 
@@ -253,7 +253,7 @@ class ModeRequests:
 
 def markdown() -> str:
     """Return the table as docs/mavlink.md shows it."""
-    shared: dict[Event, Hand] = {
+    shared: dict[HandEvent, Hand] = {
         event: target for event, target in _BORROWED.items() if event in (_E.OTHER_MODE, _E.ARMED, _E.CUT, _E.TAKE_OFF)
     }
     rows = [_row("all of ours", shared)]

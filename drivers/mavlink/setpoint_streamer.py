@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.mavlink.custody import LEFT_ALONE, TABLE, Event, Hand, ModeRequests
+from drivers.mavlink.custody import LEFT_ALONE, TABLE, Hand, HandEvent, ModeRequests
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, velocity_setpoint
@@ -188,7 +188,7 @@ class SetpointStreamer:
         self._modes = ModeRequests()
         self._tries = Tries(options)
         self.hand = Hand.NOBODY
-        self.cause: Event | None = None
+        self.cause: HandEvent | None = None
         """The event that led to the present state; None at the start."""
         self.commanded = False
         """True once something of ours was sent to it."""
@@ -210,7 +210,7 @@ class SetpointStreamer:
         chosen = self._o.landing
         return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
 
-    def _on(self, event: Event) -> bool:
+    def _on(self, event: HandEvent) -> bool:
         """Take an event; return whether another one has the vehicle now, or it does another thing."""
         target = TABLE[self.hand][event]
         if target is self.hand:
@@ -237,12 +237,12 @@ class SetpointStreamer:
         self._now = now
         match command:
             case CutMotors():
-                if not self._on(Event.CUT) and self.motors_cut and self._condition.armed:
+                if not self._on(HandEvent.CUT) and self.motors_cut and self._condition.armed:
                     self.motors_cut, self._stop = False, MotorStop(now)
             case LeaveEmergency():
-                self._on(Event.RESET)
+                self._on(HandEvent.RESET)
             case TakeOff():
-                if not self._condition.flying and self._on(Event.TAKE_OFF):
+                if not self._condition.flying and self._on(HandEvent.TAKE_OFF):
                     self._climb = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
             case Land():
                 self._motion_at = now
@@ -262,7 +262,7 @@ class SetpointStreamer:
             elif not landing.spent:
                 landing.at = now
         elif (command.on_deck or not landing.spent) and (self.hand is not Hand.NOBODY or self._condition.armed is not False):
-            self._on(Event.CONTACT if command.on_deck else Event.LAND)
+            self._on(HandEvent.CONTACT if command.on_deck else HandEvent.LAND)
             if self.hand is Hand.LANDING:
                 by_velocity = self._lands_by_velocity and self._condition.mode == self._mode
                 self._landing = _Landing(command, now, now, self._down_m, by_velocity)
@@ -277,11 +277,11 @@ class SetpointStreamer:
             if self.hand is Hand.OURS:
                 self._leave_for(command.elsewhere, now)
         elif command.returns and self._id.stack in RETURN_MODE:
-            if self._on(Event.RETURN):
+            if self._on(HandEvent.RETURN):
                 self._goal = None
         elif self.hand is not Hand.STANDING or self._flies_again:
             self.landings_called_off += self.hand is Hand.LANDING
-            self._on(Event.HOVER)
+            self._on(HandEvent.HOVER)
 
     def _take_velocity(self, command: Velocity | Lean, now: MonoNs, v_deck_level: F64 | None) -> None:
         since_s = math.inf if self._steered_at is None else seconds_between(self._steered_at, now)
@@ -291,7 +291,7 @@ class SetpointStreamer:
         self._motion, self._motion_at, self._steered_at = command, now, now
         self._landing.spent, self._felt_at = False, None
         if self._mode is not None and self._flies_again:
-            self._on(Event.STEER)
+            self._on(HandEvent.STEER)
 
     @property
     def _flies_again(self) -> bool:
@@ -308,11 +308,11 @@ class SetpointStreamer:
         if here is not None and math.hypot(*ned_between(here, where.place)[:2]) <= where.range_max_m:
             highest_m = max(where.place.height_m or 0.0, here.height_m or 0.0)
             self._goal, self._there = replace(where.place, height_m=highest_m), False
-            self._on(Event.LEAVE)
+            self._on(HandEvent.LEAVE)
 
     def engage(self) -> None:
         """Allow a vehicle that a person took over to be taken back, because a person orders to begin or to land."""
-        self._on(Event.ENGAGE)
+        self._on(HandEvent.ENGAGE)
 
     def on_answer(self, command: int, *, accepted: bool) -> None:
         """Take the autopilot's answer to a command of ours, by the command's number."""
@@ -333,27 +333,27 @@ class SetpointStreamer:
         if self.hand is Hand.CUT and condition.armed is False and beat:
             self.motors_cut |= seconds_between(self._stop.began, self._now) >= SHOWN_S
 
-    def _reported(self, before: Condition, now: Condition, *, beat: bool) -> Iterator[Event]:
+    def _reported(self, before: Condition, now: Condition, *, beat: bool) -> Iterator[HandEvent]:
         """Yield the events in a report; each is taken before the next is looked for."""
         ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
         if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
-            yield Event.OTHER_MODE
+            yield HandEvent.OTHER_MODE
             if in_mode and self._o.mode_is_order:
-                yield Event.MODE_ORDER
+                yield HandEvent.MODE_ORDER
         elif ours and not in_mode:
-            yield Event.LATE
+            yield HandEvent.LATE
         climb = self._climb
         if now.armed is False and (climb is None or before.armed or (beat and climb.was_armed(self._now))):
-            yield Event.DISARMED
+            yield HandEvent.DISARMED
         elif now.armed and before.armed is False and (climb is None or not climb.arms):
-            yield Event.ARMED
+            yield HandEvent.ARMED
         if now.flying is False:
-            yield Event.DOWN if now.armed is False else Event.STOOD
+            yield HandEvent.DOWN if now.armed is False else HandEvent.STOOD
         elif now.flying and self._climb is not None:
             self._climb.flew = True
-            yield Event.LIFTED if in_mode else Event.OTHER_MODE
+            yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
         if in_mode:
-            yield Event.IN_MODE
+            yield HandEvent.IN_MODE
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""
@@ -417,7 +417,7 @@ class SetpointStreamer:
         """Return the hold that is sent once when nothing may be commanded any more, so that no old velocity is flown on."""
         out = self.leave(now)
         if self.hand is not Hand.LANDING or not self._landing.order.persistent:
-            self._on(Event.UNCLEAR)
+            self._on(HandEvent.UNCLEAR)
         return out
 
     def _due(self, now: MonoNs) -> bool:
@@ -435,7 +435,7 @@ class SetpointStreamer:
         silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
         fresh = silent_s <= self._o.command_timeout_s
         self.stale_periods += not fresh
-        if silent_s > self._o.hold_mode_after_s and self._on(Event.SILENT):
+        if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
         there = self._condition.mode == self._mode and not self._modes.pending
@@ -445,7 +445,7 @@ class SetpointStreamer:
         if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._due(now):
             return out + self._ask(self._mode, now)
         if self._tries.spent(now):
-            self._on(Event.REFUSED)
+            self._on(HandEvent.REFUSED)
         return out
 
     def _go(self, now: MonoNs) -> list[Message]:
@@ -481,12 +481,12 @@ class SetpointStreamer:
         if not self._wanted(now):
             if not landing.by_velocity:
                 self.landings_called_off += 1
-                self._on(Event.NOT_RENEWED)
+                self._on(HandEvent.NOT_RENEWED)
                 return self._steer(now)
             self.landings_called_off += not landing.paused
             landing.paused = True
             silent_s = seconds_between(landing.at, now)
-            if silent_s > self._o.hold_mode_after_s and self._on(Event.SILENT):
+            if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
                 return self._hold(now)
             velocity = self._mean_velocity * (1.0, 1.0, 0.0) if silent_s <= self._o.deck_hold_s else np.zeros(3)
             return self._setpoint(now, Velocity(velocity, 0.0))
@@ -534,7 +534,7 @@ class SetpointStreamer:
         """Press on the deck while its motors are being stopped, and a little longer."""
         asked = self._stop.period(now, self._id.address, armed=self._armed(now), forced=self._forced(now))
         if self._stop.over(now):
-            self._on(Event.STOPPED)
+            self._on(HandEvent.STOPPED)
             return []
         down = Velocity(self._v_deck * (1.0, 1.0, 0.0) + (0.0, 0.0, self._o.descent_rate_m_s), 0.0)
         return asked + (self._setpoint(now, down) if self._condition.mode == self._mode else [])
@@ -543,13 +543,13 @@ class SetpointStreamer:
         """End the take-off: on deck its motors are stopped without force, in the air it holds over the deck."""
         climb = self._climb
         if climb is None or not climb.flew:
-            self._on(Event.ON_DECK)
+            self._on(HandEvent.ON_DECK)
             return
         v_deck = self._rest_level()
         if v_deck is not None:
             self._v_deck, self._steered_at = v_deck, now
         self._motion, self._motion_at = STILL, now
-        self._on(Event.ALOFT)
+        self._on(HandEvent.ALOFT)
 
     def _take_off(self, now: MonoNs) -> list[Message]:
         """Arm and climb with the deck's velocity."""
