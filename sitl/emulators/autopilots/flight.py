@@ -273,7 +273,8 @@ class AutopilotFlight:
                 await service.restart(group)
                 self._expose_by(service.now, camera)
                 self.link.cut = False
-                station.again(self.clock.now(), self.graded.height_m)
+                if station.began is None:  # else the new service goes on with the landing that was ordered
+                    station.again(self.clock.now(), self.graded.height_m)
             if station.began is not None:
                 flown_s = seconds_between(station.began, self.clock.now())
                 if self._flown(service) or flown_s > self.scenario.duration_limit_s or lost:

@@ -122,15 +122,13 @@ async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_fallin
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("stack", "modes"), [("px4", ["offboard", "auto.loiter"]), ("arducopter", ["guided"])])
 async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack, modes, tmp_path):
-    """PX4 finds a ship under way by her reports, its own place by its GLOBAL_POSITION_INT."""
+    """The new service goes on with the landing: it finds the ship by her reports, its own place by GLOBAL_POSITION_INT."""
     seen, killed = Seen(), (ServiceKilled(below_height_m=2.5, for_s=4.0),)
     start = {"height_m": 4.0, "pad_forward_m": 14.0, "pad_right_m": -6.0, "heading_deg": -20.0}
-    by_reports: dict[str, Any] = {"name": "rendezvous", "start": start} if stack == "px4" else {}
-    flight = flight_of(stack, tmp_path, observers=[seen], faults=killed, **by_reports)
+    flight = flight_of(stack, tmp_path, observers=[seen], faults=killed, name="rendezvous", start=start)
     end = await flight.fly()
-    if by_reports:
-        assert seen.phases.index("rendezvous") < seen.phases.index("descend")
-        assert end.failsafes == ("Failsafe activated: Offboard signal lost, entering Hold",)
+    assert seen.phases.index("rendezvous") < seen.phases.index("descend")
+    assert end.failsafes == (("Failsafe activated: Offboard signal lost, entering Hold",) if stack == "px4" else ())
     (silence,) = end.silences
     assert silence.modes == modes, "nothing of the dying service came through"
     assert silence.phase == "descend"
