@@ -41,10 +41,10 @@ Source: ``_state.py`` of h11 for the form.
 import sys
 from collections.abc import Mapping
 from enum import Enum
-from types import MappingProxyType
 
 from drivers.mavlink.vehicle import Condition
 from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.total_table import total
 
 _SHOWN_BEATS = 2
 """Number of HEARTBEATs after an accepted request until its mode must show; the first may have been under way."""
@@ -161,18 +161,13 @@ def whole(rows: Table) -> Table:
     Raises:
         ValueError: a state has no row, a row names an event that leads nowhere else, or a person cannot take the vehicle.
     """
-    table: dict[Hand, Row] = {}
+    table = total(rows, HandEvent)
     for hand in Hand:
-        if hand not in rows:
-            raise ValueError(f"{hand}: no row says what follows")
-        if idle := [event for event, target in rows[hand].items() if target is hand]:
-            raise ValueError(f"{hand}: {idle[0]} leads nowhere else, so the row must not name it")
-        table[hand] = MappingProxyType({event: rows[hand].get(event, hand) for event in HandEvent})
         if hand not in LEFT_ALONE and table[hand][HandEvent.OTHER_MODE] is not Hand.PERSON:
             raise ValueError(f"{hand}: another mode must be a person's")
         if table[hand][HandEvent.CUT] is not Hand.CUT:
             raise ValueError(f"{hand}: the motors must be cut")
-    return MappingProxyType(table)
+    return table
 
 
 LEFT_ALONE = (Hand.NOBODY, Hand.PERSON, Hand.CUT)
