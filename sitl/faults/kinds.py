@@ -64,7 +64,7 @@ class Bystander(PictureFault, frozen=True, tag="bystander"):
 class OtherPad(PictureFault, frozen=True, tag="other_pad"):
     """Another pad on the deck, beside the right one or in its place."""
 
-    file: Annotated[str, text("a shipped pad (configs/pads)", 40)] = "thesis"
+    file: Annotated[str, text("a shipped pad (configs/pads), or a path from the working directory", 4096)] = "thesis"
     size: Annotated[float, number("its size over that in the file", "1", 0.1, 5.0)] = 1.0
     forward_m: Annotated[float, number(_FORWARD, "m", -20.0, 20.0)] = 0.0
     right_m: Annotated[float, number(_RIGHT, "m", -20.0, 20.0)] = 0.0

@@ -12,7 +12,7 @@ from textwrap import shorten
 import msgspec
 import numpy as np
 
-from companion.settings.load import shipped
+from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.errors import BadInput
 from sitl.faults.drawn import Drawable, draw
 from sitl.faults.kinds import AnyFault, OperatorActs, ServiceKilled, VesselReports
@@ -93,7 +93,9 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
     frame = vehicle_model(scenario).airframe()
     heights_m = min(frame.feet.below_m + _OVER_FEET_M, highest_m), highest_m
     names = [rotor.name for rotor in rotors(frame)]
-    return with_faults(scenario, draw(seed, Drawable(signals, heights_m, names, scenario.pad.file, level == "pixels")))
+    file = Path(scenario.pad.file)
+    pad = file.stem if file.parent == SHIPPED / "pads" else str(file)
+    return with_faults(scenario, draw(seed, Drawable(signals, heights_m, names, pad, level == "pixels")))
 
 
 def with_faults(scenario: Scenario, faults: Sequence[AnyFault]) -> Scenario:

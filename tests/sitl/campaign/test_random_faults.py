@@ -111,6 +111,11 @@ def test_a_generator_of_many_seeds_draws_every_error_that_is_there_and_no_other(
     assert {f.size for f in few if isinstance(f, OtherPad) and f.instead}
 
 
+def test_a_wrong_pad_size_names_a_shipped_pad_by_its_name_wherever_the_program_is_installed() -> None:
+    drawn = [with_random_faults(load("calm"), seed, "pixels") for seed in range(60)]
+    assert {f.file for scenario in drawn for f in scenario.faults if isinstance(f, OtherPad)} == {"thesis"}
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["model", "pixels"]))
 def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_flies_the_same(seed: int, level: str) -> None:
