@@ -156,6 +156,7 @@ class Inertial(Struct, frozen=True):
     """Velocity fault by accelerometer and sightings."""
     velocity_against: int = 0
     """Number of bins in a row in which the velocity contradicted the accelerometer."""
+    velocity_steady: velocity.Steady = velocity.Steady()
     suspected: str | None = None
     """The sensor that the newest bin accused, of gyro and attitude."""
     usual: Usual = Usual()
@@ -446,9 +447,12 @@ def _judged_velocity(state: Inertial) -> Inertial:
     fault, against = state.velocity_fault, state.velocity_against
     if state.gyro_fault or state.attitude_fault or state.accel_fault:
         return replace(state, velocity_against=0) if against else state
-    found = velocity.compared(state.parity)
+    found = velocity.compared(state.parity, state.velocity_steady)
     if found is None:
         return state
+    if fault is not None or not found.contradicts:
+        steady = state.velocity_steady.after(found.rate, state.parity.bins[-1].heading)
+        state = replace(state, velocity_steady=steady)
     if fault is not None:
         well = fault.well + 1 if found.agrees else 0 if found.contradicts else fault.well
         return replace(state, velocity_fault=None if well >= _WELL else replace(fault, well=well))

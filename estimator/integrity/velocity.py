@@ -2,9 +2,9 @@
 
 A velocity that lies is dangerous where a loop is closed on it: one of the wrong sign is flown away from at full tilt. So what is
 compared are changes within two seconds, as a vehicle that begins to fly away makes them: the velocity and the integral, each
-less its mean. A surface that moves below a flow sensor makes neither a large difference nor a wrong sign: in clean flights up to
-weather_5 the difference is 0.5 m/s, a root mean square, at most. A leap of the velocity alone begins the comparison again: below
-the vehicle the deck has ended and the water begun.
+less its mean and less the difference of both that has been there (`Steady`). A surface that moves below a flow sensor makes
+neither a large difference nor a wrong sign: in clean flights up to weather_5 the difference is 0.5 m/s, a root mean square, at
+most. A leap of the velocity alone begins the comparison again: below the vehicle the deck has ended and the water begun.
 
 In sight of the pad its sightings decide who of both is right. Out of sight nobody does, and the velocity is not flown by.
 """
@@ -25,12 +25,45 @@ _APART_M_S, _SHARE, _SWINGS_M_S = 0.6, 0.25, 0.25
 _AGAINST_M_S, _AGAINST_SHARE, _AGAINST_SWINGS_M_S = 0.45, -0.4, 0.2
 """Limits where the velocity swings against the integral."""
 _WELL_M_S, _WELL_SHARE = 0.35, 0.5
+_STEADY_M_S2, _STEADY_WEIGHT = 1.2, 0.02
+"""Largest difference that is no lie, m/s^2: an attitude that errs by 6 degrees makes it; and the weight of a bin, 5 s of them."""
 _SEEN_M, _SEEN_SHARE = 0.08, 0.4
 """Least way against the pad, a root mean square, that shows something, and the share of it from which the velocity is right."""
 
 
+class Steady(NamedTuple):
+    """The acceleration by the velocity less that of the levelled accelerometer that has been there, m/s^2.
+
+    A bias makes it, and an attitude that errs; it turns with the body.
+    """
+
+    bins: int = 0
+    ahead: float = 0.0
+    aside: float = 0.0
+
+    def after(self, rate: tuple[float, float], heading: tuple[float, float]) -> "Steady":
+        """Return it after one bin more.
+
+        Args:
+            rate: the difference's, m/s^2 north and east.
+            heading: its cosine and sine.
+        """
+        k, (c, s), (x, y) = max(1.0 / (self.bins + 1), _STEADY_WEIGHT), heading, rate
+        ahead, aside = self.ahead + k * (c * x + s * y - self.ahead), self.aside + k * (c * y - s * x - self.aside)
+        within = min(1.0, _STEADY_M_S2 / max(1e-9, math.hypot(ahead, aside)))
+        return Steady(self.bins + 1, within * ahead, within * aside)
+
+    def ned(self, heading: tuple[float, float]) -> tuple[float, float]:
+        """Return it north and east."""
+        c, s = heading
+        return c * self.ahead - s * self.aside, s * self.ahead + c * self.aside
+
+
 class Compared(NamedTuple):
     """The velocity's change against the accelerometer's within the window."""
+
+    rate: tuple[float, float]
+    """Rate of their difference, m/s^2 north and east."""
 
     apart_m_s: float
     swings_m_s: float
@@ -50,14 +83,19 @@ class Compared(NamedTuple):
         return self.swings_m_s > _AGAINST_SWINGS_M_S and self.apart_m_s < _WELL_M_S and self.share > _WELL_SHARE
 
 
-def compared(p: Parity) -> Compared | None:
+def compared(p: Parity, steady: Steady) -> Compared | None:
     """Return the comparison over the newest window; None with too few velocities in it."""
     t, flow, felt = _window(p)
     if len(t) < _POINTS:
         return None
     flow, felt = flow - flow.mean(axis=0), felt - felt.mean(axis=0)
-    apart, square = flow - felt, float((felt * felt).sum())
+    apart, x = flow - felt, (t - t.mean()) * 1e-9
+    north, east = (x @ apart / (x @ x)).tolist()
+    there = np.outer(x, steady.ned(p.bins[-1].heading))
+    apart, felt = apart - there, felt + there
+    square = float((felt * felt).sum())
     return Compared(
+        (north, east),
         math.sqrt(float((apart * apart).sum()) / len(t)),
         math.sqrt(square / len(t)),
         float((flow * felt).sum()) / square if square > 0.0 else 1.0,

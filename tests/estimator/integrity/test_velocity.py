@@ -27,6 +27,7 @@ def flown(
     size_m_s: float = 0.8,
     deck_m_s: float = 0.0,
     accelerometer: F64 | None = None,
+    since: float = BEGIN_S,
     until: float = 9.0,
     seed: int = 1,
 ) -> list[Inertial]:
@@ -36,7 +37,7 @@ def flown(
         velocity: what the sensor makes of the velocity against the deck, (2,) m/s, with the time for which it lies, s.
         seen: the pad's sightings come, 30 a second.
         deck_m_s: size of the deck's own swing.
-        accelerometer: what it adds to the specific force from `BEGIN_S` on, (3,) m/s^2.
+        accelerometer: what it adds to the specific force from `since` on, s, (3,) m/s^2.
     """
     rng, state, out = np.random.default_rng(seed), Inertial(), list[Inertial]()
     p = np.zeros(2)
@@ -48,7 +49,7 @@ def flown(
         deck = deck_m_s * np.sin(0.8 * t + np.array([0.3, 1.4]))
         p = p + (own - deck) * DT
         f = np.array([*a, -9.81]) + 0.1 * rng.standard_normal(3)
-        if accelerometer is not None and t >= BEGIN_S:
+        if accelerometer is not None and t >= since:
             f = f + accelerometer
         state, _ = inertial.felt(state, Imu(stamp, 0.01 * rng.standard_normal(3), f), OPTIONS, True)
         v = own - deck
@@ -78,8 +79,9 @@ LIES: dict[str, Change] = {
 
 @pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("seen", [True, False])
-def test_a_velocity_against_the_accelerometer_is_named_within_two_seconds(lie: str, seen: bool) -> None:
-    states = flown(LIES[lie], seen=seen)
+@pytest.mark.parametrize("off_m_s2", [0.0, 0.9])
+def test_a_velocity_against_the_accelerometer_is_named_within_two_seconds(lie: str, seen: bool, off_m_s2: float) -> None:
+    states = flown(LIES[lie], seen=seen, accelerometer=np.array([0.0, off_m_s2, 0.0]), since=0.0)
     assert 0.0 < named_after_s(states) < 2.5
     (text,) = states[-1].lost
     assert text.startswith("the velocity")
@@ -87,9 +89,14 @@ def test_a_velocity_against_the_accelerometer_is_named_within_two_seconds(lie: s
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.floats(0.0, 1.2), st.floats(0.0, 0.8), st.booleans(), st.integers(0, 99))
-def test_an_honest_velocity_over_a_deck_that_sways_is_never_named(size_m_s, deck_m_s, seen, seed):
-    states = flown(lambda v, t: v, seen=seen, size_m_s=size_m_s, deck_m_s=deck_m_s, until=6.0, seed=seed)
+@given(st.floats(0.0, 1.2), st.floats(0.0, 0.8), st.floats(-1.1, 1.1), st.booleans(), st.integers(0, 99))
+def test_an_honest_velocity_is_never_named_over_a_deck_that_sways_nor_for_an_attitude_that_errs(
+    size_m_s, deck_m_s, off_m_s2, seen, seed
+):
+    off = np.array([0.0, off_m_s2, 0.0])
+    states = flown(
+        lambda v, t: v, seen=seen, size_m_s=size_m_s, deck_m_s=deck_m_s, accelerometer=off, since=0.0, until=6.0, seed=seed
+    )
     assert named_after_s(states) == math.inf
 
 
