@@ -268,7 +268,7 @@ class Referee:
         """
         moment, dt_s = moment_of(truth, self._feet), max(0.0, seconds_between(self._at, truth.at))
         self.hands.step(truth, reached=reached, served=served)
-        self.sight.step(truth, reached=reached)
+        self.sight.step(truth, reached=reached, ours=not self.hands.hands_on)
         self.unreached.step(truth, reached=reached and served)
         for contact in truth.contacts[self._contacts :]:
             self._touch(contact)

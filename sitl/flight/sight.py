@@ -56,11 +56,12 @@ class SightWatch:
         else:
             self.since_sight[verdict] += 1
 
-    def step(self, truth: Truth, *, reached: bool = True) -> None:
+    def step(self, truth: Truth, *, reached: bool = True, ours: bool = True) -> None:
         """Note the true state at an instant; call it in order of time.
 
         Args:
             reached: whether the service's commands reach the vehicle.
+            ours: whether the service flies; a person who lands it where it is needs no sight of the pad.
         """
         at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
         if not reached:
@@ -77,7 +78,7 @@ class SightWatch:
                 self._lost_at_m = self._lost_at_m[0] + height_m, self._lost_at_m[1] + altitude_m
             self._unreached_at_m = None
         blind_s = seconds_between(self._seen_at, truth.at)
-        if blind_s <= BLIND_AFTER_S or truth.phase not in MOTORS_TURN:
+        if not ours or blind_s <= BLIND_AFTER_S or truth.phase not in MOTORS_TURN:
             self._lost_at_m = None
             return
         if self._lost_at_m is None:

@@ -221,7 +221,7 @@ def replace_step(step: Step, **over: Any) -> Step:
     return Step(**{**step.__dict__, **over})
 
 
-NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "blind_m", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
+NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
 """Counts that go on whoever flies."""
 
 
