@@ -48,7 +48,7 @@ class Wire:
                 out.sendto(data, ("127.0.0.1", self.port))
                 sticks = [c[1] for c in at.decode(data) if isinstance(c, tuple) and isinstance(c[1], at.Pcmd)]
                 if sticks:
-                    self.told.append((now, bool(sticks[-1].flags)))
+                    self.told.append((now, bool(sticks[-1].flags) and sticks[-1].gaz < 1.0))
 
     def hover_after(self, instant: float) -> float:
         """Return the seconds from an instant until only hover commands were sent, within the next second; 0 if none moved it."""

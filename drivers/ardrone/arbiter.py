@@ -2,6 +2,10 @@
 
 The same class decides in the sender's own process and in virtual time. A command carries the instant at which it expires;
 nothing that the service requested is flown after it, however the service ended: killed, stopped, swapped out or stuck.
+
+Without a service a drone that is low climbs before it hovers, because a deck in waves comes up to a drone that stays where it is
+and drags it along. It climbs by its own ultrasound; a drone that was being steered and does not report its height climbs by
+time. Both end: an ultrasound that reads one value for ever is not believed beyond twice the height.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +18,15 @@ from estimator.contracts.time import MonoNs, seconds_between
 HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 STAY_UP = REF_BASE | REF_TAKE_OFF
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED)
+GONE_S = 1.0
+"""A service that is connected but silent for this long counts as gone."""
+CLEAR_M = 2.0
+"""Height up to which a drone without a service climbs, m: that of guidance, unless the settings say otherwise."""
+_CLIMBED_MOST = 2.0
+"""Height beyond which no ultrasound is believed against the climb so far, as a multiple of `CLEAR_M`."""
+_STARVED_S = 0.1
+"""Time for which one datagram counts as flown at most, s."""
+_OBEYS = (ControlState.HOVERING, ControlState.FLYING, ControlState.GOTO_FIX, None)
 _REPORT_S = 1.0
 """A report that the drone is on the ground is valid for this long, a report that it flies for `FRESH_S`: a REF with the
 take-off bit would start the motors of a drone that has landed in the meantime."""
@@ -31,6 +44,8 @@ class TimedCommand:
     """`ref` requests a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
     watchdog: bool = False
     """The drone's communication watchdog has to be reset."""
+    climb: Pcmd | None = None
+    """The sticks with which it climbs out of the deck's reach once the service is gone; None to hover where it is."""
 
     def commands(self) -> list[AtCommand]:
         """Return the AT commands, which fit into one datagram."""
@@ -45,10 +60,17 @@ class CommandArbiter:
 
     Args:
         hold_s: how long hover is sent after the last command expired, seconds; after that nothing is sent.
+        climb_m_s: climb rate of full stick, m/s.
     """
 
-    def __init__(self, hold_s: float) -> None:
+    def __init__(self, hold_s: float, climb_m_s: float) -> None:
         self._hold_s = hold_s
+        self._climb_m_s = climb_m_s
+        self._lost = False
+        """The service is gone, by its socket."""
+        self._climbed_m = 0.0
+        self._climbed_at: MonoNs | None = None
+        """The newest datagram that ordered a climb; None if the newest did not."""
         self._latest: TimedCommand | None = None
         self._watch = LandingWatch()
         self._report: tuple[DroneReport, MonoNs] | None = None
@@ -64,6 +86,7 @@ class CommandArbiter:
     def take(self, command: TimedCommand) -> None:
         """Take the newest command of the service, expired or not."""
         self._latest = command
+        self._lost, self._climbed_m, self._climbed_at = False, 0.0, None
 
     def on_report(self, report: DroneReport, now: MonoNs) -> None:
         """Take a report that the sender itself received from the drone while the service is silent."""
@@ -94,13 +117,32 @@ class CommandArbiter:
             return latest.commands()
         self.hovers += 1
         report = self._reported(now, FRESH_S)
-        if report is None:
-            return [*([ComWdg()] if latest.watchdog else []), HOVER]
-        out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
-        # Behind a person's landing or EMERGENCY no take-off bit is sent: each goes on, whatever dies.
+        # Behind a person's landing or EMERGENCY no take-off bit is sent and nothing climbs: each goes on, whatever dies.
         ends = latest.ref is not None and not latest.ref & REF_TAKE_OFF and not latest.landing
+        sticks = HOVER if ends or latest.climb is None or not self._climbs(report, latest, now) else latest.climb
+        if report is None:
+            return [*([ComWdg()] if latest.watchdog else []), sticks]
+        out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
         stays_up = not ends and report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
-        return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
+        return [*out, *([Ref(STAY_UP)] if stays_up else []), sticks]
+
+    def gone(self, now: MonoNs) -> bool:
+        """Return whether the service is gone, by its socket or by its silence."""
+        return self._lost or self.silent_s(now) > GONE_S
+
+    def _climbs(self, report: DroneReport | None, latest: TimedCommand, now: MonoNs) -> bool:
+        """Return whether this period's datagram orders a climb, and count it."""
+        if self._climbed_at is not None:
+            self._climbed_m += self._climb_m_s * min(_STARVED_S, seconds_between(self._climbed_at, now))
+        height_m = None if report is None else report.altitude_m
+        if not self.gone(now) or (report is not None and not (report.flying and report.control in _OBEYS)):
+            climbs = False
+        elif height_m is not None and height_m > 0.0:
+            climbs = height_m < CLEAR_M and self._climbed_m < _CLIMBED_MOST * CLEAR_M
+        else:
+            climbs = latest.sticks != HOVER and self._climbed_m < CLEAR_M
+        self._climbed_at = now if climbs else None
+        return climbs
 
     def _reported(self, now: MonoNs, within_s: float) -> DroneReport | None:
         """Return the newest report, or None if it is older than `within_s` seconds."""
@@ -111,5 +153,6 @@ class CommandArbiter:
 
     def lost(self, now: MonoNs) -> None:
         """Let the newest command expire now, because the service is gone."""
+        self._lost = True
         if self._latest is not None:
             self._latest = replace(self._latest, until=min(self._latest.until, MonoNs(now - 1)))

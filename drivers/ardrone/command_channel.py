@@ -375,7 +375,7 @@ class CommandChannel:
     def _options(self) -> SenderOptions:
         o = self._o
         return SenderOptions(
-            o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s,
+            o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s, o.vz_max_m_s,
             as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)), self._flew,
         )  # fmt: skip
 

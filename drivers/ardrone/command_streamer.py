@@ -70,7 +70,7 @@ class CommandStreamer:
         # A velocity's lifetime counts from the guidance cycle that requested it, not from the period that repeats it.
         since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
         renewed = self._custody.state is Custody.LANDING
-        return TimedCommand(after(since, self._o.command_timeout_s), sticks, ref, renewed, self._watchdog)
+        return TimedCommand(after(since, self._o.command_timeout_s), sticks, ref, renewed, self._watchdog, self._loop.climb())
 
     def leave(self, now: MonoNs) -> TimedCommand:
         """Return the final command: hover in place, or continue a landing that was commanded; a take-off ends."""

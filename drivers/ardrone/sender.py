@@ -2,8 +2,8 @@
 
 It is a process of its own so that no command outlives the service that sent it. It owns the AT socket and its sequence, takes
 commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has expired:
-the service may be killed, stopped, swapped out or stuck. When the service is gone it holds a flying drone in hover for `hold_s`,
-receiving navdata itself, until a new service's sender requests the sequence and takes over. It imports nothing large.
+the service may be killed, stopped, swapped out or stuck. When the service is gone it climbs out of the deck's reach and holds the
+flying drone in hover for `hold_s`, receiving navdata itself, until a new service's sender requests the sequence and takes over. It imports nothing large.
 """
 
 import select
@@ -44,8 +44,6 @@ _ALONE_DATAGRAMS = 5
 """Number of datagrams that repeat the commands for a lost or returned service, as nobody waits for an acknowledgement then."""
 _STATUS_S = 0.02
 """Least time between two statuses; shorter than the usual period, as the service expects a status for each command."""
-_SILENT_S = 1.0
-"""A service that is connected but silent for this long counts as gone."""
 _ASK_AGAIN_S = 0.5
 _REFUSED_S = 2.0
 """A port that refuses for so long belongs to a simulated drone that has ended: a real one out of reach does not answer."""
@@ -65,7 +63,7 @@ class Sender:
         self._o = options
         self._service: socket.socket | None = service
         self._listener = listener
-        self._arbiter = CommandArbiter(options.hold_s)
+        self._arbiter = CommandArbiter(options.hold_s, options.climb_m_s)
         self._sequence = sequence
         self._opening = 0 if sequence else _OPENING_DATAGRAMS
         self._at: socket.socket | None = None
@@ -105,7 +103,7 @@ class Sender:
         readers = [end for end in (self._service, self._listener, self._navdata) if end is not None]
         ready, _, _ = select.select(readers, [], [], wait_ns / _NS)
         if self._listener in ready and self._listener is not None:
-            silent = self._service is None or self._arbiter.silent_s(MonoNs(time.monotonic_ns())) > _SILENT_S
+            silent = self._service is None or self._arbiter.gone(MonoNs(time.monotonic_ns()))
             self._over = yield_to(self._listener, self._sequence if silent else None) or self._over
         if self._navdata in ready:
             self._on_message()
@@ -201,7 +199,7 @@ class Sender:
     def _consider(self, now: int) -> None:
         """Check whether the service is present, and receive navdata while it is not."""
         instant = MonoNs(now)
-        alone = self._service is None or self._arbiter.silent_s(instant) > _SILENT_S
+        alone = self._service is None or self._arbiter.gone(instant)
         if alone != self._alone:
             self._alone = alone
             if self._arbiter.latest is not None:

@@ -34,6 +34,7 @@ class SenderOptions:
     navdata_port: int
     period_s: float
     hold_s: float
+    climb_m_s: float
     on_service_lost: tuple[TextCommand, ...] = ()
     """The commands that are sent once the service is gone or silent."""
     on_service_back: tuple[TextCommand, ...] = ()
@@ -140,11 +141,14 @@ def status_of(line: bytes) -> SenderStatus:
 
 
 def _fields(command: TimedCommand) -> list[object]:
-    p = command.sticks
-    sticks = [p.flags, p.roll, p.pitch, p.gaz, p.yaw]
-    return [command.until, sticks, command.ref, command.landing, command.watchdog]
+    climb = None if command.climb is None else _of_sticks(command.climb)
+    return [command.until, _of_sticks(command.sticks), command.ref, command.landing, command.watchdog, climb]
 
 
 def _timed_command(said: list[object]) -> TimedCommand:
-    until, sticks, *rest = said
-    return TimedCommand(until, Pcmd(*sticks), *rest)  # type: ignore[arg-type, misc]
+    until, sticks, *rest, climb = said
+    return TimedCommand(until, Pcmd(*sticks), *rest, None if climb is None else Pcmd(*climb))  # type: ignore[arg-type, misc]
+
+
+def _of_sticks(p: Pcmd) -> list[float]:
+    return [p.flags, p.roll, p.pitch, p.gaz, p.yaw]

@@ -199,6 +199,11 @@ class VelocityLoop:
         self._stepped = None
         return HOVER
 
+    def climb(self, climb_m_s: float | None = None) -> Pcmd:
+        """Return a climb, as fast as the drone can or in m/s, with the tilt that held against the wind."""
+        trim = np.array([self._loop.forward_m_s2, self._loop.right_m_s2])
+        return _progressive(sticks_of(trim, -(self._o.vz_max_m_s if climb_m_s is None else climb_m_s), 0.0, self._o))
+
     def fly(self, wanted: Velocity | Lean, now: MonoNs) -> Pcmd:
         """Return the sticks of this period for a velocity or a tilt."""
         self._held = None
@@ -242,8 +247,7 @@ class VelocityLoop:
         if climb >= 0.0:
             return self.hover()
         self._stepped = None
-        trim = np.array([self._loop.forward_m_s2, self._loop.right_m_s2])
-        return _progressive(sticks_of(trim, climb, 0.0, self._o))
+        return self.climb(-climb)
 
     def _recent(self, sample: BodyVelocity | Attitude | None, now: MonoNs) -> bool:
         return sample is not None and seconds_between(sample.stamp.measured_at, now) <= self._o.velocity_timeout_s

@@ -168,7 +168,7 @@ class Flight:
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
-        self._arbiter = CommandArbiter(self._options.hold_s)
+        self._arbiter = CommandArbiter(self._options.hold_s, self._options.vz_max_m_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
         self._generation.check_model(self._options.model)
         self._generation.check_camera(camera_model(scenario))

@@ -1,16 +1,20 @@
 """Output of the command arbiter once the service has fallen silent, in virtual time."""
 
+from collections.abc import Callable
+
 import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, CommandArbiter, TimedCommand
+from drivers.ardrone.arbiter import CLEAR_M, HOVER, CommandArbiter, TimedCommand
 from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch
 from estimator.contracts.time import MonoNs
 
 AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
 GROUND = at.Ref(at.REF_BASE)
+CLIMB = at.Pcmd(at.PCMD_PROGRESSIVE, 0.1, -0.2, 1.0, 0.0)
+PERIOD_MS = 30
 
 
 def ms(t: int) -> MonoNs:
@@ -23,7 +27,7 @@ def report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int =
 
 
 def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
-    arbiter = CommandArbiter(60.0)
+    arbiter = CommandArbiter(60.0, 2.0)
     assert arbiter.commands(ms(0)) == [], "nothing is said before the service has said something"
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(0)) == arbiter.commands(ms(120)) == [FLY, AHEAD]
@@ -33,13 +37,13 @@ def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
 
 def test_a_word_that_comes_late_is_never_flown() -> None:
     """It waited in the socket while we, or the service, were stopped."""
-    arbiter = CommandArbiter(60.0)
+    arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(5000)) == [HOVER]
 
 
 def test_a_word_of_a_service_that_is_gone_ends_at_once() -> None:
-    arbiter = CommandArbiter(60.0)
+    arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     arbiter.lost(ms(10))
     assert arbiter.commands(ms(10)) == [HOVER]
@@ -49,13 +53,13 @@ def test_a_word_of_a_service_that_is_gone_ends_at_once() -> None:
 
 def test_no_order_to_take_off_or_to_land_outlives_its_word() -> None:
     for ref in (FLY, GROUND):
-        arbiter = CommandArbiter(60.0)
+        arbiter = CommandArbiter(60.0, 2.0)
         arbiter.take(TimedCommand(ms(120), HOVER, ref.bits))
         assert arbiter.commands(ms(121)) == [HOVER]
 
 
 def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
-    arbiter = CommandArbiter(60.0)
+    arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.NavdataState.COM_WATCHDOG), ms(1000))
     assert arbiter.commands(ms(1001)) == [at.ComWdg(), FLY, HOVER]
@@ -65,8 +69,57 @@ def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
     assert arbiter.on_ground(ms(1401))
 
 
+def climbed_m(sticks: at.Pcmd, ref: int | None, reports: Callable[[float], DroneReport | None], *, died: bool = True) -> float:
+    """Return the height that an arbiter climbs in 20 s after its service has died, or fell silent.
+
+    Args:
+        reports: the report after a climb of so much, m; None to receive none.
+    """
+    arbiter, height_m = CommandArbiter(60.0, 2.0), 0.0
+    arbiter.take(TimedCommand(ms(120), sticks, ref, climb=CLIMB))
+    if died:
+        arbiter.lost(ms(0))
+    for t in range(0, 20_000, PERIOD_MS):
+        if (said := reports(height_m)) is not None:
+            arbiter.on_report(said, ms(t))
+        *_, flown = arbiter.commands(ms(t))
+        assert flown in ((HOVER, CLIMB) if died or t > 1120 else (HOVER, AHEAD))
+        height_m += 2e-3 * PERIOD_MS if flown == CLIMB else 0.0
+    return height_m
+
+
+@pytest.mark.hazard("H5")
+@pytest.mark.parametrize("died", [True, False])
+@pytest.mark.parametrize("sticks", [AHEAD, HOVER])
+def test_a_drone_without_a_service_climbs_out_of_the_reach_of_the_deck(sticks: at.Pcmd, died: bool) -> None:
+    near = climbed_m(sticks, FLY.bits, lambda by_m: report(nd.ControlState.FLYING, 0.3 + by_m), died=died)
+    assert 0.3 + near == pytest.approx(CLEAR_M, abs=0.1)
+    assert climbed_m(sticks, FLY.bits, lambda _: report(nd.ControlState.FLYING, 2.1), died=died) == 0.0, "it is high enough"
+    for mute in (None, report(nd.ControlState.FLYING, None), report(nd.ControlState.HOVERING, 0.0)):
+        by_time = climbed_m(sticks, FLY.bits, lambda _, said=mute: said, died=died)
+        assert by_time == pytest.approx(CLEAR_M if sticks is AHEAD else 0.0, abs=0.15), "without a height by time, if it steered"
+    stuck = climbed_m(sticks, FLY.bits, lambda _: report(nd.ControlState.FLYING, 0.3), died=died)
+    assert stuck == pytest.approx(2.0 * CLEAR_M, abs=0.15), "an ultrasound that never changes is not believed for ever"
+
+
+def test_nothing_climbs_that_does_not_fly_or_that_a_person_lands_or_cut() -> None:
+    for control in (nd.ControlState.LANDED, nd.ControlState.TAKING_OFF, nd.ControlState.LANDING):
+        assert climbed_m(AHEAD, FLY.bits, lambda _, said=report(control, 0.3): said) == 0.0
+    assert climbed_m(AHEAD, GROUND.bits, lambda _: report(nd.ControlState.FLYING, 0.3)) == 0.0
+
+
+def test_a_service_that_speaks_again_ends_the_climb() -> None:
+    arbiter = CommandArbiter(60.0, 2.0)
+    for t in (0, 5000):
+        arbiter.take(TimedCommand(ms(t + 120), AHEAD, FLY.bits, climb=CLIMB))
+        assert arbiter.commands(ms(t)) == [FLY, AHEAD]
+        assert arbiter.commands(ms(t + 121)) == [HOVER], "a pause is not the end"
+        arbiter.lost(ms(t + 130))
+        assert arbiter.commands(ms(t + 130)) == [CLIMB]
+
+
 def test_it_is_held_for_a_bounded_time() -> None:
-    arbiter = CommandArbiter(2.0)
+    arbiter = CommandArbiter(2.0, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(2110)) == [HOVER]
     assert arbiter.commands(ms(2130)) == []
@@ -75,7 +128,7 @@ def test_it_is_held_for_a_bounded_time() -> None:
 @pytest.mark.parametrize(("landing", "altitude_m", "called_off"), [(True, 1.0, True), (True, 0.3, False), (False, 1.0, False)])
 def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(landing, altitude_m, called_off):
     """The landing of a person, which is not to be renewed, goes on."""
-    arbiter = CommandArbiter(60.0)
+    arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), HOVER, GROUND.bits, landing=landing))
     arbiter.on_report(report(nd.ControlState.LANDING, altitude_m), ms(300))
     assert arbiter.commands(ms(301)) == ([FLY, HOVER] if called_off else [HOVER])

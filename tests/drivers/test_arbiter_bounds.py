@@ -22,7 +22,7 @@ def report(control: nd.ControlState | None, *, flying: bool, bits: int = 0, alti
 
 def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
     """Return an arbiter whose newest word ran out at 120 ms."""
-    arbiter = CommandArbiter(hold_s)
+    arbiter = CommandArbiter(hold_s, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, STAY_UP, **word))
     return arbiter
 
@@ -34,7 +34,7 @@ def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_orde
 
 
 def test_before_the_first_word_nothing_is_fresh_and_nothing_is_silent() -> None:
-    arbiter = CommandArbiter(2.0)
+    arbiter = CommandArbiter(2.0, 2.0)
     assert not arbiter.fresh(ms(0))
     assert arbiter.silent_s(ms(0)) == 0.0
     assert arbiter.latest is None

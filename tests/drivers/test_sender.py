@@ -109,24 +109,27 @@ def test_it_is_small() -> None:
 
 
 def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
-    word = TimedCommand(MonoNs(12345), AHEAD, at.REF_BASE, True, True)
+    word = TimedCommand(MonoNs(12345), AHEAD, at.REF_BASE, True, True, at.Pcmd(at.PCMD_PROGRESSIVE, 0.1, 0.2, 1.0, 0.0))
     assert order_of(pack(word)).latest == word
     sent = order_of(pack_commands([at.Config("a:b", "c d"), at.Ctrl(5)], MonoNs(7)))
     assert (sent.commands, sent.until) == ((("CONFIG", ',"a:b","c d"'), ("CTRL", ",5,0")), 7)
-    options = SenderOptions(HOST, 1, 2, 0.03, 60.0, (("CTRL", ",5,0"),), ())
+    options = SenderOptions(HOST, 1, 2, 0.03, 60.0, 2.0, (("CTRL", ",5,0"),), ())
     assert SenderOptions.of_json(options.as_json()) == options
     assert json.loads(options.as_json())["host"] == HOST
 
 
 @pytest.mark.hazard("H5")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
+async def test_a_service_that_is_killed_or_stopped_leaves_a_climb_and_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
     fake = FakeArDrone()
     async with fake.on_loopback(command_timeout_s=0.12, hold_s=2.5) as options, service(options, fake) as (child, sender):
         child.send_signal(how)
         before = len(fake.of(at.Pcmd))
+        await until(lambda: fake.of(at.Pcmd)[-1].gaz == 1.0)
+        old = sum(p.flags and p.gaz < 1.0 for p in fake.of(at.Pcmd)[before:])
+        assert old <= 30, "120 ms at 10 ms each, and what was on its way"
+        fake.altitude_mm = 2100
         await until(lambda: not moving(fake))
-        assert sum(bool(p.flags) for p in fake.of(at.Pcmd)[before:]) <= 30, "120 ms at 10 ms each, and what was on its way"
         count = len(fake.of(at.Pcmd))
         fake.state |= nd.NavdataState.COM_WATCHDOG
         await until(lambda: len(fake.of(at.Pcmd)) > count + 30)
@@ -151,6 +154,7 @@ async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone(mon
     async with fake.on_loopback(command_timeout_s=0.12) as options, service(options, fake) as (child, orphan):
         child.kill()
         child.wait()
+        fake.altitude_mm = 2100
         await until(lambda: not moving(fake))
         seen = len(fake.commands)
         async with open_ardrone(options, CLOCK) as drone:
@@ -198,7 +202,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
         drone.settimeout(60.0)
         port, past, clock = drone.getsockname()[1], list[None](), SteppedClock()
         client = await SenderClient.start(
-            SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None)
+            SenderOptions(HOST, port, port, 0.03, 60.0, 2.0), clock, lambda a, b: None, lambda: past.append(None)
         )
 
         def flies() -> None:
@@ -244,7 +248,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
         drone.setblocking(False)
         port, clock = drone.getsockname()[1], SteppedClock()
         client = await SenderClient.start(
-            SenderOptions(HOST, port, port, 0.03, 60.0, replaces=replaces), clock, lambda a, b: None
+            SenderOptions(HOST, port, port, 0.03, 60.0, 2.0, replaces=replaces), clock, lambda a, b: None
         )
         try:
             os.kill(client.pid, signal.SIGSTOP)
@@ -288,7 +292,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
         port = drone.getsockname()[1]
-        client = await SenderClient.start(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
+        client = await SenderClient.start(SenderOptions(HOST, port, port, 0.01, 60.0, 2.0), CLOCK, lambda a, b: None)
         try:
             client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
             assert b"PCMD" in drone.recv(2048)
@@ -370,4 +374,4 @@ async def test_a_sender_that_cannot_be_started_is_tried_again(monkeypatch: pytes
 
     monkeypatch.setattr(subprocess, "Popen", none_left)
     with pytest.raises(Recoverable, match="no more processes"):
-        await SenderClient.start(SenderOptions(HOST, 1, 2, 0.03, 60.0), CLOCK, lambda a, b: None)
+        await SenderClient.start(SenderOptions(HOST, 1, 2, 0.03, 60.0, 2.0), CLOCK, lambda a, b: None)

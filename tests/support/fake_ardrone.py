@@ -50,6 +50,7 @@ class FakeArDrone:
         self.video_writers: list[asyncio.StreamWriter] = []
         self.control_writers: list[asyncio.StreamWriter] = []
         self.vx_mm_s = 0.0
+        self.altitude_mm = 900
         self._handlers: list[Any] = []
         self._ids: at.ConfigIds | None = None
         self._navdata: _Udp | None = None
@@ -73,7 +74,7 @@ class FakeArDrone:
         self.clock_us += 5_000
         if self.state & nd.NavdataState.NAVDATA_BOOTSTRAP:
             return nd.encode(nd.Navdata.of(self.state, self.sequence))
-        options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, 900, self.vx_mm_s, 0.0, 0.0),)
+        options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, self.altitude_mm, self.vx_mm_s, 0.0, 0.0),)
         if not self.state & nd.NavdataState.NAVDATA_DEMO:
             accs, gyros = (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)
             options += (
