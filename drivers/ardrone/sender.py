@@ -1,9 +1,10 @@
 """The process that speaks to an AR.Drone's AT port: `python -m drivers.ardrone.sender FD OPTIONS`, started by the service.
 
 It is a process of its own so that no command outlives the service that sent it. It owns the AT socket and its sequence, takes
-commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has expired:
-the service may be killed, stopped, swapped out or stuck. When the service is gone it climbs out of the deck's reach and holds the
-flying drone in hover for `hold_s`, receiving navdata itself, until a new service's sender requests the sequence and takes over. It imports nothing large.
+commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has
+expired: the service may be killed, stopped, swapped out or stuck. When the service is gone it climbs out of the deck's reach
+and holds the flying drone in hover for `hold_s`, receiving navdata itself, until a new service's sender requests the sequence
+and takes over. It imports nothing large.
 """
 
 import select

@@ -104,7 +104,8 @@ def test_a_drone_without_a_service_climbs_out_of_the_reach_of_the_deck(sticks: a
 
 def test_nothing_climbs_that_does_not_fly_or_that_a_person_lands_or_cut() -> None:
     for control in (nd.ControlState.LANDED, nd.ControlState.TAKING_OFF, nd.ControlState.LANDING):
-        assert climbed_m(AHEAD, FLY.bits, lambda _, said=report(control, 0.3): said) == 0.0
+        said = report(control, 0.3)
+        assert climbed_m(AHEAD, FLY.bits, lambda _, said=said: said) == 0.0
     assert climbed_m(AHEAD, GROUND.bits, lambda _: report(nd.ControlState.FLYING, 0.3)) == 0.0
 
 
