@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from drivers.ardrone.arbiter import TimedCommand
 from drivers.ardrone.at import AtCommand, Pcmd, arguments
@@ -145,9 +146,10 @@ def _fields(command: TimedCommand) -> list[object]:
     return [command.until, _of_sticks(command.sticks), command.ref, command.landing, command.watchdog, climb]
 
 
-def _timed_command(said: list[object]) -> TimedCommand:
-    until, sticks, *rest, climb = said
-    return TimedCommand(until, Pcmd(*sticks), *rest, None if climb is None else Pcmd(*climb))  # type: ignore[arg-type, misc]
+def _timed_command(said: list[Any]) -> TimedCommand:
+    until, sticks, ref, landing, watchdog, climb = said
+    climbs = None if climb is None else Pcmd(*climb)
+    return TimedCommand(until, Pcmd(*sticks), ref, landing, watchdog, climbs)
 
 
 def _of_sticks(p: Pcmd) -> list[float]:
