@@ -53,7 +53,8 @@ def wire_value(stack: Stack, value: float, kind: int) -> float:
 
 
 COMMON_RATES_HZ = {
-    # The mode and the armed state: a takeover of the vehicle is reported within one of these, and not within a second.
+    # The mode and the armed state: a takeover of the vehicle is reported within one of these, and not within a second. PX4
+    # refuses to send it more often than once a second, and answers each request for one.
     "HEARTBEAT": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 1.0,
@@ -67,6 +68,10 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
     Stack.OTHER: COMMON_RATES_HZ,
 }
 """Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
+POLLED = "HEARTBEAT"
+"""The message that is requested one by one where its stream is refused or slower than asked for."""
+_POLL_INTERVALS, _LATE_INTERVALS = 0.75, 1.5
+"""Ages at which a polled message is requested, in its intervals: where its stream is refused, and where it is too slow."""
 INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE", "GIMBAL_DEVICE_ATTITUDE_STATUS": "MOUNT_ORIENTATION"}
 """The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion, nor older mounts theirs."""
 
@@ -81,6 +86,11 @@ def message_id(name: str) -> int:
     return int(found[name])
 
 
+def request_message(target: tuple[int, int], number: int) -> Message:
+    """Return the request for one message, by its number."""
+    return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0)
+
+
 @dataclass(slots=True)
 class _Stream:
     interval_s: float
@@ -93,7 +103,8 @@ class _Stream:
 class Streams:
     """Request each message stream with MAV_CMD_SET_MESSAGE_INTERVAL.
 
-    Requests go out one at a time because the acknowledgement does not name the message that it is for.
+    Requests go out one at a time because the acknowledgement does not name the message that it is for. A `POLLED` message that
+    does not arrive often enough is requested with MAV_CMD_REQUEST_MESSAGE each time, whose acknowledgement is not awaited.
 
     Args:
         rates_hz: rate by message name, Hz.
@@ -107,6 +118,7 @@ class Streams:
         self._ids = {name: message_id(name) for name in rates_hz}
         self._retry_s, self._tries, self._silence_s = retry_s, tries, silence_s
         self._waiting: str | None = None
+        self._polled: MonoNs | None = None
 
     @property
     def refused(self) -> dict[str, int]:
@@ -125,7 +137,21 @@ class Streams:
         self._waiting = None
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
-        """Return the request to send now as a list of at most one message."""
+        """Return the requests to send now: at most one for a stream, and one for a message."""
+        return self._polls(now, target) + self._requests(now, target)
+
+    def _polls(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
+        stream = self._streams.get(POLLED)
+        if stream is None:
+            return []
+        wait_s = stream.interval_s * (_LATE_INTERVALS if stream.result in (None, _ACCEPTED) else _POLL_INTERVALS)
+        self._polled = self._polled or now
+        if seconds_between(max(stream.received_at or self._polled, self._polled), now) < wait_s:
+            return []
+        self._polled = now
+        return [request_message(target, self._ids[POLLED])]
+
+    def _requests(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
         if self._waiting is not None:
             waiting = self._streams[self._waiting]
             if waiting.asked is not None and seconds_between(waiting.asked, now) < self._retry_s:
@@ -214,8 +240,7 @@ class VersionRequest:
         if self.answered or waits or self._tries >= self._TRIES:
             return []
         self._asked, self._tries = now, self._tries + 1
-        number = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        return [mav.MAVLink_command_long_message(*target, mav.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0)]
+        return [request_message(target, int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION))]
 
 
 class Parameters:

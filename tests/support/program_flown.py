@@ -24,6 +24,7 @@ from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.requests import request_message
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import FORCE
 from drivers.mavlink.vehicle import LAND_MODE, Stack, mode_name, set_mode
@@ -43,7 +44,7 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.scenario.scenario import load
-from tests.support.toy_autopilot import BEAT_S, PAGE, PERSONS_MODE, STEP_S, STILL, Guidance
+from tests.support.toy_autopilot import PAGE, PERSONS_MODE, STEP_S, STILL, Guidance
 
 HOST = "127.0.0.1"
 AUTOPILOT = (1, 1)
@@ -293,9 +294,7 @@ class ProgramFlown:
             return
         self._sticks_s = self.now_s + _STICKS_S
         self._say(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3))
-        interval = mav.MAV_CMD_SET_MESSAGE_INTERVAL
-        if self.station.mode == "" or self.station.task is Task.MEET:
-            self._say(mav.MAVLink_command_long_message(*AUTOPILOT, interval, 0, 0, round(1e6 * BEAT_S), 0, 0, 0, 0, 0))
+        self._say(request_message(AUTOPILOT, int(mav.MAVLINK_MSG_ID_HEARTBEAT)))
         if self._stack is Stack.PX4:
             self._say(mav.MAVLink_manual_control_message(AUTOPILOT[0], 0, 0, 500, 0, 0))
         else:

@@ -1,7 +1,8 @@
 """A toy autopilot of each stack in virtual time, and it flown by the arbiter of people's orders and the driver together.
 
 The toy obeys as ArduCopter and PX4 were measured to: GUIDED lifts off by NAV_TAKEOFF alone, OFFBOARD wants a stream and falls
-into Hold without one, a plain disarm is refused in the air. What our messages ask for is logged.
+into Hold without one, a plain disarm is refused in the air, and PX4 beats once a second whatever is asked, but answers each
+request for a HEARTBEAT. What our messages ask for is logged.
 """
 
 import math
@@ -18,6 +19,7 @@ from companion.guidance.arbiter import OperatorArbiter
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.requests import RATES_HZ, Streams
 from drivers.mavlink.setpoint_streamer import FORCE, SetpointStreamer
 from drivers.mavlink.vehicle import LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, custom_mode, mode_name
 from estimator.contracts.commands import Command, Hover, Land, Velocity
@@ -26,8 +28,8 @@ from estimator.contracts.samples import Attitude, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 
 STEP_S = 0.04
-BEAT_S = 0.2
-"""Interval of the HEARTBEATs, s: five in a second are requested."""
+BEAT_S = 1.0
+"""Interval of the HEARTBEATs, s, until another is accepted."""
 SPOOL_S = 1.0
 PERSONS_MODE = {Stack.ARDUPILOT: "loiter", Stack.PX4: "posctl"}
 MANUAL_MODE = {Stack.ARDUPILOT: "stabilize", Stack.PX4: "stabilized"}
@@ -48,6 +50,8 @@ class Toy:
         self.setpoints: list[tuple[float, float]] = []
         """Times of the setpoints, and their velocities down in flight, m/s."""
         self.answers: list[tuple[int, bool]] = []
+        self.each_s, self.beats = BEAT_S, False
+        """The interval of its HEARTBEATs, s; True once one was requested."""
         self.now_s = 0.0
         self._down_m_s, self._wanted_s, self._stream_s = 0.0, -math.inf, math.inf
         self._lifts_to_m: float | None = None
@@ -78,8 +82,19 @@ class Toy:
             mav.MAV_CMD_DO_SET_MODE: self._on_set_mode,
             mav.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
             mav.MAV_CMD_NAV_TAKEOFF: self._on_take_off,
+            mav.MAV_CMD_SET_MESSAGE_INTERVAL: self._on_interval,
+            mav.MAV_CMD_REQUEST_MESSAGE: self._on_request,
         }[m.command](m)
         self.answers.append((m.command, obeyed))
+
+    def _on_interval(self, m: Message) -> bool:
+        if self.stack is Stack.ARDUPILOT:
+            self.each_s = 1e-6 * m.param2
+        return self.stack is Stack.ARDUPILOT
+
+    def _on_request(self, m: Message) -> bool:
+        self.beats = True
+        return True
 
     def _on_set_mode(self, m: Message) -> bool:
         number = int(m.param2) if self.stack is Stack.ARDUPILOT else int(m.param2) << 16 | int(m.param3) << 24
@@ -169,6 +184,7 @@ class Guidance:
         self.calls.append("overrule")
 
 
+_BEAT, _FAILED = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), int(mav.MAV_RESULT_FAILED)
 PAGE = OrderSender(OrderSource.PAGE, "1")
 
 
@@ -192,6 +208,7 @@ class Flown:
         self.answers: list[HandledOrder] = []
         self.arbiter.on_order = self.answers.append
         self.now_s = 10.0
+        self.streams = Streams({"HEARTBEAT": RATES_HZ[stack]["HEARTBEAT"]})
         self._beat_s = self.now_s + BEAT_S * self.rng.random()
         self.reported: Condition | None = None
         """The newest condition that the driver has been given."""
@@ -214,8 +231,8 @@ class Flown:
         """Run one cycle: reports, arbiter, driver, autopilot."""
         self.now_s += STEP_S
         toy, now, streamer = self.toy, self.now, self.streamer
-        if self.now_s >= self._beat_s:
-            self._beat_s += BEAT_S
+        if self.now_s >= self._beat_s or toy.beats:
+            self._beat_s, toy.beats = self._beat_s if toy.beats else self._beat_s + toy.each_s, False
             self._under_way.append((self.now_s + self.late_s, Condition(toy.mode, toy.armed, toy.flying)))
         level, stamp = Rotation.identity(), Stamp(now, now, 0.001, "synced")
         streamer.on_attitude(Attitude(stamp, level, 1e-4 * np.eye(3)))
@@ -223,6 +240,7 @@ class Flown:
         while self._under_way and self._under_way[0][0] <= self.now_s and not self.silent:
             _, condition = self._under_way.pop(0)
             streamer.on_condition(condition)
+            self.streams.on_message(_BEAT, now)
             self.reported = condition
             taken = condition.mode if streamer.hand is Hand.PERSON and condition.armed else None
             self.guidance.vehicle = VehicleStatus(
@@ -232,11 +250,12 @@ class Flown:
         command = self.arbiter.choose(now, self.guidance.command).command
         if command is not None:
             streamer.take(command, now)
-        for message in streamer.period(now):
+        for message in (*streamer.period(now), *self.streams.due(now, (1, 1))):
             if self.rng.random() >= self.lost:
                 toy.receive(message)
         for number, accepted in toy.answers:
             streamer.on_answer(number, accepted=accepted)
+            self.streams.on_message(mav.MAVLink_command_ack_message(number, 0 if accepted else _FAILED), now)
         toy.answers.clear()
         toy.step(self.now_s)
 

@@ -1,5 +1,6 @@
 """Streams and parameters are requested until they are answered, and refusals are kept."""
 
+import itertools
 import struct
 
 import pytest
@@ -68,6 +69,28 @@ def test_a_stream_that_falls_silent_is_requested_again() -> None:
         streams.on_message(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), at(0.1 + 0.1 * n))
         assert streams.due(at(0.1 + 0.1 * n), TARGET) == []
     assert len(streams.due(at(9), TARGET)) == 1
+
+
+@pytest.mark.parametrize(("result", "each_s", "most_s"), [(4, 1.0, 0.2), (0, 1.0, 0.32), (0, 0.2, 0.2)])
+def test_the_mode_is_polled_where_its_reports_come_less_often_than_asked(result: int, each_s: float, most_s: float) -> None:
+    """PX4 refuses HEARTBEAT more often than once a second, and answers the request for one; ArduPilot sends them as asked."""
+    streams, arrivals, polls, begins_s = Streams({"HEARTBEAT": 5.0, "RAW_IMU": 100.0}), [0.0], 0, 10.0
+    for n in range(1, 251):
+        now_s = begins_s + 0.02 * n
+        asked = streams.due(at(now_s), TARGET)
+        streams.on_message(mav.MAVLink_command_ack_message(mav.MAV_CMD_REQUEST_MESSAGE, 2), at(now_s))  # no answer to a stream
+        for m in asked:
+            if m.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL:
+                streams.on_message(ack(result if m.param1 == 0 else 0), at(now_s))
+        polled = [m for m in asked if m.command == mav.MAV_CMD_REQUEST_MESSAGE]
+        assert all(m.param1 == 0 for m in polled)
+        if polled or n % round(each_s / 0.02) == 0:
+            streams.on_message(mav.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3), at(now_s))
+            arrivals.append(0.02 * n)
+            polls += len(polled)
+    assert max(b - a for a, b in itertools.pairwise(arrivals)) <= most_s + 0.02
+    assert polls == 0 if each_s < 1.0 else 10 <= polls <= 32
+    assert streams.refused == ({"HEARTBEAT": 4} if result else {})
 
 
 def test_a_name_the_dialect_lacks_is_a_mistake() -> None:

@@ -77,6 +77,8 @@ class MiniatureAutopilot:
     deaf: bool = False
     """Hears commands and answers none."""
     silent: bool = False
+    beat_s: float = 0.25
+    """Interval of its HEARTBEATs until another is accepted, s; the programs begin with a second."""
     p_ned: F64 = field(default_factory=lambda: np.array([0.0, 0.0, -5.0]))
     v_ned: F64 = field(default_factory=lambda: np.zeros(3))
     rpy: Callable[[float], tuple[float, float, float]] = lambda t: (0.0, 0.0, 0.0)
@@ -132,7 +134,12 @@ class MiniatureAutopilot:
     def set_mode(self, name: str) -> None:
         """Set the mode as a person would by the remote control."""
         self.mode = name
-        self.send(self.heartbeat())
+        self._shows_mode()
+
+    def _shows_mode(self) -> None:
+        """Report a new mode at once, as ArduPilot does; PX4 reports it in its next HEARTBEAT."""
+        if self.stack is not Stack.PX4:
+            self.send(self.heartbeat())
 
     def text(self, severity: int, text: str) -> None:
         self.send(mav.MAVLink_statustext_message(severity, text.encode()))
@@ -179,8 +186,12 @@ class MiniatureAutopilot:
             number = int(m.param1)
             if number in self.unsupported:
                 result = 2
+            elif self.stack is Stack.PX4 and number == mav.MAVLINK_MSG_ID_HEARTBEAT:
+                result = 4
             else:
                 self.intervals[number] = m.param2 * 1e-6
+        elif m.command == mav.MAV_CMD_REQUEST_MESSAGE and m.param1 == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self.send(self.heartbeat())
         elif m.command == mav.MAV_CMD_DO_SET_MODE:
             custom = int(m.param2) if self.stack is Stack.ARDUPILOT else int(m.param2) << 16 | int(m.param3) << 24
             result = self._enter(mode_name(self.stack, custom))
@@ -189,7 +200,8 @@ class MiniatureAutopilot:
         elif m.command == mav.MAV_CMD_NAV_TAKEOFF and self.armed and self.mode == "guided":
             self.landed_state, self.p_ned = 2, np.array([*self.p_ned[:2], -m.param7])
         self.send(mav.MAVLink_command_ack_message(m.command, result, 0, 0, received.system, received.component))
-        self.send(self.heartbeat())
+        if m.command == mav.MAV_CMD_DO_SET_MODE:
+            self._shows_mode()
 
     def _enter(self, name: str) -> int:
         streamed = [at for at, _ in self.setpoints if self.now_s - at < 2.5]
@@ -253,7 +265,7 @@ class MiniatureAutopilot:
             dt, self._at = now - self._at, now
             self.p_ned = self.p_ned + self.v_ned * dt
             if now >= beat:
-                beat = now + 0.25
+                beat = now + self.intervals.get(mav.MAVLINK_MSG_ID_HEARTBEAT, self.beat_s)
                 self.send(self.heartbeat())
             for message in self._streams(now):
                 self.send(message)
@@ -297,7 +309,7 @@ class StandIn(MiniatureAutopilot, ABC):
     """
 
     def __init__(self, stack: Stack, clock: Clock, parameters: Mapping[str, float], mode: str) -> None:
-        super().__init__(stack, system=1, mode=mode, armed=False, landed_state=ON_GROUND, clock=clock)
+        super().__init__(stack, system=1, mode=mode, armed=False, landed_state=ON_GROUND, beat_s=1.0, clock=clock)
         self.parameters = dict(parameters)
         self.state: BodyState | None = None
         self.failsafes: list[str] = []
@@ -371,7 +383,6 @@ class StandIn(MiniatureAutopilot, ABC):
             return
         self.commands[m.command] += 1
         self.send(mav.MAVLink_command_ack_message(m.command, own(m), 0, 0, received.system, received.component))
-        self.send(self.heartbeat())
 
     def _on_arm_disarm(self, m: Message) -> int:
         forced = m.param2 == FORCED
@@ -397,7 +408,7 @@ class StandIn(MiniatureAutopilot, ABC):
         self.goes_to(ned_between(ORIGIN, GeoPoint.of_degrees(1e-7 * m.x, 1e-7 * m.y, m.z)))
         ack = mav.MAVLink_command_ack_message(m.command, mav.MAV_RESULT_ACCEPTED, 0, 0, received.system, received.component)
         self.send(ack)
-        self.send(self.heartbeat())
+        self._shows_mode()
 
     @abstractmethod
     def goes_to(self, p_ned: F64) -> None:

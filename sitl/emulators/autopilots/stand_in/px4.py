@@ -240,4 +240,3 @@ class Px4StandIn(StandIn):
         if self._landed_s >= self.parameter("COM_DISARM_LAND") > 0.0:
             self.armed = False
             self.text(6, "Disarmed by landing")
-            self.send(self.heartbeat())
