@@ -162,9 +162,9 @@ def run(args: argparse.Namespace) -> int:
     return 0 if ending.good else 1
 
 
-CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "service_killed", "vessel_reports"})
-"""Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, and of the
-service itself."""
+CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "operator", "service_killed", "vessel_reports"})
+"""Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, of the
+service itself, and of people."""
 
 COMPANION_PORT = 14540
 """The companion's port in the settings that a recording keeps."""

@@ -19,8 +19,7 @@ from msgspec.structs import replace
 from companion.base.health import Health
 from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
-from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.arbiter import OperatorArbiter
+from companion.base.orders import HandledOrder
 from companion.guidance.pilot import WAITING_MOST, Pilot
 from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings, ardrone_options
@@ -45,10 +44,10 @@ from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.faults.timer import FaultTimer
 from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
 from sitl.flight.grader import FlightGrader, FlightResult
-from sitl.flight.hands import MOTORS_TURN
+from sitl.flight.hands import BY_REMOTE, MOTORS_TURN
+from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, camera_model
@@ -56,37 +55,6 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
-
-_SENDER = OrderSender(OrderSource.GAMEPAD, "simulated")
-
-
-class SimulatedPerson:
-    """Acts as the scenario says.
-
-    Args:
-        faults: which faults are active.
-        on_act: receives each order with its answer, and the sticks.
-    """
-
-    def __init__(self, faults: FaultTimer, on_act: Callable[[HandledOrder, StickPositions], None]) -> None:
-        self._faults, self._on_act = faults, on_act
-        self._doing: OperatorActs | None = None
-
-    def act(self, arbiter: OperatorArbiter, now: MonoNs) -> None:
-        """Give what orders are due, and move the sticks; call it before each guidance cycle."""
-        active = self._faults.on(OperatorActs)
-        wanted = active[-1][0] if active else None
-        if wanted is not self._doing:
-            by_hand = self._doing is not None and self._doing.order == "manual"
-            orders = [OperatorOrder.BEGIN if wanted is None else OperatorOrder(wanted.order)]
-            if by_hand and orders[0] is OperatorOrder.BEGIN:
-                orders.insert(0, OperatorOrder.RELEASE)
-            for order in orders:
-                self._on_act(arbiter.take(order, _SENDER, now), CENTRED if wanted is None else wanted.sticks)
-            self._doing = wanted
-        if wanted is not None and wanted.order == "manual":
-            arbiter.move(_SENDER, wanted.sticks, now)
-
 
 NAVDATA_DELAY_S = 0.004
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
@@ -132,7 +100,7 @@ class Flight:
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
-            Or the scenario has a fault that the perception cannot represent.
+            Or the scenario has a fault that the perception, or an AR.Drone, cannot represent.
         SetupImpossible: the simulated drone refuses a key of the configuration.
     """
 
@@ -156,6 +124,8 @@ class Flight:
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service again")
+        if any(isinstance(f, OperatorActs) and f.order in BY_REMOTE for f in scenario.faults):
+            raise BadInput("operator: an AR.Drone has no remote control; order mode and disarm go with --autopilot")
         self._renew = renew or (lambda: pilot)
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""

@@ -6,16 +6,29 @@ from typing import NamedTuple
 
 from companion.base.orders import CENTRED, StickPositions
 from drivers.ardrone.at import PCMD_PROGRESSIVE, AtCommand, Pcmd, Ref
-from estimator.contracts.time import MonoNs, seconds_between
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, RETURN_MODE, Stack, is_autopilot, mode_name, stack_of
+from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
 
 MOTORS_TURN = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 """Phases of a vehicle in which its motors turn."""
 STAYS_UP = ("hold", "abort")
-HANDS_ON = ("manual", "land", "emergency")
+BY_REMOTE = ("mode", "disarm")
+"""Acts of a remote control beside an autopilot: another mode, and motors off. After them nothing is sent."""
+HANDS_ON = ("manual", "land", "emergency", *BY_REMOTE)
 """Acts after which the flight is the person's, until he gives it back."""
+STOPS = ("emergency", "disarm")
+"""Acts that stop the motors wherever the vehicle is."""
 GIVES_BACK = ("begin", "release", "takeoff", "reset")
+OBEYED_S = 0.3
+"""Longest time in which an act is obeyed: a person's own time of reaction."""
+LAPSES_S = 3.0
+"""Time after which an autopilot does not do any more what was requested."""
+_CLIMBS_S = 30.0
+"""Longest take-off."""
 
 
 class Asks(Enum):
@@ -26,6 +39,7 @@ class Asks(Enum):
     LAND = "land"
     STOP = "stop the motors"
     MODE = "change the mode"
+    LEAVE = "fly elsewhere"
     ARM = "arm"
 
 
@@ -49,6 +63,70 @@ def of_at(commands: Iterable[AtCommand], at: MonoNs) -> SentPacket | None:
     return SentPacket(at, Asks.MOVE if sticks[-1].flags & PCMD_PROGRESSIVE else Asks.HOVER)
 
 
+class MavlinkWires:
+    """Reads the datagrams between a service and its autopilot. Call both ways in order of time."""
+
+    def __init__(self) -> None:
+        self._out, self._in = (Codec(0, 0, datagrams=True) for _ in range(2))
+        self._stack = Stack.OTHER
+        self._mode, self._armed = "", False
+        self._requested: dict[str, MonoNs] = {}
+        """The newest request for each mode, and for `Asks.STOP`."""
+
+    def to_vehicle(self, data: bytes, at: MonoNs) -> list[SentPacket]:
+        """Return what a datagram of the service asks."""
+        asked = [self._asked(message, at) for message in self._out.feed(data)]
+        return [SentPacket(at, asks) for asks in asked if asks is not None]
+
+    def from_vehicle(self, data: bytes, at: MonoNs) -> str | None:
+        """Return the act of a person, or of a failsafe, that a datagram shows: a mode, or disarming, that was not requested."""
+        act = None
+        for m in self._in.feed(data):
+            if m.get_type() != "HEARTBEAT" or not is_autopilot(m, m.get_srcComponent()):
+                continue
+            self._stack = stack_of(m)
+            mode, armed = mode_name(self._stack, m.custom_mode), bool(m.base_mode & ARMED)
+            if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
+                act = "disarm"
+            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at):
+                act = "mode"
+            if mode != self._mode:
+                self._requested.pop(mode, None)
+            self._mode, self._armed = mode, armed
+        return act
+
+    def _was_requested(self, what: str, at: MonoNs) -> bool:
+        requested = self._requested.get(what)
+        return requested is not None and seconds_between(requested, at) <= LAPSES_S
+
+    def _asked(self, m: Message, at: MonoNs) -> Asks | None:
+        match m.get_type():
+            case "SET_POSITION_TARGET_LOCAL_NED":
+                return Asks.MOVE
+            case "COMMAND_LONG" | "COMMAND_INT":
+                return self._command(m, at)
+        return None
+
+    def _command(self, m: Message, at: MonoNs) -> Asks | None:
+        if m.command == mav.MAV_CMD_DO_SET_MODE:
+            px4 = self._stack is Stack.PX4
+            mode = mode_name(self._stack, int(m.param2) << 16 | int(m.param3) << 24 if px4 else int(m.param2))
+            self._requested[mode] = at
+            return Asks.LAND if mode in LAND_MODE.values() else Asks.LEAVE if mode in RETURN_MODE.values() else Asks.MODE
+        if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
+            if not m.param1:
+                self._requested[Asks.STOP.value] = at
+            return Asks.ARM if m.param1 else Asks.STOP
+        if m.command == mav.MAV_CMD_DO_REPOSITION:
+            self._requested["guided" if self._stack is Stack.ARDUPILOT else HOLD_MODE[Stack.PX4]] = at
+            return Asks.LEAVE
+        if m.command == mav.MAV_CMD_NAV_TAKEOFF:
+            # PX4 climbs in a mode of its own, and then holds by itself.
+            self._requested |= {"auto.takeoff": at, HOLD_MODE[Stack.PX4]: after(at, _CLIMBS_S)}
+            return Asks.ARM
+        return None
+
+
 class HandsWatch:
     """Watches whether the newest act of a person is obeyed, and whether anything starts that nobody ordered.
 
@@ -70,7 +148,7 @@ class HandsWatch:
         self._since = MonoNs(0)
         self._answered = True
         self._may_start = takes_off
-        self._motors = False
+        self._motors = self._stood = False
         self.sank_m = 0.0
         """Largest descent after an act that keeps the vehicle up, against the deck or over the ground, the smaller."""
         self._stays_up = False
@@ -85,13 +163,18 @@ class HandsWatch:
         """Note an act of a person that was not refused with a reason."""
         if act in GIVES_BACK:
             self.act, self._may_start = None, True
-        elif act in (*STAYS_UP, *HANDS_ON, "mode", "disarm"):
-            self.act, self._since, self._answered = act, at, False
+        elif self.act in BY_REMOTE and act not in ("land", *STOPS):
+            return  # the remote control stays above what is ordered at the computer
+        elif act in (*STAYS_UP, *HANDS_ON):
+            self.act, self._since, self._answered = act, at, act in BY_REMOTE
             self._stays_up = act in STAYS_UP or (act == "manual" and sticks.climb >= 0.0)
             self._may_start, self._held_at_m = False, None
 
     def sent(self, wire: SentPacket) -> None:
         """Note a packet; call it in order of time."""
+        if wire.asks is Asks.ARM and not self._may_start and (self.act is None or self._is_late(wire.at)):
+            whose = "" if self.act is None else f" after a person's {self.act}"
+            self.unordered.append(f"{wire.asks.value}{whose}")
         if self.act is None:
             return
         if self._agrees(self.act, wire):
@@ -107,11 +190,11 @@ class HandsWatch:
             served: whether a service runs; a new one knows nothing of the acts before it.
         """
         motors = truth.phase in MOTORS_TURN
-        if motors and not self._motors and truth.phase is VehiclePhase.TAKING_OFF:
+        if motors and not self._motors and (self._stood or truth.phase is VehiclePhase.TAKING_OFF):
             if not self._may_start:
                 self.unordered.append("the motors started")
             self._may_start = False
-        self._motors = motors
+        self._motors, self._stood = motors, not motors
         if not served and self.act not in (None, "emergency"):
             self.act = None
         if not motors:
@@ -125,12 +208,12 @@ class HandsWatch:
             self._held_at_m = self._held_at_m or at_m
             self.sank_m = max(self.sank_m, descent_m(self._held_at_m, at_m))
 
+    def _is_late(self, at: MonoNs) -> bool:
+        return seconds_between(self._since, at) > OBEYED_S
+
     def _note(self, at: MonoNs, asks: str) -> None:
         late_s = seconds_between(self._since, at)
-        if self.act in ("mode", "disarm"):
-            if asks in (Asks.MODE.value, Asks.ARM.value):
-                self.unordered.append(f"{asks} after a person's {self.act}")
-        elif late_s > self.late_s:
+        if late_s > self.late_s:
             self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {asks}"
 
     def _agrees(self, act: str, wire: SentPacket) -> bool:
@@ -141,8 +224,8 @@ class HandsWatch:
                 return wire.asks is Asks.LAND
             case "manual" | "hold" | "abort":
                 # A place over a deck is held by moving, and a velocity flown by tilts either way: `step` sees what comes of it.
-                return wire.asks in (Asks.HOVER, Asks.MOVE)
-        return wire.asks not in (Asks.MODE, Asks.ARM)
+                return wire.asks in (Asks.HOVER, Asks.MOVE, Asks.MODE)
+        return False
 
 
 def descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.flight.hands import MOTORS_TURN, STAYS_UP, HandsWatch
+from sitl.flight.hands import MOTORS_TURN, OBEYED_S, STAYS_UP, STOPS, HandsWatch
 from sitl.flight.sight import SightWatch
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
 from sitl.vehicle.vehicle import VehiclePhase
@@ -26,7 +26,6 @@ LOW_WITHIN_M = 10.0
 """Distance from the pad within which there is deck under a low vehicle; beyond it is water, and `away` counts."""
 ENDING = 0.1
 """Charge of a battery that ends."""
-_TILT_MARGIN_DEG = 5.0
 _HOP_M = 0.05
 """Height of the lowest foot from which on the vehicle has left the deck."""
 _BOUNCE_MAX_M = 0.5
@@ -62,10 +61,10 @@ class CountLimit(NamedTuple):
     source: str
 
 
-def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dict[str, CountLimit]:
+def limits_of(errand: Errand, contact: ContactSettings, frame: Airframe) -> dict[str, CountLimit]:
     """Return the limit of each count."""
     c = contact
-    tilt_deg = falls_deg - _TILT_MARGIN_DEG if c.tilt_max_deg is None else c.tilt_max_deg
+    tilt_deg = frame.contact_tilt_deg(c.into_deck_max_m_s) if c.tilt_max_deg is None else c.tilt_max_deg
     drop_m = c.into_deck_max_m_s**2 / (2.0 * G_M_S2)
     return {
         "died": CountLimit(0, "the service died in flight: {why}", "nobody flies then"),
@@ -91,10 +90,10 @@ def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dic
         ),
         "contact_tilt_deg": CountLimit(
             tilt_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:.0f} are the most",
-            "the vehicle's file",
+            "the vehicle's file: beyond it a rotor touches while the feet give, or it falls over",
         ),
         "tipped_deg": CountLimit(
-            falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"
+            frame.falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"
         ),
         "bounces": CountLimit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
         "motors_off_m": CountLimit(
@@ -122,7 +121,9 @@ def limits_of(errand: Errand, contact: ContactSettings, falls_deg: float) -> dic
         "ending_battery": CountLimit(
             0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
         ),
-        "disobeyed_s": CountLimit(0.3, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"),
+        "disobeyed_s": CountLimit(
+            OBEYED_S, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"
+        ),
         "held_sank_m": CountLimit(
             0.5, "a person kept it up, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"
         ),
@@ -218,7 +219,7 @@ class Referee:
     """
 
     def __init__(self, start: MonoNs, errand: Errand, contact: ContactSettings, frame: Airframe, disc_radius_m: float) -> None:
-        self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, frame.falls_deg).items()}
+        self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, frame).items()}
         self.sight = SightWatch(start)
         self.hands = HandsWatch(takes_off=errand.takes_off)
         self.unreached = UnreachedContacts()
@@ -306,7 +307,7 @@ class Referee:
         """Count what happens on the deck: standing, bounces, motors that stop over it, tipping over."""
         self._stood_s += dt_s if self._was_standing else 0.0
         self.counts["on_deck_s"].note(self._stood_s)
-        stands, person_cut = abs(m.clearance_m) < ON_DECK_M, self.hands.act == "emergency"
+        stands, person_cut = abs(m.clearance_m) < ON_DECK_M, self.hands.act in STOPS
         if self._before.motors and not m.motors and not person_cut:
             self.counts["motors_off_m"].note(m.clearance_m)
         if abs(m.lowest_m) < 2 * ON_DECK_M and not person_cut:

@@ -144,13 +144,24 @@ class Airframe:
 
     @property
     def falls_deg(self) -> float:
-        """Least tilt, over the feet of one side, at which the vehicle falls over or a rotor touches the deck.
+        """Least tilt of a vehicle that stands at which it falls over its feet, or a rotor touches the deck."""
+        return self.contact_tilt_deg(0.0)
 
-        Its centre of gravity is at the body's origin.
+    def contact_tilt_deg(self, into_deck_m_s: float) -> float:
+        """Return the least tilt against the deck at which, in a contact, a rotor touches it or the vehicle falls over its feet.
+
+        The centre of gravity is at the body's origin. One foot takes the whole mass, and gives until it is stopped: the first
+        maximum of a damped spring that is struck at a speed.
+
+        Args:
+            into_deck_m_s: speed of the foot that strikes.
         """
+        feet, rest = self.feet, math.sqrt(1.0 - self.feet.damping_ratio**2)
+        ahead = math.exp(-feet.damping_ratio / rest * math.acos(feet.damping_ratio))
+        gives_m = into_deck_m_s * math.sqrt(4.0 * self.mass_kg / feet.stiffness_n_m) * ahead
         feet_m = self.feet.corners_m[:, :2]
         axes_m = np.array([(self.arm_m * r.forward, self.arm_m * r.right) for r in rotors(self)])
-        over_m, least = self.feet.below_m + self.rotors_above_m, math.inf
+        over_m, least = self.feet.below_m + self.rotors_above_m - gives_m, math.inf
         for way in np.linspace(0.0, math.tau, 72, endpoint=False):
             u = np.array([math.cos(way), math.sin(way)])
             edge_m = float((feet_m @ u).max())
@@ -199,13 +210,16 @@ class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     The defaults: a foot strikes at twice the rate of ArduPilot's own landing (LAND_SPEED 0.5 m/s), which is a drop from 5 cm;
     along the deck at under a third of the speed at which the slimmest shipped vehicle tips over a foot that catches (1.7 m/s, by
-    the energy of its turn about the foot); tilted to 5 degrees (assumed: feet give, and the deck turns) before it falls over or a
-    rotor touches (`Airframe.falls_deg`).
+    the energy of its turn about the foot); tilted as far as the file's geometry lets it while a foot that strikes at that speed
+    gives (`Airframe.contact_tilt_deg`): 32.0 degrees for the AR.Drone, 34.6 and 33.6 for
+    the two others.
     """
 
     into_deck_max_m_s: Annotated[float, number("speed of a foot into the deck", "m/s", 0.1, 5.0)] = 1.0
     along_deck_max_m_s: Annotated[float, number("speed along the deck", "m/s", 0.1, 5.0)] = 0.5
-    tilt_max_deg: Annotated[float, number("tilt against the deck; by feet and rotors without it", "deg", 1.0, 60.0)] | None = None
+    tilt_max_deg: (
+        Annotated[float, number("tilt against the deck; by feet, springs and rotors without it", "deg", 1.0, 60.0)] | None
+    ) = None
 
 
 class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):

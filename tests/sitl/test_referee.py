@@ -1,5 +1,6 @@
 """The referee of simulated flights, by crafted truths: each count just inside and just outside its limit, and invariances."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,12 +19,18 @@ from companion.settings.guidance import GuidanceOptions, PidOptions
 from companion.settings.load import SHIPPED
 from companion.settings.load import load as load_settings
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, ComWdg, Pcmd, Ref
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Stack, custom_mode, reposition, set_mode
+from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
-from sitl.flight.hands import Asks, SentPacket, of_at
+from sitl.flight.hands import Asks, MavlinkWires, SentPacket, of_at
 from sitl.flight.referee import Errand, Referee, limits_of, moment_of, unsafe_contacts
 from sitl.flight.sight import SightWatch
 from sitl.scenario.scenario import load
@@ -118,14 +125,14 @@ def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
 
 
 HOLD = (("hold", StickPositions()),)
-TIPS = FRAME.falls_deg
+TIPS, LEANS = FRAME.falls_deg, FRAME.contact_tilt_deg(CONTACT.into_deck_max_m_s)
 DROP_M = CONTACT.into_deck_max_m_s**2 / (2 * 9.80665)
 EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "in_water": (lambda n: contact(surface="water") if n else [Step(0.0)], 0, 1),
     "off_pad": (lambda n: contact(surface="deck", over_rim_m=0.02) if n else contact(), 0, 1),
     "into_deck_m_s": (lambda v: contact(foot_speed_m_s=v), 1.0, 1.01),
     "along_deck_m_s": (lambda v: contact(lateral_speed_m_s=v), 0.5, 0.51),
-    "contact_tilt_deg": (lambda tilt: contact(tilt_rad=math.radians(tilt)), TIPS - 5.1, TIPS - 4.9),
+    "contact_tilt_deg": (lambda tilt: contact(tilt_rad=math.radians(tilt)), LEANS - 0.1, LEANS + 0.1),
     "tipped_deg": (lambda tilt: [Step(0.0, 0.0, tilt_deg=tilt, phase=LANDED)], TIPS - 0.1, TIPS + 0.1),
     "bounces": (lambda n: bounced(round(n)), 2, 3),
     "motors_off_m": (lambda h: [Step(0.0, h), Step(0.05, h, phase=CUT)], DROP_M - 1e-3, DROP_M + 1e-3),
@@ -155,12 +162,12 @@ def test_each_count_is_safe_just_inside_its_limit_and_unsafe_just_outside(name: 
 
 
 def test_every_count_has_a_source_and_an_edge() -> None:
-    limits = limits_of(ERRAND, CONTACT, FRAME.falls_deg)
+    limits = limits_of(ERRAND, CONTACT, FRAME)
     assert limits.keys() == EDGES.keys() | {"died", "flew_into"}, "those two are events that are handed in"
     assert all(limit.source for limit in limits.values())
-    given = limits_of(ERRAND, ContactSettings(tilt_max_deg=15.0), FRAME.falls_deg)
+    given = limits_of(ERRAND, ContactSettings(tilt_max_deg=15.0), FRAME)
     assert given["contact_tilt_deg"].most == 15.0, "the vehicle's file"
-    hard = limits_of(ERRAND, ContactSettings(into_deck_max_m_s=2.0), FRAME.falls_deg)["motors_off_m"]
+    hard = limits_of(ERRAND, ContactSettings(into_deck_max_m_s=2.0), FRAME)["motors_off_m"]
     assert hard.most == pytest.approx(4.0 * DROP_M)
     referee = judged([])
     referee.died("KeyError: 'x' (pilot.py:3)")
@@ -171,6 +178,31 @@ def test_every_count_has_a_source_and_an_edge() -> None:
         "the service died in flight: KeyError: 'x' (pilot.py:3)",
         "flew into a bird, 0.20 m from its middle; touched a vest on the pad, 0.01 m from its middle",
     )
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "falls_deg", "contact_deg", "tips_m_s"),
+    [("ardrone2", 37.7, 32.0, 4.9), ("quad_1_5kg", 37.5, 34.6, 1.93), ("hexa_7kg", 35.2, 33.6, 1.72)],
+)
+def test_the_tilt_and_the_speeds_that_a_vehicle_bears_follow_from_its_file(
+    vehicle: str, falls_deg: float, contact_deg: float, tips_m_s: float
+) -> None:
+    """By hand: rotor edge over foot edge; one foot's spring at 1 m/s; the turn about a foot that catches."""
+    file = load_vehicle(SHIPPED / f"vehicles/{vehicle}.toml")
+    frame, contact = file.airframe(), file.contact
+    assert frame.falls_deg == pytest.approx(falls_deg, abs=0.1)
+    assert frame.contact_tilt_deg(1.0) == pytest.approx(contact_deg, abs=0.1)
+    assert limits_of(ERRAND, contact, frame)["contact_tilt_deg"].most == frame.contact_tilt_deg(contact.into_deck_max_m_s)
+    m, aside, height = frame.mass_kg, frame.feet.half_base_m, frame.feet.below_m
+    about = frame.inertia_kg_m2[0] + m * (aside**2 + height**2)
+    tips = math.sqrt(2.0 * about * m * 9.80665 * (math.hypot(aside, height) - height)) / (m * height)
+    assert tips == pytest.approx(tips_m_s, abs=0.05)
+    assert contact.along_deck_max_m_s < tips / 3.0
+
+
+def test_narrow_feet_tip_before_a_rotor_touches() -> None:
+    narrow = dataclasses.replace(FRAME, feet=dataclasses.replace(FEET, half_base_m=0.03))
+    assert narrow.falls_deg == pytest.approx(math.degrees(math.atan2(0.03, FEET.below_m)))
 
 
 def test_a_moment_is_that_of_feet_and_hull_in_the_pads_frame() -> None:
@@ -306,10 +338,113 @@ def test_nothing_starts_that_nobody_ordered() -> None:
     assert judged([down, up, again[0], ask, again[2]], begins).unsafe == ()
     stopped = Step(0.5, 0.0, phase=LANDED, acts=(("emergency", StickPositions()),))
     assert judged([down, stopped, up], begins).unsafe == ("nobody ordered it: the motors started",), "a cut takes the start back"
-    for act, asks in (("mode", Asks.MODE), ("disarm", Asks.ARM)):
-        taken = [Step(0.0), Step(1.0, acts=((act, StickPositions()),)), Step(1.1, sent=(SentPacket(after(START, 1.1), asks),))]
-        assert judged(taken).unsafe == (f"nobody ordered it: {asks.value} after a person's {act}",)
-        assert judged([*taken[:2], Step(1.05, acts=(("begin", StickPositions()),)), taken[2]]).unsafe == ()
+    arms = (Step(2.0, phase=LANDED, sent=(SentPacket(after(START, 2.0), Asks.ARM),)),)
+    assert judged([Step(1.0, 0.0, phase=LANDED), *arms]).unsafe == ("nobody ordered it: arm",)
+    assert judged([Step(1.0, 0.0, phase=LANDED), *arms], begins).unsafe == ()
+    shut = [Step(0.0), Step(1.0, acts=(("disarm", StickPositions()),)), Step(1.1, phase=LANDED)]
+    assert judged([*shut, *arms]).unsafe == ("nobody ordered it: arm after a person's disarm",)
+    assert judged([*shut, Step(1.9, phase=LANDED, acts=(("begin", StickPositions()),)), *arms]).unsafe == ()
+    by_rc = [Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=FLIES)]
+    assert judged(by_rc).unsafe == ("nobody ordered it: the motors started",), "an autopilot has no phase of taking off"
+
+
+SERVICE, VEHICLE = Codec(1, 191), Codec(1, 1)
+
+
+def beat(stack: Stack, mode: str, *, armed: bool = True) -> bytes:
+    firmware = 12 if stack is Stack.PX4 else 3
+    return VEHICLE.pack(mav.MAVLink_heartbeat_message(2, firmware, 1 | 128 * armed, custom_mode(stack, mode), 4, 3))
+
+
+def command(number: int, *of: float) -> bytes:
+    return SERVICE.pack(mav.MAVLink_command_long_message(1, 1, number, 0, *of, *[0.0] * (7 - len(of))))
+
+
+def asks_mode(stack: Stack, mode: str) -> bytes:
+    return SERVICE.pack(set_mode(stack, (1, 1), mode))
+
+
+MOVES = SERVICE.pack(velocity_setpoint(0, (1, 1), Velocity(np.zeros(3), 0.0), 0.0))
+OFF, ON = (command(mav.MAV_CMD_COMPONENT_ARM_DISARM, arms) for arms in (0.0, 1.0))
+AWAY = SERVICE.pack(reposition((1, 1), GeoPoint.of_degrees(54.0, 10.0, 20.0)))
+UP_S = command(mav.MAV_CMD_NAV_TAKEOFF)
+Log = list[tuple[float, Literal["out", "in"], bytes]]
+
+
+def acts_of(log: Log) -> list[tuple[float, str]]:
+    """Return what a log shows as a person's, and when."""
+    wires, found = MavlinkWires(), []
+    for at_s, way, data in log:
+        if way == "out":
+            wires.to_vehicle(data, after(START, at_s))
+        elif (act := wires.from_vehicle(data, after(START, at_s))) is not None:
+            found.append((at_s, act))
+    return found
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_a_mode_or_a_disarm_that_the_service_did_not_request_is_a_persons(stack: Stack) -> None:
+    ours, his, land = VELOCITY_MODE[stack], HOLD_MODE[stack], LAND_MODE[stack]
+    flies: Log = [(0.0, "in", beat(stack, ours)), (0.25, "in", beat(stack, ours))]
+    assert acts_of(flies) == [], "the first mode is there, and nobody's act"
+    assert acts_of([*flies, (1.0, "in", beat(stack, his)), (1.2, "in", beat(stack, his))]) == [(1.0, "mode")]
+    for asked, mode in ((asks_mode(stack, land), land), (AWAY, his if stack is Stack.PX4 else ours)):
+        assert (
+            acts_of(
+                [
+                    (0.0, "in", beat(stack, "auto.rtl" if stack is Stack.PX4 else "rtl")),
+                    (0.5, "out", asked),
+                    (3.5, "in", beat(stack, mode)),
+                ]
+            )
+            == []
+        )
+        assert acts_of([*flies, (0.5, "out", asks_mode(stack, land)), (3.6, "in", beat(stack, land))]) == [(3.6, "mode")], (
+            "too late"
+        )
+    landed: Log = [(0.5, "out", asks_mode(stack, land)), (1.0, "in", beat(stack, land)), (1.1, "in", beat(stack, ours))]
+    assert acts_of([*flies, *landed]) == [(1.1, "mode")], "a request is used up"
+    assert acts_of([*flies, *landed[:2], (1.1, "in", beat(stack, ours)), (1.2, "in", beat(stack, land))])[-1] == (1.2, "mode")
+    assert acts_of([*flies, (1.0, "in", beat(stack, his, armed=False))]) == [(1.0, "disarm")]
+    assert acts_of([*flies, (0.5, "out", OFF), (1.0, "in", beat(stack, his, armed=False))]) == []
+    assert acts_of([*flies, (0.5, "out", ON), (1.0, "in", beat(stack, his, armed=False))]) == [(1.0, "disarm")]
+    assert acts_of([(0.0, "in", beat(stack, his, armed=False)), (1.0, "in", beat(stack, ours, armed=False))]) == [], "on deck"
+    gimbal = Codec(1, 154).pack(mav.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3))
+    assert acts_of([*flies, (1.0, "in", gimbal)]) == []
+    if stack is Stack.PX4:
+        climbs: Log = [(0.5, "out", UP_S), (0.7, "in", beat(stack, "auto.takeoff")), (9.0, "in", beat(stack, his))]
+        assert acts_of([*flies, *climbs]) == []
+
+
+def test_a_datagram_of_the_service_asks_by_its_command() -> None:
+    wires = MavlinkWires()
+    wires.from_vehicle(beat(Stack.PX4, "offboard"), START)
+
+    def asks(*data: bytes) -> list[Asks]:
+        return [packet.asks for one in data for packet in wires.to_vehicle(one, START)]
+
+    modes = [asks_mode(Stack.PX4, mode) for mode in ("auto.land", "auto.rtl", "offboard", "auto.loiter")]
+    assert asks(*modes) == [Asks.LAND, Asks.LEAVE, Asks.MODE, Asks.MODE]
+    assert asks(OFF, ON, UP_S, AWAY, MOVES) == [Asks.STOP, Asks.ARM, Asks.ARM, Asks.LEAVE, Asks.MOVE]
+    assert asks(MOVES + OFF) == [Asks.MOVE, Asks.STOP], "two in one datagram"
+    assert asks(beat(Stack.PX4, "offboard"), command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0), b"\xfd\x00") == []
+
+
+@pytest.mark.parametrize("sent", [MOVES, OFF, ON, AWAY, asks_mode(Stack.ARDUPILOT, "guided"), asks_mode(Stack.ARDUPILOT, "land")])
+def test_nothing_is_sent_after_a_persons_mode_until_he_gives_the_vehicle_back(sent: bytes) -> None:
+    def log(sent_s: float, *acts: tuple[float, str]) -> Referee:
+        wires, steps = MavlinkWires(), [Step(0.0)]
+        for at_s, mode in ((0.5, "guided"), (1.0, "brake")):
+            if (act := wires.from_vehicle(beat(Stack.ARDUPILOT, mode), after(START, at_s))) is not None:
+                steps.append(Step(at_s, acts=((act, StickPositions()),)))
+        steps += [Step(at_s, acts=((act, StickPositions()),)) for at_s, act in acts]
+        return judged([*steps, Step(sent_s, sent=tuple(wires.to_vehicle(sent, after(START, sent_s))))])
+
+    assert log(1.29).unsafe == ()
+    lines = log(2.0).unsafe
+    assert lines[0].startswith("a person ordered mode, and was sent: "), lines
+    assert log(2.0, (1.5, "hold")).unsafe == lines, "the remote control is above the computer"
+    assert log(2.0, (1.5, "begin")).unsafe == ()
 
 
 def test_contacts_that_no_order_could_prevent_are_excused_where_the_scenario_says_so_and_water_never() -> None:

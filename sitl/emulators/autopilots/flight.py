@@ -47,8 +47,10 @@ from sitl.emulators.autopilots.stand_in.base import StandIn
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
+from sitl.faults.kinds import OperatorActs
 from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
 from sitl.flight.grader import FlightResult
+from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception, Pixels
 from sitl.scenario.scenario import Scenario, vehicle_model
@@ -170,7 +172,7 @@ class AutopilotFlight:
         self.station = GroundStation(stack, height_m=self.height_m, unaided=self.autopilot.unaided)
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
-        self.link = FaultyLink(self.graded.streams, self.clock)
+        self.link = FaultyLink(self.graded.streams, self.clock, self.graded.on_sent, self.graded.on_arrived)
         self._reporter = VesselReporter(self.graded)
 
     def service_settings(self, port: int) -> Settings:
@@ -200,7 +202,8 @@ class AutopilotFlight:
         relayed = self.autopilot.unaided or bool(self.scenario.faults)
         to_daemon = behind_relay if relayed else from_program
         settings = self.service_settings(to_daemon)
-        stays = self.settings.guidance.refused == "hold"
+        person = any(isinstance(fault, OperatorActs) for fault in self.scenario.faults)
+        stays = self.settings.guidance.refused == "hold" and not person
         service = self._service = KillableService(lambda once: self._serving(settings, once and stays))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name == "arducopter"
@@ -259,6 +262,7 @@ class AutopilotFlight:
     async def _conduct(self, links: Links, service: KillableService, group: asyncio.TaskGroup) -> FlightEnd:
         station, camera = self.station, self._camera
         assert camera is not None
+        person = SimulatedPerson(self.graded.faults, by_remote=lambda act: self._by_remote(act, links))
         while station.task is not Task.FAILED:
             await self.clock.sleep(_STATION_S)
             if self.body is None:
@@ -276,8 +280,10 @@ class AutopilotFlight:
                 if station.began is None:  # else the new service goes on with the landing that was ordered
                     station.again(self.clock.now(), self.graded.height_m)
             if station.began is not None:
+                if not service.gone:
+                    person.act(service.now.pilot.operator, self.clock.now())
                 flown_s = seconds_between(station.began, self.clock.now())
-                if self._flown(service) or flown_s > self.scenario.duration_limit_s or lost:
+                if (self._flown(service) and not person.gives_back) or flown_s > self.scenario.duration_limit_s or lost:
                     break
             elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
@@ -311,6 +317,11 @@ class AutopilotFlight:
             else standing_of(self.graded.truth(), self.body.pad.disc_radius_m, vehicle_model(self.scenario).airframe().feet),
             self._from_elsewhere_m(service),
         )
+
+    def _by_remote(self, act: str, links: Links) -> None:
+        """Act as a pilot with a remote control does: choose the autopilot's mode that holds, or stop the motors."""
+        links.send(self.station.holds() if act == "mode" else self.station.disarms())
+        self.graded.on_remote(act)
 
     def _flown(self, service: KillableService) -> bool:
         """Return whether the landing that was ordered has ended by itself."""

@@ -165,10 +165,18 @@ class FaultyLink:
 
     Args:
         streams: what becomes of the vehicle's samples and of the service's commands.
+        sent: receives each datagram that the service sends.
+        arrived: receives each datagram that reaches the service.
     """
 
-    def __init__(self, streams: VehicleStreams, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(
+        self,
+        streams: VehicleStreams,
+        clock: Clock,
+        sent: Callable[[bytes], None] = lambda data: None,
+        arrived: Callable[[bytes], None] = lambda data: None,
+    ) -> None:
+        self._clock, self._sent, self._arrived = clock, sent, arrived
         self._samples: InTransit[bytes] = InTransit(streams.navdata)
         self._commands: InTransit[bytes] = InTransit(streams.commands)
         self._to_daemon: Callable[[bytes], None] | None = None
@@ -190,6 +198,8 @@ class FaultyLink:
             while send is not None and (packet := stream.arrived(now)) is not None:
                 if not self.cut:
                     self.carried[name] += 1
+                    if stream is self._samples:
+                        self._arrived(packet[1])
                     send(packet[1])
 
     def from_program(self, data: bytes) -> None:
@@ -203,6 +213,7 @@ class FaultyLink:
         if self.cut or self.muted:
             return
         self.carried["commands in"] += 1
+        self._sent(data)
         self._commands.send(lambda: data, self._clock.now())
         self.deliver()
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.orders import CENTRED, HandledOrder
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.geometry import F64, Rotation
@@ -24,9 +25,11 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.body import Body, BodyTouchdown
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import LightFalls
+from sitl.faults.kinds import LightFalls, OperatorActs
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.flight.hands import STOPS, MavlinkWires
+from sitl.flight.referee import ON_DECK_M
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.vessel.vessel import Mounted, Vessel
@@ -57,6 +60,7 @@ class GradedBody(NullObserver):
         """Height over the deck's plane at the newest step, where faults are watched."""
         self._settings, self._com_watchdog_s = settings, com_watchdog_s
         self._grader: FlightGrader | None = None
+        self._wires = MavlinkWires()
         self._clock = clock
         self.started = clock.now()
         """Instant of the order to land."""
@@ -110,6 +114,30 @@ class GradedBody(NullObserver):
         if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
             self._watched = now
             self._grader.step()
+
+    def on_sent(self, data: bytes) -> None:
+        """Note a datagram that the service sent."""
+        for packet in self._wires.to_vehicle(data, self.now):
+            if self._grader is not None:
+                self._grader.referee.hands.sent(packet)
+
+    def on_arrived(self, data: bytes) -> None:
+        """Note a datagram that reached the service: an act that shows before commands reach the vehicle is its failsafe's."""
+        act = self._wires.from_vehicle(data, self.now)
+        if self._grader is None or act is None or not self.reached:
+            return
+        if act == "mode" or self.height_m - self._grader.feet.below_m > ON_DECK_M:
+            self._grader.referee.hands.acts(act, self.now)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        if self._grader is not None:
+            acting = self.faults.on(OperatorActs)
+            self._grader.on_act(handled, acting[-1][0].sticks if acting else CENTRED)
+
+    def on_remote(self, act: str) -> None:
+        """Note an act of the remote control that the vehicle obeys at once, before it reports it."""
+        if self._grader is not None and act in STOPS:
+            self._grader.referee.hands.acts(act, self.now)
 
     def result(self, pilot: Pilot, health: Health) -> FlightResult | None:
         """Return the graded result; None without faults or without an order to land."""

@@ -16,7 +16,8 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.vehicle import ARMED, LAND_MODE, VELOCITY_MODE, Stack, mode_name, set_mode
+from drivers.mavlink.setpoint_streamer import disarm
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, VELOCITY_MODE, Stack, mode_name, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -161,6 +162,14 @@ class GroundStation:
             self._watch(now)
         elif ordered:
             self._fail(f"the companion refused the landing with result {result}")
+
+    def holds(self) -> Message:
+        """Return the choice of the autopilot's own mode that holds."""
+        return set_mode(self._stack, self._autopilot, HOLD_MODE[self._stack])
+
+    def disarms(self) -> Message:
+        """Return the command that stops the motors, in the air too."""
+        return disarm(self._autopilot, forced=True)
 
     def period(self, now: MonoNs, view: OperatorView) -> list[Message]:
         """Return the messages to send; call it at 10 Hz or more."""

@@ -1,0 +1,55 @@
+"""A simulated person: gives the orders of a scenario's `operator` faults to the service, or acts by his remote control."""
+
+from collections.abc import Callable
+
+from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.arbiter import OperatorArbiter
+from estimator.contracts.time import MonoNs
+from sitl.faults.kinds import OperatorActs
+from sitl.faults.timer import FaultTimer
+from sitl.flight.hands import BY_REMOTE
+
+_SENDER = OrderSender(OrderSource.GAMEPAD, "simulated")
+
+
+class SimulatedPerson:
+    """Acts as the scenario says.
+
+    Args:
+        faults: which faults are active.
+        on_act: receives each order with its answer, and the sticks.
+        by_remote: carries out an act of a remote control.
+    """
+
+    def __init__(
+        self,
+        faults: FaultTimer,
+        on_act: Callable[[HandledOrder, StickPositions], None] = lambda handled, sticks: None,
+        by_remote: Callable[[str], None] = lambda act: None,
+    ) -> None:
+        self._faults, self._on_act, self._by_remote = faults, on_act, by_remote
+        self._doing: OperatorActs | None = None
+
+    @property
+    def gives_back(self) -> bool:
+        """True while the person has the vehicle and will give it back."""
+        return self._doing is not None and self._doing.for_s is not None
+
+    def act(self, arbiter: OperatorArbiter, now: MonoNs) -> None:
+        """Give what orders are due, and move the sticks; call it before each guidance cycle."""
+        active = self._faults.on(OperatorActs)
+        wanted = active[-1][0] if active else None
+        if wanted is not self._doing:
+            by_hand = self._doing is not None and self._doing.order == "manual"
+            orders: list[str] = ["begin" if wanted is None else wanted.order]
+            if by_hand and orders[0] == "begin":
+                orders.insert(0, "release")
+            for order in orders:
+                if order in BY_REMOTE:
+                    self._by_remote(order)
+                else:
+                    sticks = CENTRED if wanted is None else wanted.sticks
+                    self._on_act(arbiter.take(OperatorOrder(order), _SENDER, now), sticks)
+            self._doing = wanted
+        if wanted is not None and wanted.order == "manual":
+            arbiter.move(_SENDER, wanted.sticks, now)
