@@ -1,6 +1,6 @@
 """Told to end, the process ends, whatever its tasks, its threads and its main thread are doing.
 
-It never ends by an exception through the event loop. Two seconds are requested (benches/sigterm.py measures them). Here the bound
+It never ends by an exception through the event loop. Two seconds are requested. Here the bound
 is any test's patience: what these programs would do without the deadline takes an hour or never ends.
 """
 

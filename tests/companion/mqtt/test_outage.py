@@ -1,4 +1,4 @@
-"""Events through an outage: none lost, order kept, copies recognisable. A smaller edition of benches/mqtt_outage.py."""
+"""Events through an outage: none lost, order kept, copies recognisable."""
 
 import asyncio
 import signal
