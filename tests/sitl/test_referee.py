@@ -187,7 +187,7 @@ def test_every_count_has_a_source_and_an_edge() -> None:
 def test_the_tilt_and_the_speeds_that_a_vehicle_bears_follow_from_its_file(
     vehicle: str, falls_deg: float, contact_deg: float, tips_m_s: float
 ) -> None:
-    """By hand: rotor edge over foot edge; one foot's spring at 1 m/s; the turn about a foot that catches."""
+    """Figures by hand: rotor edge over foot edge; one foot's spring at 1 m/s; the turn about a foot that catches."""
     file = load_vehicle(SHIPPED / f"vehicles/{vehicle}.toml")
     frame, contact = file.airframe(), file.contact
     assert frame.falls_deg == pytest.approx(falls_deg, abs=0.1)
