@@ -186,7 +186,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_response_watch_bounds.py",
         "tests/companion/test_response_watch.py",
     ),
-    "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
+    "companion/guidance/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/sight.py": ("tests/sitl/test_referee.py",),

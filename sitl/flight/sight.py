@@ -56,7 +56,7 @@ class SightWatch:
         else:
             self.since_sight[verdict] += 1
 
-    def step(self, truth: Truth, *, reached: bool = True, ours: bool = True) -> None:
+    def step(self, truth: Truth, *, reached: bool, ours: bool) -> None:
         """Note the true state at an instant; call it in order of time.
 
         Args:

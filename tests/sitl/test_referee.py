@@ -32,7 +32,7 @@ from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
 from sitl.flight.hands import Asks, MavlinkWires, SentPacket, of_at
 from sitl.flight.referee import Errand, Referee, limits_of, moment_of, unsafe_contacts
-from sitl.flight.sight import SightWatch
+from sitl.flight.sight import STAMP_ERROR_MAX_S, SightWatch
 from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import ContactSettings
 from sitl.vehicle.airframe import load as load_vehicle
@@ -235,6 +235,14 @@ def test_standing_counts_each_stay_and_flying_low_all_of_them() -> None:
 
     assert judged(twice(2.0, clearance=0.0)).counts["on_deck_s"].value == pytest.approx(2.0)
     assert judged(twice(2.0, clearance=0.9, aside=0.5)).counts["low_outside_s"].value == pytest.approx(4.0)
+
+
+def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
+    once = contact(surface="deck", over_rim_m=0.2)
+    assert judged([*once, replace_step(once[0], at_s=0.1)]).counts["off_pad"].value == 1.0
+    places: list[dict[str, Any]] = [{"clearance": 0.0}, {"clearance": 0.5, "aside": 1.0}, {"battery": 0.05}]
+    for of in places:
+        assert judged([Step(9.0, **of)]).as_json().keys() <= {"away_m", "high_m"}
 
 
 def test_the_worst_of_a_flight_stays_with_its_words() -> None:
@@ -533,7 +541,7 @@ def sight(*frames: tuple[float, Verdict, bool, float], unreached: tuple[float, f
     for at_s, verdict, true_view, error_s in frames:
         watch.frame(after(START, at_s), verdict, true_view=true_view, stamp_error_s=error_s)
     for at_s, height_m in DOWN:
-        watch.step(Step(at_s, height_m - FEET.below_m).truth(), reached=not unreached[0] <= at_s < unreached[1])
+        watch.step(Step(at_s, height_m - FEET.below_m).truth(), reached=not unreached[0] <= at_s < unreached[1], ours=True)
     return watch
 
 
@@ -541,8 +549,11 @@ def test_a_blind_descent_counts_from_a_second_without_true_sight_on() -> None:
     blind = sight()
     assert blind.worst.descent_m == pytest.approx(3.0 - 0.25 * 3 - 0.5)
     assert (blind.worst.lowest_m, blind.worst.blind_s) == (pytest.approx(0.5), 5.0)
-    assert sight((4.0, Verdict.FUSED, True, 0.3)).worst.descent_m == 0.0
-    for frame in ((4.0, Verdict.FUSED, False, 0.0), (4.0, Verdict.GATED, True, 0.0), (4.0, Verdict.FUSED, True, -2.0)):
+    raised = judged([Step(at_s, height_m - FEET.below_m, deck_up=2.0, seen=False) for at_s, height_m in DOWN]).sight
+    assert raised.worst.lowest_m == pytest.approx(0.5), "over the deck"
+    assert sight((4.0, Verdict.FUSED, True, 0.99 * STAMP_ERROR_MAX_S)).worst.descent_m == 0.0
+    wrong = -1.01 * STAMP_ERROR_MAX_S
+    for frame in ((4.0, Verdict.FUSED, False, 0.0), (4.0, Verdict.GATED, True, 0.0), (4.0, Verdict.FUSED, True, wrong)):
         assert sight(frame).worst.descent_m > 1.0
         assert sight(frame).since_sight == {frame[1]: 1}
 
@@ -553,6 +564,10 @@ def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
     assert (lost.worst.descent_m, lost.unreached_m) == (pytest.approx(0.25), pytest.approx(1.25))
     assert back.worst.descent_m == pytest.approx(0.75), "what it did alone is not charged"
     assert back.unreached_m == pytest.approx(0.75)
+    rises = ((0.0, 3.0, 0.0, True), (1.5, 2.0, 1.0, True), (2.0, 2.0, 1.0, False), (3.0, 1.5, 1.0, False), (3.1, 1.5, 1.0, True))
+    charged = [*rises, (4.0, 1.2, 1.0, True)]
+    steps = [Step(at_s, height, deck_up=up, reached=reached, seen=False) for at_s, height, up, reached in charged]
+    assert judged(steps).sight.worst.descent_m == pytest.approx(0.3), "nor what it did alone over a deck that came up"
     deck = ((0.0, True, 0.4), (0.1, False, 0.05), (0.5, False, 0.1), (0.7, False, 0.4), (0.8, True, 0.4), (0.9, False, -0.2))
     falls = [Step(at_s, deck_falls=m_s, reached=reached) for at_s, reached, m_s in deck]
     assert judged(falls).sight.deck_fell_m_s == pytest.approx(0.1), "as long as the last command was meant to meet the deck"

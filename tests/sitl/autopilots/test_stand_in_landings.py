@@ -10,12 +10,15 @@ import pytest
 
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer
+from companion.base.orders import CENTRED, StickPositions
 from companion.guidance import contact
 from companion.settings.load import response_model, shipped_response
+from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.faults.kinds import ServiceKilled
+from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.flight.grade import Grade
+from sitl.flight.hands import HandsWatch
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
@@ -140,6 +143,32 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack,
     assert not silence.touched
     assert_landed_and_stopped_at_once(flight, end)
     assert end.result is not None
+    assert end.result.grade is Grade.ON_PAD
+
+
+@pytest.mark.hazard("H4", "H6")
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("stack", ["px4", "arducopter"])
+async def test_a_pilot_who_switches_the_mode_is_obeyed_and_gives_it_back(
+    stack: Literal["px4", "arducopter"], tmp_path: Path
+) -> None:
+    """The referee reads the wires: his mode, what the service sent after it, and that it asked for none until he gave it back."""
+    modes: list[tuple[float, str]] = []
+    switched = OperatorActs(order="mode", below_height_m=2.5, for_s=2.0)
+    flight = flight_of(stack, tmp_path, "calm", faults=(switched,))
+    acts = HandsWatch.acts
+
+    def noted(watch: HandsWatch, act: str, at: MonoNs, sticks: StickPositions = CENTRED) -> None:
+        modes.append((at * 1e-9, act))
+        acts(watch, act, at, sticks)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(HandsWatch, "acts", noted)
+        end = await flight.fly()
+    assert [act for _, act in modes] == ["mode", "begin"]
+    assert modes[1][0] - modes[0][0] == pytest.approx(2.0, abs=0.2)
+    assert end.result is not None
+    assert end.result.unsafe == ()
     assert end.result.grade is Grade.ON_PAD
 
 
