@@ -240,6 +240,7 @@ def test_standing_counts_each_stay_and_flying_low_all_of_them() -> None:
 def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
     once = contact(surface="deck", over_rim_m=0.2)
     assert judged([*once, replace_step(once[0], at_s=0.1)]).counts["off_pad"].value == 1.0
+    assert judged(contact(motors=False, lateral_speed_m_s=2.0)).unsafe == (), "what slides on the deck without its motors"
     places: list[dict[str, Any]] = [{"clearance": 0.0}, {"clearance": 0.5, "aside": 1.0}, {"battery": 0.05}]
     for of in places:
         assert judged([Step(9.0, **of)]).as_json().keys() <= {"away_m", "high_m"}
