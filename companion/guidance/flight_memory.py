@@ -2,7 +2,8 @@
 
 A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
 the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; a hold or
-an abort of a person stays one; and a height that was large enough spares a climb.
+an abort of a person stays one; and a height that was large enough spares a climb. A vehicle that a person had, or that is in
+another mode than it was left in, is a person's until he orders to begin: he may have chosen that mode while nobody watched.
 """
 
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, Event, State
+from companion.base.mission import FLOWN, GROUND, Event, State
 from companion.guidance.out_of_reach import height_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
@@ -23,6 +24,7 @@ _NEARER_M_S = 0.5
 _RESUMES: Mapping[State, Event] = dict.fromkeys(FLOWN, Event.BEGIN) | {
     State.PAUSED: Event.PAUSE,
     State.ABORTED: Event.ABORT,
+    State.TAKEN: Event.TAKEN,
 }
 """Events that lead a flight that is found in the air to where it was; states that are not named begin as the settings say."""
 
@@ -38,6 +40,8 @@ class FlightMemory(Struct, frozen=True):
     """A landing was requested in this flight."""
     height_m: float | None = None
     """Least height over the deck; None if it is not known."""
+    modes: tuple[str, ...] = ()
+    """Modes of a vehicle that nobody has taken since; empty where modes do not say who has it."""
 
 
 def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:
@@ -45,16 +49,27 @@ def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:
     return FlightMemory(s.at, p.state.name, p.begun, height_m(p, s))
 
 
-def resumed_by(memory: FlightMemory | None, now: MonoNs) -> Event | None:
-    """Return the event that resumes the flight; None where the memory is too old, from the future, or says nothing."""
-    if memory is None or not 0.0 <= seconds_between(memory.at, now) <= OLD_S:
+def resumed_by(memory: FlightMemory | None, now: MonoNs, mode: str) -> Event | None:
+    """Return the event that resumes the flight; None where the memory is too old, from the future, or says nothing.
+
+    Args:
+        mode: that the vehicle is found in.
+    """
+    if memory is None or not 0.0 <= seconds_between(memory.at, now) <= OLD_S or memory.state not in State.__members__:
         return None
-    return _RESUMES.get(State[memory.state]) if memory.state in State.__members__ else None
+    state = State[memory.state]
+    if memory.modes and mode not in memory.modes and state not in GROUND:
+        return Event.TAKEN
+    return _RESUMES.get(state)
 
 
-def carried_on(p: Progress, memory: FlightMemory, now: MonoNs) -> Progress:
-    """Return the memory of the mission with what was requested, and the height that is left of the one that was known."""
-    p = replace(p, begun=memory.begun)
+def carried_on(p: Progress, memory: FlightMemory, now: MonoNs, *, taken: bool) -> Progress:
+    """Return the memory of the mission with what was requested, and the height that is left of the one that was known.
+
+    Args:
+        taken: whether a person has the vehicle, so that nothing is requested any more.
+    """
+    p = replace(p, begun=memory.begun and not taken)
     if memory.height_m is None:
         return p
     return replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))

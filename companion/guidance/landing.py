@@ -212,6 +212,8 @@ class LandingGuidance:
         self._over_ground, self._resumes = over_ground, resumes
         self._response = ResponseIdentifier(tilt, guidance)
         self._changes: list[StateChange] = []
+        self._left = False
+        """True if a service that came back left the vehicle to the person who took it meanwhile, until an order to begin."""
         self.before: FlightMemory | None = None
         """The flight's state as the service before this one left it, until a vehicle is found in the air."""
         self.memory: FlightMemory | None = None
@@ -371,7 +373,9 @@ class LandingGuidance:
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         if status.flying is False:
             self.before = None
-        self.mission, changes = reported(self.mission, status, self._guidance, resumes=self._resumes)
+        self._left = self._left and self.state is State.TAKEN
+        resumes = self._resumes and not self._left
+        self.mission, changes = reported(self.mission, status, self._guidance, resumes=resumes)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
@@ -386,12 +390,14 @@ class LandingGuidance:
     def _resume(self, status: VehicleStatus) -> None:
         """Go on where a service before this one was in this flight, as far as that is known and nobody else has the vehicle."""
         before, self.before, at = self.before, None, status.stamp.received_at
-        event = resumed_by(before, at)
+        event = resumed_by(before, at, status.mode)
         if before is None or event is None or status.taken is not None:
             return
         reason = Reason(ReasonCause.RESTARTED, seconds_between(before.at, at), detail=State[before.state].value)
+        if event is Event.TAKEN:
+            self._left, reason = True, Reason(ReasonCause.TAKEN_OVER, detail=f"while the service was away: mode {status.mode}")
         self.mission, changes = _taken(self.mission, event, reason, at, self._guidance)
-        self.mission = carried_on(self.mission, before, at)
+        self.mission = carried_on(self.mission, before, at, taken=event is Event.TAKEN)
         self._changes += changes
 
     def judge(

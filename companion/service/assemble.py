@@ -29,7 +29,7 @@ from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.client import OFF, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.service.flight_keeper import keeper_of
+from companion.service.flight_keeper import keeper_of, no_modes
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings import whole_file
 from companion.settings.model import Settings
@@ -37,6 +37,7 @@ from companion.settings.ship_place import sources
 from drivers.clock import SystemClock
 from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.vehicle import modes_left
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
@@ -158,8 +159,10 @@ def make_daemon(
 
     vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap, show)
     watching += vehicle.observers
-    if isinstance(ticking, SystemClock) and (keeper := keeper_of(pilot, vehicle_name(settings), os.environ)) is not None:
-        watching.append(keeper)
+    if isinstance(ticking, SystemClock):
+        modes = modes_left if isinstance(settings.vehicle, AutopilotOptions) else no_modes
+        if (keeper := keeper_of(pilot, vehicle_name(settings), os.environ, modes)) is not None:
+            watching.append(keeper)
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
     if settings.vessel.nmea or settings.vessel.mqtt:

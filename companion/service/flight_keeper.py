@@ -2,11 +2,12 @@
 
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.flight_memory import FlightMemory
@@ -19,6 +20,9 @@ _EACH_S = 0.5
 """Time between two records, s; a change of state is written at once."""
 _LONGEST = 4096
 """Most bytes that are read."""
+
+
+ModesLeft = Callable[[str], tuple[str, ...]]
 
 
 class FlightRecord(Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,10 +42,11 @@ class FlightKeeper(NullObserver):
     Args:
         vehicle: the vehicle's name; the memory of another one is not used.
         boot: a word for this start of the computer.
+        modes: returns the modes of a vehicle that nobody has taken since it was in a mode; none where modes do not say.
     """
 
-    def __init__(self, path: Path, pilot: Pilot, vehicle: str, boot: str) -> None:
-        self._path, self._pilot, self._vehicle, self._boot = path, pilot, vehicle, boot
+    def __init__(self, path: Path, pilot: Pilot, vehicle: str, boot: str, modes: ModesLeft) -> None:
+        self._path, self._pilot, self._vehicle, self._boot, self._modes = path, pilot, vehicle, boot, modes
         self._written: MonoNs | None = None
         self._writer: threading.Thread | None = None
         self._failed = False
@@ -66,6 +71,8 @@ class FlightKeeper(NullObserver):
         if not due or memory is None or (self._writer is not None and self._writer.is_alive()):
             return
         self._written = decision.at
+        if (status := self._pilot.landing.vehicle) is not None:
+            memory = replace(memory, modes=self._modes(status.mode))
         text = msgspec.json.encode(FlightRecord(self._boot, self._vehicle, memory))
         self._writer = threading.Thread(target=self._write, args=(text,), name="flight-memory", daemon=True)
         self._writer.start()
@@ -82,11 +89,16 @@ class FlightKeeper(NullObserver):
             self._failed = True
 
 
-def keeper_of(pilot: Pilot, vehicle: str, environment: Mapping[str, str]) -> FlightKeeper | None:
+def no_modes(mode: str) -> tuple[str, ...]:
+    """Return none: this vehicle's modes do not say who has it."""
+    return ()
+
+
+def keeper_of(pilot: Pilot, vehicle: str, environment: Mapping[str, str], modes: ModesLeft) -> FlightKeeper | None:
     """Return the keeper in the folder that systemd gives the service for its state; None without one."""
     folder = environment.get("STATE_DIRECTORY", "").split(":")[0]
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
         return None
-    return FlightKeeper(Path(folder) / "flight", pilot, vehicle, boot) if folder else None
+    return FlightKeeper(Path(folder) / "flight", pilot, vehicle, boot, modes) if folder else None

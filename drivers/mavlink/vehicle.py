@@ -47,6 +47,11 @@ RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
 
 
+def modes_left(mode: str) -> tuple[str, ...]:
+    """Return the modes of an autopilot that nobody has taken since it was in a mode: PX4 leaves OFFBOARD where setpoints end."""
+    return (mode, HOLD_MODE[Stack.PX4]) if mode == VELOCITY_MODE[Stack.PX4] else (mode,)
+
+
 def stack_of(heartbeat: Message) -> Stack:
     """Return the firmware family that sent a HEARTBEAT."""
     if heartbeat.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:

@@ -9,12 +9,13 @@ import pytest
 from companion.base.mission import State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
-from companion.service.flight_keeper import FlightKeeper, keeper_of
+from companion.service.flight_keeper import FlightKeeper, keeper_of, no_modes
+from estimator.contracts.commands import Hover, Velocity
 from tests.companion.mission_flights import ns
 from tests.companion.test_pilot import Cockpit
 
 
-def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True, taken: str | None = None) -> Cockpit:
+def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True) -> Cockpit:
     """Return a new service, 2 s after that record, in its first cycle without sight."""
     cockpit = Cockpit(automatic=automatic)
     cockpit.pilot.landing.before = before
@@ -50,6 +51,21 @@ def test_what_is_old_from_the_future_or_strange_is_not_used(memory: FlightMemory
     assert back(memory, **more).pilot.state is State.SEARCH
 
 
+@pytest.mark.hazard("H6")
+@pytest.mark.parametrize("state", [State.COMMIT, State.SEARCH, State.PAUSED, State.REFUSED, State.READY, State.TAKEN])
+@pytest.mark.parametrize("automatic", [False, True])
+def test_a_vehicle_that_changed_its_mode_meanwhile_is_a_person_s_until_he_orders_to_begin(state: State, automatic: bool) -> None:
+    left = () if state is State.TAKEN else ("guided", "auto.loiter")
+    cockpit = back(FlightMemory(ns(100.0), state.name, True, 0.3, left), automatic=automatic)
+    cockpit.pilot.landing._resumes = automatic  # its velocity mode would be an order
+    assert {cockpit.tick(sighted=True) for _ in range(20)} == {Hover()}
+    assert cockpit.pilot.state is (State.TAKEN if automatic else State.READY)
+    cockpit.pilot.begin()
+    assert isinstance(cockpit.tick(sighted=False), Velocity)
+    same = FlightMemory(ns(100.0), "COMMIT", True, 0.3, ("guided", "hovering"))
+    assert back(same, automatic=False).pilot.state is State.SEARCH
+
+
 def test_a_vehicle_that_stood_meanwhile_begins_another_flight() -> None:
     cockpit = back(FlightMemory(ns(100.0), "PAUSED", True), flying=False)
     cockpit.flying = True
@@ -66,7 +82,7 @@ def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_tak
 
 def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
     path, first, first_one = tmp_path / "flight", Cockpit(), "AR.Drone at 1.2.3.4"
-    keeper = FlightKeeper(path, first.pilot, first_one, "boot")
+    keeper = FlightKeeper(path, first.pilot, first_one, "boot", lambda mode: (mode, "brake"))
     texts = set()
     for _ in range(100):
         first.tick(sighted=True)
@@ -77,8 +93,9 @@ def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_ne
     assert 2 <= len(texts) < 20
     for vehicle, boot, used in ((first_one, "boot", True), ("another", "boot", False), (first_one, "b", False)):
         second: Pilot = Cockpit().pilot
-        FlightKeeper(path, second, vehicle, boot)
+        FlightKeeper(path, second, vehicle, boot, no_modes)
         assert (second.landing.before is not None) is used
+        assert second.landing.before is None or second.landing.before.modes == ("hovering", "brake")
 
 
 @pytest.mark.parametrize(
@@ -96,14 +113,14 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
     (tmp_path / "flight").write_bytes(text)
     pilot = Cockpit().pilot
     with caplog.at_level(logging.ERROR):
-        FlightKeeper(tmp_path / "flight", pilot, "v", "b")
+        FlightKeeper(tmp_path / "flight", pilot, "v", "b", no_modes)
     assert pilot.landing.before is None
     assert str(tmp_path / "flight") in caplog.text
 
 
 def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     cockpit = Cockpit()
-    keeper = keeper_of(cockpit.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")})
+    keeper = keeper_of(cockpit.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
     assert keeper is not None
     for _ in range(60):
         cockpit.tick(sighted=True)
@@ -111,4 +128,4 @@ def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: p
         assert keeper._writer is not None
         keeper._writer.join()
     assert caplog.text.count("cannot be written") == 1
-    assert keeper_of(cockpit.pilot, "v", {}) is None
+    assert keeper_of(cockpit.pilot, "v", {}, no_modes) is None

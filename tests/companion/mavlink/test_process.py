@@ -1,13 +1,17 @@
 """The whole service as a process beside an autopilot: settings from a file, a video as camera, a station's words, a recording."""
 
 import asyncio
+import os
 import signal
 import sys
 from collections import Counter
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import av
 import numpy as np
+import pytest
 
 from companion.recording.reading import open_recording
 from companion.recording.records import LinkRecord
@@ -87,6 +91,52 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
     )
     assert crossed["in", "ATTITUDE_QUATERNION"] > 10
     assert crossed["out", "HEARTBEAT"] >= 1
+
+
+@asynccontextmanager
+async def flown(rig: Path, kept: Path) -> AsyncIterator[None]:
+    """Run the service, and kill it as a fault does."""
+    words = (sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig))
+    with kept.with_suffix(".stderr").open("ab") as errors:
+        service = await asyncio.create_subprocess_exec(*words, stderr=errors, env={**os.environ, "STATE_DIRECTORY": str(kept)})
+    try:
+        yield
+    finally:
+        service.kill()
+        await service.wait()
+
+
+@pytest.mark.hazard("H6")
+async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanwhile(tmp_path: Path) -> None:
+    port = free_port()
+    rig, kept = tmp_path / "rig.toml", tmp_path / "kept"
+    kept.mkdir()
+    grey_video(tmp_path / "grey.mp4")
+    rig.write_text(RIG.format(port=port, video=tmp_path / "grey.mp4", folder=kept))
+    craft = MiniatureAutopilot()
+
+    async def taken() -> None:
+        craft.setpoints.clear()
+        await until(lambda: craft.mode == "guided" and bool(craft.setpoints))
+        await asyncio.sleep(1.0)  # the record is written each half second
+
+    async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
+        async with flown(rig, kept):
+            await until(lambda: bool(ours(craft, "HEARTBEAT")))
+            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
+            await taken()
+        async with flown(rig, kept):
+            await taken()  # nobody orders it
+        craft.set_mode("loiter")
+        craft.messages.clear()
+        craft.setpoints.clear()
+        async with flown(rig, kept):
+            await until(lambda: bool(ours(craft, "HEARTBEAT")))
+            await asyncio.sleep(2.0)
+            assert not craft.setpoints
+            assert craft.mode == "loiter"
+            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
+            await taken()
 
 
 def ours(craft: MiniatureAutopilot, kind: str) -> list[mav.MAVLink_message]:

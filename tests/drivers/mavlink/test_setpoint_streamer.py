@@ -11,7 +11,17 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
-from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
+from drivers.mavlink.vehicle import (
+    COPTER_MODES,
+    PX4_MODES,
+    Condition,
+    Identity,
+    Stack,
+    custom_mode,
+    mode_name,
+    modes_left,
+    set_mode,
+)
 from estimator.contracts.commands import Hover, Land, LandingPlace, Lean, TakeOff, Velocity
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
@@ -105,6 +115,7 @@ def test_every_mode_has_one_name_and_one_number() -> None:
     assert (m.param1, m.param2, m.param3) == (1, 4, 9)
     m = set_mode(Stack.ARDUPILOT, (7, 1), "land")
     assert (m.param1, m.param2, m.param3) == (1, 9, 0)
+    assert (modes_left("guided"), modes_left("offboard")) == (("guided",), ("offboard", "auto.loiter"))
 
 
 def test_waiting_for_the_start_sends_nothing_at_all() -> None:
@@ -133,16 +144,7 @@ def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> N
     assert flight.periods(1.0, GO) == []
 
 
-def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again() -> None:
-    flight = Flight(Stack.ARDUPILOT)
-    flight.periods(0.2, GO)
-    flight.told("guided")
-    flight.periods(0.2, GO)
-    flight.told("loiter")
-    assert flight.periods(2.0, GO) == []
-    assert flight.periods(2.0, Land()) == []
-    flight.streamer.engage()
-    assert modes(flight.periods(0.2, GO)) == [(4, 0)]
+def test_a_station_s_velocity_mode_is_an_order_by_setting_alone() -> None:
     for option in (False, True):
         flight = Flight(Stack.ARDUPILOT, "guided", mode_is_order=option)
         flight.periods(0.2, GO)
@@ -253,20 +255,6 @@ def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
     sent = flight.periods(2.0, Land())
     assert modes(sent) == []
     assert velocities(sent)[-1] == pytest.approx((0.25, 0.5, 0.4, 0.0))
-    flight.told("posctl")
-    assert flight.periods(1.0, Land()) == []
-    assert flight.streamer.hand is Hand.PERSON
-
-
-def test_a_person_who_breaks_the_landing_off_keeps_the_vehicle() -> None:
-    flight = Flight(Stack.ARDUPILOT)
-    flight.periods(0.2, GO)
-    flight.told("guided")
-    flight.periods(0.2, Land())
-    flight.told("land")
-    flight.told("loiter")
-    assert flight.periods(3.0, Land()) == []
-    assert flight.streamer.hand is Hand.PERSON
 
 
 def test_the_last_word() -> None:
@@ -316,15 +304,6 @@ def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_t
     assert flight.streamer.hand is Hand.HOLDING
     assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
     assert flight.streamer.hand is Hand.TAKING
-
-
-def test_a_person_who_takes_the_vehicle_while_it_holds_keeps_it() -> None:
-    flight = over_a_deck()
-    flight.periods(7.0)
-    flight.told("auto.loiter")
-    flight.told("posctl")
-    assert flight.periods(1.0, GO) == []
-    assert flight.streamer.hand is Hand.PERSON
 
 
 def test_a_persons_landing_needs_no_repeating() -> None:
@@ -457,11 +436,3 @@ def test_a_vehicle_that_stands_after_a_landing_is_commanded_to_disarm_and_never_
     flight.streamer.on_condition(Condition("offboard", False, False))
     flight.periods(0.6)
     assert flight.periods(1.0) == []
-
-
-def test_motors_that_a_person_has_are_not_stopped() -> None:
-    flight = Flight(Stack.PX4, "offboard")
-    flight.periods(0.2, GO)
-    flight.told("offboard")
-    flight.told("posctl")
-    assert flight.periods(1.0, ON_DECK) == []
