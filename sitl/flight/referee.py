@@ -279,7 +279,8 @@ class Referee:
         self._low_s += dt_s if self._was_low else 0.0
         self.counts["low_outside_s"].note(self._low_s)
         ours = reached and served and not self.hands.hands_on and moment.motors
-        if ours:
+        # In its own hover it drifts with the wind and stays behind a ship that goes on: no order of ours flies it there.
+        if ours and truth.phase is not VehiclePhase.HOVERING:
             self._way(truth)
         self._battery(truth, dt_s, hovers=ours and self.hands.act not in STAYS_UP and moment.clearance_m > ON_DECK_M)
         self._wires()

@@ -224,6 +224,9 @@ def test_a_ship_that_goes_on_leaves_a_vehicle_that_hovers_over_the_ground() -> N
     assert judged([*left, Step(2.0, aside=-90.0 - 21.0, ship=90.0)]).unsafe == (
         "flew 26 m away from the pad, where 25 m are the most",
     )
+    hovers = [Step(0.0), Step(1.0, aside=-40.0, ship=10.0, phase=VehiclePhase.HOVERING)]
+    assert judged(hovers).unsafe == (), "its own hover drifts with the wind, and nobody flies it there"
+    assert judged([hovers[0], replace_step(hovers[1], phase=FLIES)]).unsafe != ()
     with_her = Step(1.0, ship=90.0, v=(90.0, 0.0, 0.0))
     assert judged([Step(0.0), with_her]).unsafe == (), "nor is one that goes with her fast"
 
