@@ -86,7 +86,8 @@ def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float) ->
 
 _GAP_S = 0.5
 """The longest gap between two velocities that the position is integrated over."""
-_RANGE_S = 0.5
+_RANGE_S, _BARO_S = 0.5, 2.5
+"""Ages up to which a range and a barometric height count, s: an autopilot sends one of these a second."""
 _SIGMA_MAX_M = 5.0
 """The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
 _SEEN_GAIN_1_S = 1.5
@@ -112,7 +113,7 @@ class PlaceMemory(Struct, frozen=True, eq=False):
     velocity: BodyVelocity | None = None
     attitude: Attitude | None = None
     flying: bool = False
-    baro_m: float | None = None
+    baro: Baro | None = None
     ground_baro_m: float | None = None
     """The barometer's height on the ground, or where the vehicle was first seen to fly."""
     range: Range | None = None
@@ -129,7 +130,7 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample], *, trusts_velocit
         trusts_velocity: the integrity guard does not refuse the velocities among them.
     """
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
-    baro_m, ground_baro_m, newest_range, charge = memory.baro_m, memory.ground_baro_m, memory.range, memory.charge
+    baro, ground_baro_m, newest_range, charge = memory.baro, memory.ground_baro_m, memory.range, memory.charge
     for sample in samples:
         # By the type itself: hundreds of samples a second, and a match checks one class after the other.
         if type(sample) is Attitude:
@@ -142,15 +143,15 @@ def place_step(memory: PlaceMemory, samples: Sequence[Sample], *, trusts_velocit
                     p_start_ned = p_start_ned[0] + v_north * dt_s, p_start_ned[1] + v_east * dt_s
             velocity = sample
         elif type(sample) is Baro:
-            baro_m = sample.height_m
-            ground_baro_m = baro_m if ground_baro_m is None else ground_baro_m
+            baro = sample
+            ground_baro_m = baro.height_m if ground_baro_m is None else ground_baro_m
         elif type(sample) is Range:
             newest_range = sample
         elif type(sample) is VehicleStatus:
             flying, charge = sample.flying is True, sample.battery_fraction
             if not flying:
-                p_start_ned, ground_baro_m = (0.0, 0.0), baro_m
-    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro_m, ground_baro_m, newest_range, charge, trusts_velocity)
+                p_start_ned, ground_baro_m = (0.0, 0.0), None if baro is None else baro.height_m
+    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro, ground_baro_m, newest_range, charge, trusts_velocity)
 
 
 def limited(
@@ -249,11 +250,14 @@ def _vertical(
     down: float, options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, now: MonoNs, *, manual: bool
 ) -> tuple[float, list[Limit]]:
     """Return the vertical velocity within the limits, m/s down: each limit only moves it towards zero."""
-    range_m = None
+    range_m = above_start_m = None
     if place.range is not None and seconds_between(place.range.stamp.measured_at, now) <= _RANGE_S:
         range_m = place.range.range_m
+    # A height that is not reported any more would bar a climb for good.
+    baro = place.baro
+    if baro is not None and place.ground_baro_m is not None and seconds_between(baro.stamp.measured_at, now) <= _BARO_S:
+        above_start_m = baro.height_m - place.ground_baro_m
     above_pad_m = None if belief is None else belief.height_m
-    above_start_m = None if place.baro_m is None or place.ground_baro_m is None else place.baro_m - place.ground_baro_m
     known = sorted(height_m for height_m in (above_start_m, range_m, above_pad_m) if height_m is not None)
     if down < 0.0 and known:
         # Of three the middle one is no lie. Of two, one that lies high would keep a drone low over a deck that comes up to it; a

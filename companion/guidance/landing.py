@@ -12,6 +12,7 @@ from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
+from companion.guidance.charge import ChargeWatch
 from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.command_limits import Unmeasured, without_velocity
 from companion.guidance.contact import ContactWatch, watched
@@ -220,6 +221,7 @@ class LandingGuidance:
         """The flight's state for the service after this one; None before the first guidance cycle."""
         self.vehicle: VehicleStatus | None = None
         """The vehicle's latest status; None before the first."""
+        self._charge = ChargeWatch()
         self._now = MonoNs(0)
         self._attitude: Attitude | None = None
         """The newest attitude."""
@@ -281,7 +283,7 @@ class LandingGuidance:
 
     def _lands_here(self) -> Reason | None:
         """Return that a drone that refused will land where it is, once its charge comes near to that."""
-        battery, last = None if self.vehicle is None else self.vehicle.battery_fraction, self._guidance.last_charge
+        battery, last = self._charge.fraction, self._guidance.last_charge
         if (
             battery is None
             or battery >= last + _SAYS_CHARGE
@@ -302,6 +304,8 @@ class LandingGuidance:
         if event is Event.BEGIN:
             self._vessel_track = rendezvous.restarted(self._vessel_track)
             self._climb_watch = ClimbWatch()
+            # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.
+            self._response.begin()
         self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
@@ -369,6 +373,7 @@ class LandingGuidance:
 
     def _on_status(self, status: VehicleStatus) -> None:
         self.vehicle = status
+        self._charge = self._charge.reported(status.stamp.received_at, status.battery_fraction)
         if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
             self._impact = Impact(status.stamp.measured_at, "vehicle")
         if status.flying is False:
@@ -381,7 +386,7 @@ class LandingGuidance:
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
             self._climb_watch = ClimbWatch()
             self._law_memory = self._law.start()
-            self._response.on_take_off()
+            self._response.begin()
             self._overruled, self._on_pad = False, None
         self._changes += changes
         if any(change.event is Event.TAKEN_OFF for change in changes):
@@ -487,7 +492,6 @@ class LandingGuidance:
         tilt = self._tilt if knowledge.tilt_max_deg is None else replace(self._tilt, max_deg=knowledge.tilt_max_deg)
         wind = None if knowledge.body is None else wind_over_drone(self._wind, tilt, knowledge.body.heading_rad, self._view)
         self._air = wind
-        battery = None if self.vehicle is None else self.vehicle.battery_fraction
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
@@ -499,7 +503,7 @@ class LandingGuidance:
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
-            now, knowledge, battery, wind, self._quality, self._frames, place, silent_s,
+            now, knowledge, self._charge.fraction, wind, self._quality, self._frames, place, silent_s,
             self._contact.feels and self._unfelt_since is None,
             self._response.late_s, self._touch, range_m, self._thing, unseen, self._off_orders(knowledge),
         )  # fmt: skip

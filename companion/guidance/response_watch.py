@@ -284,8 +284,8 @@ class ResponseIdentifier:
         if self._on:
             self._watch = response_watch.reported(self._watch, stamp, lean_m_s2)
 
-    def on_take_off(self) -> None:
-        """Begin another flight with what is known."""
+    def begin(self) -> None:
+        """Begin another flight, or landing, with what is known."""
         self._watch = response_watch.landed(self._watch)
 
     def on_command(self, now: MonoNs, command: Command | None, state: State) -> ResponseInUse | None:

@@ -13,13 +13,16 @@ from msgspec.structs import replace
 from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.guidance.charge import DWELL_S, ChargeWatch
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.landing import mission_step, ordered, reported
+from companion.guidance.make_pilot import make_pilot
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.steer import Aim, never_lower
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import load
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
@@ -261,6 +264,31 @@ def test_what_flies_nowhere_else_lands_where_it_is_with_its_last_charge(refused,
         assert ordered_in(state, stood=True) != Land()
     assert ordered_in(State.PAUSED) != Land()
     assert ordered_in(State.ABORTED) != Land()
+
+
+@given(st.lists(st.tuples(st.floats(0.02, 1.5), st.sampled_from([0.04, 0.06, 0.5])), max_size=40))
+@settings(max_examples=60)
+def test_a_charge_decides_once_every_report_of_three_seconds_says_so(reports: list[tuple[float, float]]) -> None:
+    watch, t, said = ChargeWatch(), 0.0, list[tuple[float, float]]()
+    for after_s, charge in reports:
+        t += after_s
+        said.append((t, charge))
+        watch = watch.reported(ns(t), charge)
+        known = t - said[0][0] >= DWELL_S
+        assert watch.fraction == (max(c for at, c in said if t - at <= DWELL_S) if known else None)
+    assert watch.reported(ns(t), None).fraction is None
+
+
+def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:
+    """WHY: one report of 4 % while a climb loaded the battery brought it down into the sea."""
+    landing = make_pilot(load("sim")).landing
+    landing.on_samples([status(0.0, flying=True)])
+    landing.mission = replace(landing.mission, state=State.REFUSED, begun=True, stood=False, since=ns(0.0))
+    for n in range(600):
+        charge = 0.04 if 5.0 <= 0.02 * n < 7.5 or 0.02 * n >= 8.0 else 0.3
+        landing.on_samples([replace(status(0.02 * n, flying=True), battery_fraction=charge)])
+        lands = landing.command(Knowledge(ns(0.02 * n), None)) == Land()
+        assert lands is (0.02 * n >= 8.0 + DWELL_S), 0.02 * n
 
 
 def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:

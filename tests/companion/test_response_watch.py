@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.base.mission import State
+from companion.base.mission import Event, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
+from companion.guidance.make_pilot import make_pilot
 from companion.guidance.margins import margins
 from companion.guidance.response_fit import TiltFit, fit_tilt
 from companion.guidance.response_watch import (
@@ -129,6 +130,15 @@ def test_a_delay_that_nothing_can_fly_with_is_reported_after_two_fits(delay_s: f
     assert (watch.late_s is not None) is too_late
     assert not too_late or watch.late_s == pytest.approx(delay_s, abs=0.03)
     assert landed(watch).late_s is None
+
+
+def test_an_order_to_begin_again_ends_what_nothing_can_take_back() -> None:
+    """WHY: a drone that was refused for late answers hovers, so no answer of it is seen, and each new order was refused at once."""
+    landing = make_pilot(load("sim")).landing
+    landing._response._watch = structs.replace(landing._response._watch, late_s=0.5, late_doubt=True)
+    assert landing._response.late_s == 0.5
+    landing.order(Event.BEGIN)
+    assert landing._response.late_s is None
 
 
 def course(kind: str) -> tuple[F64, F64, float]:

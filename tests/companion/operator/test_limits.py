@@ -50,7 +50,7 @@ def place(
         BodyVelocity(at(NOW), np.zeros(3), np.eye(3)),
         Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg)), np.eye(3)),
         flying=True,
-        baro_m=baro_m,
+        baro=Baro(at(NOW), baro_m, 0.5),
         ground_baro_m=0.0,
         range=None if range_m is None else Range(at(NOW), range_m, 0.02),
         charge=charge,
@@ -184,6 +184,13 @@ def test_heights_and_battery() -> None:
     assert not hit
 
 
+def test_a_barometer_that_has_died_bars_no_climb() -> None:
+    """WHY: nothing could take back the height that it reported last."""
+    options, climb = LimitOptions(height_max_m=20.0), flown((0.0, 0.0, -2.0))
+    for later_s, hits in ((2.0, (Limit.HEIGHT_MAX,)), (3.0, ())):
+        assert limited(climb, options, place(baro_m=30.0), None, after(NOW, later_s), manual=False)[1] == hits
+
+
 def test_a_polygon_is_checked() -> None:
     assert LimitOptions(fence_polygon="0 0, 10 0, 10 10.5").corners() == ((0.0, 0.0), (10.0, 0.0), (10.0, 10.5))
     for wrong, why in (
@@ -205,7 +212,6 @@ def test_the_place_is_the_integral_of_the_velocity_since_the_start() -> None:
         memory = place_step(memory, [VehicleStatus(at(now), n >= 100, "", 0.5, False, True)])
         memory = place_step(memory, [BodyVelocity(at(now), np.array([1.0, 0.0, 0.0]), np.eye(3))])
     assert memory.p_start_ned == pytest.approx([0.0, 2.02])
-    assert memory.baro_m is not None
     assert memory.ground_baro_m == 100.0
     assert limited(flown((0.0, 0.0, -9.0)), LimitOptions(height_max_m=4.0), memory, None, now, manual=False)[1] == (
         Limit.HEIGHT_MAX,
