@@ -133,7 +133,7 @@ def test_a_delay_that_nothing_can_fly_with_is_reported_after_two_fits(delay_s: f
 
 
 def test_an_order_to_begin_again_ends_what_nothing_can_take_back() -> None:
-    """WHY: a drone that was refused for late answers hovers, so no answer of it is seen, and each new order was refused at once."""
+    """WHY: a drone that was refused for late answers hovers: no answer of it is seen, and each order was refused at once."""
     landing = make_pilot(load("sim")).landing
     landing._response._watch = structs.replace(landing._response._watch, late_s=0.5, late_doubt=True)
     assert landing._response.late_s == 0.5
