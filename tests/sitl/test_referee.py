@@ -249,6 +249,15 @@ def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
         assert judged([Step(9.0, **of)]).as_json().keys() <= {"away_m", "high_m"}
 
 
+def test_what_is_measured_is_that_and_nothing_beside_it() -> None:
+    assert judged([Step(0.0, 3.0, tilt_deg=60.0)]).counts["tipped_deg"].value == 0.0, "in the air it leans"
+    falls_astern = Step(0.0, ship=20.0, v=(0.0, 3.0, 4.0))
+    assert judged([falls_astern]).counts["fast_m_s"].value == pytest.approx(3.0), "along the deck, the smaller of both speeds"
+    ends = [Step(0.0, battery=0.1), Step(10.0, battery=0.05), Step(20.0, battery=0.05)]
+    assert judged(ends).counts["ending_battery"].value == pytest.approx(0.2), "of what it gave when it began to end"
+    assert judged([Step(0.0, battery=0.0), Step(0.4, battery=0.0)]).counts["ending_battery"].value == pytest.approx(0.4)
+
+
 def test_the_worst_of_a_flight_stays_with_its_words() -> None:
     strikes = (touched(where, 0.1 * n, foot_speed_m_s=v) for n, (v, where) in enumerate(((1.3, "pad"), (1.2, "deck"))))
     assert unsafe_contacts(tuple(strikes), CONTACT, FRAME)[-1] == "a foot struck the pad at 1.30 m/s, where 1 m/s is the most"
@@ -438,6 +447,7 @@ def test_a_datagram_of_the_service_asks_by_its_command() -> None:
     modes = [asks_mode(Stack.PX4, mode) for mode in ("auto.land", "auto.rtl", "offboard", "auto.loiter")]
     assert asks(*modes) == [Asks.LAND, Asks.LEAVE, Asks.MODE, Asks.MODE]
     assert asks(OFF, ON, UP_S, AWAY, MOVES) == [Asks.STOP, Asks.ARM, Asks.ARM, Asks.LEAVE, Asks.MOVE]
+    assert asks(b"\xfd\xff\x00", OFF) == [Asks.STOP], "after one that broke off"
     assert asks(MOVES + OFF) == [Asks.MOVE, Asks.STOP], "two in one datagram"
     assert asks(beat(Stack.PX4, "offboard"), command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0), b"\xfd\x00") == []
 
@@ -568,10 +578,16 @@ def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
     assert (lost.worst.descent_m, lost.unreached_m) == (pytest.approx(0.25), pytest.approx(1.25))
     assert back.worst.descent_m == pytest.approx(0.75), "what it did alone is not charged"
     assert back.unreached_m == pytest.approx(0.75)
-    rises = ((0.0, 3.0, 0.0, True), (1.5, 2.0, 1.0, True), (2.0, 2.0, 1.0, False), (3.0, 1.5, 1.0, False), (3.1, 1.5, 1.0, True))
-    charged = [*rises, (4.0, 1.2, 1.0, True)]
-    steps = [Step(at_s, height, deck_up=up, reached=reached, seen=False) for at_s, height, up, reached in charged]
-    assert judged(steps).sight.worst.descent_m == pytest.approx(0.3), "nor what it did alone over a deck that came up"
+    for height, up in ((2.0, 1.0), (3.0, -1.0)):
+        seen_s = [Step(at_s, 3.0, seen=at_s == 0.0) for at_s in (0.0, 1.2)]
+        goes = [
+            Step(1.5, height),
+            Step(2.0, height, reached=False),
+            Step(3.0, height - 0.5, reached=False),
+            Step(3.1, height - 0.5),
+        ]
+        there = [replace_step(step, deck_up=up, seen=False) for step in (*goes, Step(4.0, height - 0.8))]
+        assert judged([*seen_s, *there]).sight.worst.descent_m == pytest.approx(0.3), "nor over a deck that came up or fell"
     deck = ((0.0, True, 0.4), (0.1, False, 0.05), (0.5, False, 0.1), (0.7, False, 0.4), (0.8, True, 0.4), (0.9, False, -0.2))
     falls = [Step(at_s, deck_falls=m_s, reached=reached) for at_s, reached, m_s in deck]
     assert judged(falls).sight.deck_fell_m_s == pytest.approx(0.1), "as long as the last command was meant to meet the deck"
