@@ -505,7 +505,7 @@ class LandingGuidance:
         s = GuidanceCycle(
             now, knowledge, self._charge.fraction, wind, self._quality, self._frames, place, silent_s,
             self._contact.feels and self._unfelt_since is None,
-            self._response.late_s, self._touch, range_m, self._thing, unseen, self._off_orders(knowledge),
+            self._response.late_s, self._touch, range_m, not self._over_ground, self._thing, unseen, self._off_orders(knowledge),
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes

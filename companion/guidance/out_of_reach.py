@@ -3,8 +3,9 @@
 A deck in waves comes up to a drone that stays where it is, and feet that move along a deck catch and turn the vehicle over. So a
 drone that is low, or does not know how high it is, climbs first and flies nowhere else meanwhile. One rule serves every state
 (`low`); the states differ in the height that they want (`_WANTED`). Three witnesses are asked in this order: the range sensor;
-the height that was last known, with what it has climbed and the deck has risen since; the time for which it has climbed. Each
-ends: a range sensor that reads one value for ever is not believed beyond twice the safe height.
+the height that was last known, with what it has climbed and the deck has risen since; the time for which it has climbed, where
+the range sensor's silence says nothing. Each ends: a range sensor that reads one value for ever is not believed beyond twice the
+safe height.
 """
 
 import math
@@ -83,7 +84,7 @@ def low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
         return True
     known_m = height_m(p, s)
     if known_m is None:
-        return s.range_m is None and p.state in _BY_TIME and p.climbed_m < safe_m
+        return s.range_m is None and not s.ranges_near and p.state in _BY_TIME and p.climbed_m < safe_m
     return known_m < wanted * safe_m and p.climbed_m < _MOST * safe_m
 
 

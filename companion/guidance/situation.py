@@ -63,6 +63,8 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """The newest push that one foot alone may have made; None before one."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
+    ranges_near: bool = False
+    """True if a surface that is near is surely ranged: by the ultrasound that an AR.Drone itself flies by."""
     thing: Reason | None = None
     """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
     unseen: Reason | None = None

@@ -142,6 +142,13 @@ def test_a_range_sensor_that_lies_ends_neither_the_search_nor_the_hold(state: St
     assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is (state is State.SEARCH), "it looks upwind"
 
 
+@pytest.mark.parametrize("ranges_near", [True, False])
+def test_where_an_ultrasound_would_find_the_deck_its_silence_begins_the_search(ranges_near: bool) -> None:
+    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=WINDY, ranges_near=ranges_near)
+    found = mission_step(waiting(State.SEARCH), s, OPTIONS, over_ground=False)[1]
+    assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is ranges_near
+
+
 def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:
     """WHY: a filter that begins anew takes a deck for one that falls from its crest, and the deck came up."""
     for range_m, climbs in ((1.0, True), (None, False), (1.9, False)):
