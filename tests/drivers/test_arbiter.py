@@ -126,6 +126,51 @@ def test_it_is_held_for_a_bounded_time() -> None:
     assert arbiter.commands(ms(2130)) == []
 
 
+def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_order() -> None:
+    assert TimedCommand(ms(0), AHEAD).commands() == [AHEAD]
+    assert TimedCommand(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
+    assert TimedCommand(ms(0), AHEAD, FLY.bits, watchdog=True).commands() == [at.ComWdg(), FLY, AHEAD]
+
+
+def test_before_the_first_word_nothing_is_fresh_and_nothing_is_silent() -> None:
+    arbiter = CommandArbiter(2.0, 2.0)
+    assert not arbiter.fresh(ms(0))
+    assert arbiter.silent_s(ms(0)) == 0.0
+    assert arbiter.latest is None
+    arbiter.lost(ms(0))
+    assert arbiter.latest is None
+    assert arbiter.hovers == 0
+
+
+@pytest.mark.parametrize("watchdog", [True, False])
+def test_without_a_report_the_watchdog_is_reset_where_the_word_requested_it(watchdog: bool) -> None:
+    expected = [at.ComWdg(), HOVER] if watchdog else [HOVER]
+    arbiter = CommandArbiter(60.0, 2.0)
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits, watchdog=watchdog))
+    assert arbiter.commands(ms(121)) == expected
+
+
+@pytest.mark.parametrize(
+    ("control", "flying", "on_ground"),
+    [
+        (nd.ControlState.LANDED, False, True),
+        (nd.ControlState.INIT, False, True),
+        (nd.ControlState.DEFAULT, False, True),
+        (None, False, True),
+        (nd.ControlState.HOVERING, False, False),
+        (nd.ControlState.LANDING, False, False),
+        (nd.ControlState.LANDED, True, False),
+        (None, True, False),
+    ],
+)
+def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, on_ground: bool) -> None:
+    arbiter = CommandArbiter(60.0, 2.0)
+    assert not arbiter.on_ground(ms(200)), "nobody has said so"
+    arbiter.on_report(DroneReport(nd.NavdataState.FLYING if flying else 0, control, 1.5), ms(200))
+    assert arbiter.on_ground(ms(300)) is on_ground
+    assert not arbiter.on_ground(ms(1300)), "said too long ago"
+
+
 @pytest.mark.parametrize(("landing", "altitude_m", "called_off"), [(True, 1.0, True), (True, 0.3, False), (False, 1.0, False)])
 def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(landing, altitude_m, called_off):
     """The landing of a person, which is not to be renewed, goes on."""
