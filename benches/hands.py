@@ -141,7 +141,7 @@ def fly(flown: Flown | ProgramFlown, state: str, act: Act, rng: Random) -> Run |
         if act.by_switch and flown.now_s >= again_s and not act.over(flown):
             act.does(flown)
             again_s += AGAIN_S
-    if isinstance(flown, ProgramFlown) and act.by_switch and flown.toy.denied:
+    if isinstance(flown, ProgramFlown) and act.by_switch and flown.toy.denied and not act.over(flown):
         return None  # PX4 takes no mission that it does not have
     return judged(flown, act, at_s)
 

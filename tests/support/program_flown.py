@@ -53,7 +53,7 @@ _WALL_S = 120.0
 """Time of the wall for a step of the program: longer is a program that hangs."""
 _READY_S = 45.0
 """Time after which a program that was started would arm."""
-_STICKS_S, _CENTRED = 0.2, 1500
+_STICKS_S, _CENTRED, _LOW = 0.2, 1500, 1000
 _PARAMETERS = {
     Stack.ARDUPILOT: {},
     # A joystick's sticks count, and their loss does nothing
@@ -71,7 +71,7 @@ class Vehicle:
         self.stack, self._body, self._station, self._now_s = stack, body, station, now_s
         self.mode, self.armed = "", False
         self.denied = False
-        """True if the autopilot denied the mode that the person chose last."""
+        """True if the autopilot denied a mode that the person chose."""
         self.log: list[tuple[float, str]] = []
         self.setpoints: list[tuple[float, float]] = []
         self._codec = Codec(*AUTOPILOT)
@@ -86,7 +86,6 @@ class Vehicle:
 
     def switch(self, mode: str) -> None:
         """Choose a mode, as a person does at his remote control."""
-        self.denied = False
         self._station(set_mode(self.stack, AUTOPILOT, mode))
 
     def disarm(self) -> None:
@@ -298,7 +297,8 @@ class ProgramFlown:
         if self._stack is Stack.PX4:
             self._say(mav.MAVLink_manual_control_message(AUTOPILOT[0], 0, 0, 500, 0, 0))
         else:
-            self._say(mav.MAVLink_rc_channels_override_message(*AUTOPILOT, *[_CENTRED] * 4, 0, 0, 0, 0))
+            throttle = _CENTRED if self.toy.armed else _LOW  # else ArduCopter does not arm
+            self._say(mav.MAVLink_rc_channels_override_message(*AUTOPILOT, _CENTRED, _CENTRED, throttle, _CENTRED, 0, 0, 0, 0))
         if self.toy.others_stream:
             yaw = self.body.state().R_ned_body.rpy_rad[2]
             self._say(velocity_setpoint(self.now // 1_000_000, AUTOPILOT, STILL, yaw))
@@ -316,6 +316,8 @@ class ProgramFlown:
             self._run(self._by_station())
             if not self.body.upright:
                 return False
+        if self.station.task is Task.FAILED:
+            return False
         mode = (LAND_MODE if on_deck else PERSONS_MODE)[self._stack]
         self.toy.switch(mode)
         for _ in range(round(60.0 / STEP_S)):
@@ -346,6 +348,7 @@ class ProgramFlown:
         self.arbiter.on_order = self.answers.append
         self.toy.log.clear()
         self.toy.setpoints.clear()
+        self.toy.denied = False
         autopilot.links.tap = self.toy.tap
         settled = 0
         while settled < round(1.0 / STEP_S):
