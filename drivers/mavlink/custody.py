@@ -16,7 +16,7 @@ person are: `ENGAGE`, which the service gives once for each order to begin or to
 What holds in every state (`tests/drivers/mavlink/test_custody.py` flies random sequences against toy autopilots):
 
 1. A mode that is reported, that differs from the one before, and that we have not requested since, is a person's or a failsafe's.
-   It leads to PERSON from every state in which something of ours runs, at that report.
+   It leads to PERSON from every state in which something of ours runs, at that report, and in flight from an order to begin on.
 2. A request is used up when it is obeyed. The same mode once more, or the mode from before our request, is a person's choice.
    A mode that was there when the request began is no change and says nothing.
 3. PERSON ends by an order of a person, or when the vehicle stands disarmed. The velocity mode, which a ground station chooses for
@@ -91,6 +91,8 @@ class HandEvent(Enum):
     """An older request for a mode is obeyed."""
     OTHER_MODE = "another mode"
     """A mode that was not requested since the last report, or a request that was undone."""
+    MODE_SINCE = "mode since order"
+    """A change of mode in flight between a person's order to begin and the first velocity."""
     MODE_ORDER = "mode as order"
     ARMED = "armed"
     """Not by us."""
@@ -125,7 +127,10 @@ _BORROWED: Row = {
 _FLOWN: Row = {**_BORROWED, _E.LAND: _H.LANDING, _E.CONTACT: _H.STANDING}
 
 _ROWS: Table = {
-    _H.NOBODY: {**_CUT, _E.STEER: _H.TAKING, _E.LAND: _H.LANDING, _E.CONTACT: _H.LANDING, _E.TAKE_OFF: _H.TAKING_OFF},
+    _H.NOBODY: {
+        **_CUT, _E.STEER: _H.TAKING, _E.LAND: _H.LANDING, _E.CONTACT: _H.LANDING, _E.TAKE_OFF: _H.TAKING_OFF,
+        _E.MODE_SINCE: _H.PERSON,
+    },
     _H.TAKING: {
         **_FLOWN, _E.IN_MODE: _H.OURS, _E.REFUSED: _H.PERSON, _E.STOOD: _H.NOBODY, _E.UNCLEAR: _H.HOLDING,
     },

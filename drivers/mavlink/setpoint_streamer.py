@@ -187,6 +187,8 @@ class SetpointStreamer:
         self._attitude: Attitude | None = None
         self._modes = ModeRequests()
         self._tries = Tries(options)
+        self._engaged = False
+        """True from a person's order to begin in flight until the vehicle is taken."""
         self.hand = Hand.NOBODY
         self.cause: HandEvent | None = None
         """The event that led to the present state; None at the start."""
@@ -216,7 +218,7 @@ class SetpointStreamer:
         if target is self.hand:
             return False
         self.hand, self.cause, self._tries = target, event, Tries(self._o)
-        self.motors_cut = False
+        self.motors_cut = self._engaged = False
         self.commanded |= target is not Hand.NOBODY
         if target in LEFT_ALONE:
             self._modes.forget()
@@ -313,6 +315,7 @@ class SetpointStreamer:
     def engage(self) -> None:
         """Allow a vehicle that a person took over to be taken back, because a person orders to begin or to land."""
         self._on(HandEvent.ENGAGE)
+        self._engaged = self.hand is Hand.NOBODY and self._condition.flying is True
 
     def on_answer(self, command: int, *, accepted: bool) -> None:
         """Take the autopilot's answer to a command of ours, by the command's number."""
@@ -337,7 +340,7 @@ class SetpointStreamer:
         """Yield the events in a report; each is taken before the next is looked for."""
         ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
         if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
-            yield HandEvent.OTHER_MODE
+            yield HandEvent.MODE_SINCE if self._engaged else HandEvent.OTHER_MODE
             if in_mode and self._o.mode_is_order:
                 yield HandEvent.MODE_ORDER
         elif ours and not in_mode:

@@ -144,6 +144,19 @@ def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> N
     assert flight.periods(1.0, GO) == []
 
 
+def test_a_mode_chosen_between_the_order_to_begin_and_the_first_velocity_stands() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    flight.told("poshold")
+    assert flight.streamer.hand is Hand.NOBODY, "without an order nobody is disobeyed"
+    flight.streamer.engage()
+    assert flight.periods(1.0, Hover()) == []
+    flight.told("rtl")
+    assert flight.periods(2.0, GO) == []
+    assert flight.streamer.hand is Hand.PERSON
+    flight.streamer.engage()
+    assert modes(flight.periods(0.2, GO)) == [(4, 0)]
+
+
 def test_a_station_s_velocity_mode_is_an_order_by_setting_alone() -> None:
     for option in (False, True):
         flight = Flight(Stack.ARDUPILOT, "guided", mode_is_order=option)
