@@ -42,7 +42,7 @@ class Sticks(Struct, frozen=True):
 
 
 _HELD_S = 2.0
-"""Time over which the tilt of the drone's own hover is averaged, s: gusts are shorter."""
+"""Time over which a tilt that holds against the wind is averaged, s: gusts are shorter."""
 
 
 class LoopState(Struct, frozen=True):
@@ -174,7 +174,7 @@ class VelocityLoop:
         self._counters = counters
         self._velocity: BodyVelocity | None = None
         self._attitude: Attitude | None = None
-        self._loop = RESET
+        self._loop = self._mean = RESET
         self._stepped: MonoNs | None = None
         """Time of the newest period that was flown by the loop; None after one that was not."""
         self._held: tuple[MonoNs, F64] | None = None
@@ -192,7 +192,7 @@ class VelocityLoop:
 
     def reset(self) -> None:
         """Forget the tilt against the wind: the drone stands."""
-        self._loop, self._known_s = RESET, 0.0
+        self._loop, self._mean, self._known_s = RESET, RESET, 0.0
 
     def hover(self) -> Pcmd:
         """Return the drone's own hover."""
@@ -201,7 +201,7 @@ class VelocityLoop:
 
     def climb(self, climb_m_s: float | None = None) -> Pcmd:
         """Return a climb, as fast as the drone can or in m/s, with the tilt that held against the wind."""
-        trim = np.array([self._loop.forward_m_s2, self._loop.right_m_s2])
+        trim = np.array([self._mean.forward_m_s2, self._mean.right_m_s2])
         return _progressive(sticks_of(trim, -(self._o.vz_max_m_s if climb_m_s is None else climb_m_s), 0.0, self._o))
 
     def fly(self, wanted: Velocity | Lean, now: MonoNs) -> Pcmd:
@@ -220,6 +220,7 @@ class VelocityLoop:
             dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
             a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
             self._loop, sticks = step(self._loop.at_heading(heading), wanted, measured.v_level, a_level, dt_s, self._o)
+        self._averages(0.0 if self._stepped is None else seconds_between(self._stepped, now))
         self._stepped, self._known_s = now, _HELD_S
         return _progressive(sticks)
 
@@ -236,6 +237,18 @@ class VelocityLoop:
         self._known_s = min(_HELD_S, self._known_s + dt_s)
         a_level, at_heading = acceleration_of(attitude.R_ned_body), self._loop.at_heading(attitude.R_ned_body.rpy_rad[2])
         self._loop = held(at_heading, v, before[1], a_level, self._known_s, dt_s, self._o)
+        self._averages(dt_s)
+
+    def _averages(self, dt_s: float) -> None:
+        """Take the newest trim into its mean, from which a climb without measurements is flown: feet on a deck push it about."""
+        if self._mean == RESET:
+            self._mean = self._loop
+        before, share = self._mean.at_heading(self._loop.heading_rad), 1.0 - math.exp(-dt_s / _HELD_S)
+        self._mean = replace(
+            self._loop,
+            forward_m_s2=before.forward_m_s2 + share * (self._loop.forward_m_s2 - before.forward_m_s2),
+            right_m_s2=before.right_m_s2 + share * (self._loop.right_m_s2 - before.right_m_s2),
+        )
 
     def _unmeasured(self, wanted: Velocity | Lean) -> Pcmd:
         """Return what flies where nothing measures the motion: a hover, or a climb with the tilt that holds against the wind.

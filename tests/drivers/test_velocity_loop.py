@@ -6,10 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, held, lean, step
+from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, VelocityLoop, held, lean, step
 from estimator.contracts.commands import Lean, Velocity
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
 
 OPTIONS = ArDroneOptions()
 STILL = np.zeros(3)
@@ -152,3 +155,15 @@ def test_at_the_limit_the_tilt_against_the_wind_is_kept(trim_forward: float, tri
     flown = 9.80665 * math.tan(tilt) * np.array([-s.pitch, s.roll]) / max(1e-9, math.hypot(s.roll, s.pitch))
     more = flown - np.array([trim_forward, trim_right])
     assert float(more @ np.array([-vx, -vy])) >= -1e-3, "what is left brakes, and takes nothing from the trim"
+
+
+def test_a_climb_without_a_service_leans_as_the_wind_asked_for_and_not_as_feet_on_a_deck_did() -> None:
+    loop, at = VelocityLoop(OPTIONS, Counters()), 0
+    for trim, cycles in (2.0, 100), (6.0, 5):
+        for _ in range(cycles):
+            at += 30_000_000
+            now = MonoNs(at)
+            loop.on_sample(Attitude(Stamp(now, now, 0.001, "navdata"), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+            loop.fly(Lean(np.zeros(2), np.array([trim, 0.0]), np.zeros(3), 0.0), now)
+    leans = -loop.climb().pitch * OPTIONS.euler_angle_max_rad
+    assert math.atan(2.0 / 9.80665) <= leans < math.atan(2.5 / 9.80665)
