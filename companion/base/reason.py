@@ -94,7 +94,7 @@ class ReasonCause(Enum):
     GUST = "a gust began, {measured:.1f} m/s off the mean wind (usual: {limit:.1f})"
     BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
     BATTERY_ENDS = "battery at {measured:.0f} %: it lands on the pad in sight"
-    LANDS_HERE = "battery at {measured:.0f} %: below {limit:.0f} % it lands where it is"
+    LANDS_HERE = "battery at {measured:.0f} %: at {limit:.0f} % it lands where it is"
 
 
 CONDITIONS = frozenset(

@@ -131,7 +131,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     estimate, p = s.estimate, replace(p, climbs_m_s=0.0)
     match p.state:
         case State.REFUSED | State.GAVE_UP if (
-            s.battery is not None and s.battery < o.last_charge and ends_here(p, o, over_ground)
+            s.battery is not None and s.battery <= o.last_charge and ends_here(p, o, over_ground)
         ):
             return p, Land()
         case State.PAUSED | State.REFUSED | State.GAVE_UP | State.ABORTED if s.off_orders is not None:

@@ -366,7 +366,7 @@ def _battery_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason |
         p.stood
         or p.in_state_s(s.at) < _ENDS_AFTER_S
         or s.battery is None
-        or not o.last_charge <= s.battery < o.limits.battery
+        or not o.last_charge < s.battery < o.limits.battery
         or fit_in(p.state, s, o) is not None
     ):
         return None

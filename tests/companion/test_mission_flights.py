@@ -252,7 +252,7 @@ def test_a_refused_drone_whose_battery_ends_lands_on_the_pad_or_where_it_is_and_
 def test_what_flies_nowhere_else_lands_where_it_is_with_its_last_charge(refused, over_ground, lands):
     """An AR.Drone has no return. A person who holds or aborts it decides, and 0 hovers on."""
     o = replace(GuidanceOptions(), refused=refused)
-    s = GuidanceCycle(ns(9.0), Knowledge(ns(9.0), None), 0.049, range_m=5.0)
+    s = GuidanceCycle(ns(9.0), Knowledge(ns(9.0), None), 0.05, range_m=5.0)
 
     def ordered_in(state: State, o: GuidanceOptions = o, **memory: Any) -> Any:
         p = Progress(state, automatic=True, begun=True, **{"stood": False, "since": ns(0.0), **memory})
