@@ -8,7 +8,17 @@ from companion.base.orders import CENTRED, StickPositions
 from drivers.ardrone.at import PCMD_PROGRESSIVE, AtCommand, Pcmd, Ref
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, RETURN_MODE, Stack, is_autopilot, mode_name, stack_of
+from drivers.mavlink.vehicle import (
+    ARMED,
+    HOLD_MODE,
+    LAND_MODE,
+    RETURN_MODE,
+    VELOCITY_MODE,
+    Stack,
+    is_autopilot,
+    mode_name,
+    stack_of,
+)
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
@@ -29,6 +39,8 @@ LAPSES_S = 3.0
 """Time after which an autopilot does not do any more what was requested."""
 _CLIMBS_S = 30.0
 """Longest take-off."""
+_SETPOINTS_END_S = 0.5
+"""Silence after which PX4 has left OFFBOARD by itself, s: many times the interval of setpoints, below its COM_OF_LOSS_T."""
 
 
 class Asks(Enum):
@@ -72,6 +84,8 @@ class MavlinkWires:
         self._mode, self._armed = "", False
         self._requested: dict[str, MonoNs] = {}
         """The newest request for each mode, and for `Asks.STOP`."""
+        self._moved_at: MonoNs | None = None
+        """Time of the newest setpoint."""
 
     def to_vehicle(self, data: bytes, at: MonoNs) -> list[SentPacket]:
         """Return what a datagram of the service asks."""
@@ -88,12 +102,17 @@ class MavlinkWires:
             mode, armed = mode_name(self._stack, m.custom_mode), bool(m.base_mode & ARMED)
             if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
                 act = "disarm"
-            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at):
+            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not self._ends(mode, at):
                 act = "mode"
             if mode != self._mode:
                 self._requested.pop(mode, None)
             self._mode, self._armed = mode, armed
         return act
+
+    def _ends(self, mode: str, at: MonoNs) -> bool:
+        """Return whether PX4 left OFFBOARD by itself, as it does where setpoints end."""
+        silent = self._moved_at is not None and seconds_between(self._moved_at, at) > _SETPOINTS_END_S
+        return silent and (self._mode, mode) == (VELOCITY_MODE[Stack.PX4], HOLD_MODE[Stack.PX4])
 
     def _was_requested(self, what: str, at: MonoNs) -> bool:
         requested = self._requested.get(what)
@@ -102,6 +121,7 @@ class MavlinkWires:
     def _asked(self, m: Message, at: MonoNs) -> Asks | None:
         match m.get_type():
             case "SET_POSITION_TARGET_LOCAL_NED":
+                self._moved_at = at
                 return Asks.MOVE
             case "COMMAND_LONG" | "COMMAND_INT":
                 return self._command(m, at)

@@ -279,8 +279,7 @@ class Referee:
         self._low_s += dt_s if self._was_low else 0.0
         self.counts["low_outside_s"].note(self._low_s)
         ours = reached and served and not self.hands.hands_on and moment.motors
-        # In its own hover it drifts with the wind and stays behind a ship that goes on: no order of ours flies it there.
-        if ours and truth.phase is not VehiclePhase.HOVERING:
+        if ours:
             self._way(truth)
         self._battery(truth, dt_s, hovers=ours and self.hands.act not in STAYS_UP and moment.clearance_m > ON_DECK_M)
         self._wires()
@@ -328,8 +327,11 @@ class Referee:
         if away_m <= farthest_m or self._left_ned is None:
             self._left_ned = float(p[0]), float(p[1])
         # A ship that goes on leaves a vehicle behind that hovers over the ground: that is neither a flight away nor a speed.
-        self.counts["away_m"].note(min(away_m, farthest_m + math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])))
-        self.counts["fast_m_s"].note(min(math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())))
+        # In its own hover it drifts with the wind, and no order of ours flies it there.
+        if truth.phase is not VehiclePhase.HOVERING:
+            left_m = math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])
+            self.counts["away_m"].note(min(away_m, farthest_m + left_m))
+            self.counts["fast_m_s"].note(min(math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())))
         # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
         self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
         self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)

@@ -435,6 +435,8 @@ def test_a_mode_or_a_disarm_that_the_service_did_not_request_is_a_persons(stack:
     if stack is Stack.PX4:
         climbs: Log = [(0.5, "out", UP_S), (0.7, "in", beat(stack, "auto.takeoff")), (9.0, "in", beat(stack, his))]
         assert acts_of([*flies, *climbs]) == []
+        assert acts_of([*flies, (0.3, "out", MOVES), (1.0, "in", beat(stack, his))]) == [], "it leaves OFFBOARD where they end"
+        assert acts_of([*flies, (0.9, "out", MOVES), (1.0, "in", beat(stack, his))]) == [(1.0, "mode")]
 
 
 def test_a_datagram_of_the_service_asks_by_its_command() -> None:
