@@ -9,7 +9,7 @@ DWELL_S = 3.0
 
 
 class ChargeWatch(Struct, frozen=True):
-    """The charge by the vehicle's reports. Reports that end end no dwell: one that stands alone is never confirmed."""
+    """The charge by the vehicle's reports. A single report is never confirmed: only a later one ends the dwell."""
 
     since: MonoNs | None = None
     """Time of the first report."""

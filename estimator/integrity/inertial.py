@@ -157,6 +157,7 @@ class Inertial(Struct, frozen=True):
     velocity_against: int = 0
     """Number of bins in a row in which the velocity contradicted the accelerometer."""
     velocity_steady: velocity.Steady = velocity.Steady()
+    """Difference of velocity and accelerometer that is no lie."""
     suspected: str | None = None
     """The sensor that the newest bin accused, of gyro and attitude."""
     usual: Usual = Usual()

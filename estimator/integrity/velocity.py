@@ -64,7 +64,6 @@ class Compared(NamedTuple):
 
     rate: tuple[float, float]
     """Rate of their difference, m/s^2 north and east."""
-
     apart_m_s: float
     swings_m_s: float
     share: float

@@ -40,7 +40,7 @@ def ends() -> Iterator[Ends]:
 
 
 def test_what_waits_is_taken_in_order_with_the_instant_of_its_reception(ends: Ends) -> None:
-    apart_ns = []
+    # The two clocks are read one after the other, so an instant may come out late by as long as this thread stood still.
     for _ in range(5):
         ends.taken.clear()
         before = time.monotonic_ns()
@@ -53,9 +53,9 @@ def test_what_waits_is_taken_in_order_with_the_instant_of_its_reception(ends: En
         (_, a), (_, b), (_, c) = ends.taken
         assert before - 1_000_000 <= min(a, b)
         assert after <= c <= time.monotonic_ns()
-        apart_ns.append(c - b)
-    # The two clocks are read one after the other, so an instant may come out late by as long as this thread stood still.
-    assert max(apart_ns) >= 40_000_000, "the third was received later, though all were taken at once"
+        if c - b >= 40_000_000:
+            return
+    raise AssertionError("the third was received later, though all were taken at once")
 
 
 def test_a_wall_clock_that_was_set_meanwhile_moves_no_reception(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
