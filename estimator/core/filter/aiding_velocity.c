@@ -232,7 +232,7 @@ void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const
     const double deck_weight = deck_weight_of(o, b, is_open);
     out->verdict = DL_GATED;
     /* Below a body whose pad was swung away the deck moves like no deck, and then the water does. */
-    if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0 && !is_open) || is_adrift(b, b->t)) {
+    if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0 && !is_open) || is_swung(b, b->t)) {
         return;
     }
     double over[3], expected[3], innov[3], R[9];

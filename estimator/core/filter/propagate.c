@@ -20,8 +20,9 @@ static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PS
 
 /* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
  * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to
- * what they were before within about SETTLES_S, but for these standard deviations, m/s and rad/s. */
-static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
+ * what they were before within about SETTLES_S, but for these standard deviations, m/s and rad/s. SWUNG_S after the last sighting the
+ * swing is over, and velocities tell again how the body moves. */
+static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SWUNG_S = 2.0, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
 
 double seconds(int64_t since, int64_t until)
 {
@@ -246,6 +247,11 @@ int is_adrift(const dl_belief *b, int64_t t)
     return b->sighted >= 0 && (swings || begins) && seconds(b->sighted, t) > UNSEEN_S;
 }
 
+int is_swung(const dl_belief *b, int64_t t)
+{
+    return is_adrift(b, t) && seconds(b->sighted, t) < SWUNG_S;
+}
+
 /* Let velocity and turn of a pad that is adrift settle: a first-order Gauss-Markov process about those before. The velocity before is
  * kept against the body's, of which the IMU alone knows the change since: the body's error over the ground is the ship's as well. */
 static void settle(dl_belief *b, double T, double *F, double *Q)
@@ -298,7 +304,7 @@ void propagated_belief(const dl_filter_params *o, dl_belief *b, double *F, doubl
     move_dead_reckoning(o, b, T);
     move_deck(o, b, T, moved, F, Q);
     move_vessel(b, T, moved, F);
-    if (is_adrift(b, b->t_cov)) {
+    if (is_swung(b, b->t_cov)) {
         settle(b, T, F, Q);
     }
     for (int i = 0; i < 3; i++) {

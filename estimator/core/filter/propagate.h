@@ -17,8 +17,10 @@ double *free_place(const covariance *c);
 double seconds(int64_t since, int64_t until);
 /* Whether sightings showed a manoeuvre of the ship that may still go on at t. */
 int steers(const dl_belief *b, int64_t t);
-/* Whether the pad went out of sight while its ship swung it aside, so that at t nobody knows its speed. */
+/* Whether the pad went out of sight while its ship swung it aside, and whether the swing may still go on at t, so that nobody knows the
+ * speed of the pad. */
 int is_adrift(const dl_belief *b, int64_t t);
+int is_swung(const dl_belief *b, int64_t t);
 /* Propagate the nominal state to instant t by a rate and a specific force; coast if no IMU sample holds. */
 void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const double w[3], const double f[3]);
 /* Everything but P from t_cov to t, with the F and Q that propagate P. */

@@ -163,6 +163,8 @@ def test_a_hard_manoeuvre_shows_though_it_leaves_more_than_a_chi_square(
         (301, "swung", 301, True),
         (299, "swung", 299, False),
         (400, "swung", 1399, True),
+        (1999, "swung", 2100, True),
+        (2001, "swung", 2100, False),
         (400, "swung", 1401, False),
         (400, "steered", 499, True),
         (400, "steered", 501, False),

@@ -76,7 +76,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     deck_weight = _deck_weight(b, o, is_open)
     v, cov = event.v_level, event.cov_level
     axes = measure.measured_axes(cov)
-    if not axes or (deck_weight == 1.0 and b.sighted < 0 and not is_open) or motion.is_adrift(b, b.t):
+    if not axes or (deck_weight == 1.0 and b.sighted < 0 and not is_open) or motion.is_swung(b, b.t):
         return b, Outcome(Verdict.GATED)
     over = motion.peek_velocity(b)
     if deck_weight > 0.0:

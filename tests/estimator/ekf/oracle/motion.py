@@ -248,7 +248,7 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
         flat[_POS_BY_VEL] -= jolt * T
         flat[_VEL_BY_POS] -= jolt * T
 
-    if is_adrift(b, b.t_cov):
+    if is_swung(b, b.t_cov):
         # A first-order Gauss-Markov process about the motion before.
         settling, stays = [*range(N)[VESSEL_VEL], TURN_RATE], math.exp(-T / 0.3)
         about = np.append(x[VEL][:2] - ins_v[:2] + b.vessel_before, 0.0)
@@ -266,10 +266,10 @@ def moved(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     return belief, F, Q
 
 
-def is_adrift(b: Belief, t: int) -> bool:
-    """Return whether the pad went out of sight while its ship swung it aside."""
+def is_swung(b: Belief, t: int) -> bool:
+    """Return whether the pad went out of sight while its ship swung it aside, and the swing may go on."""
     lost = any(shown >= 0 and (b.sighted - shown) * 1e-9 < within_s for shown, within_s in ((b.swung, 1.0), (b.steered, 0.1)))
-    return lost and b.sighted >= 0 and (t - b.sighted) * 1e-9 > 0.3
+    return lost and b.sighted >= 0 and 0.3 < (t - b.sighted) * 1e-9 < 2.0
 
 
 def peek(b: Belief) -> F64:
