@@ -26,18 +26,28 @@ def sticks(command: Velocity, v_level: F64 = STILL, state: LoopState = RESET) ->
     return step(state, command, v_level, None, 0.0, OPTIONS)[1]
 
 
-def fly(target: float, *, lag_s: float = 0.15, delay_s: float = 0.05, reads: float = 1.0, wind_m_s: float = 0.0) -> F64:
-    """Forward speed over 12 s at 200 Hz of a point mass with drag, a lagging tilt and a late velocity sensor."""
-    dt, v, tilt, asked = 0.005, 0.0, 0.0, 0.0
-    seen = deque([0.0] * int(delay_s / dt))
-    state, out = RESET, []
+def fly(
+    target: float, *, speed_rad_s: float = 3.16, damping: float = 0.79, delay_s: float = 0.09, reads: float = 1.0,
+    wind_m_s: float = 0.0, kick_m_s: float = 0.0,
+) -> F64:  # fmt: skip
+    """Forward speed over 12 s at 200 Hz of a point mass with drag, a second-order tilt and a late velocity sensor.
+
+    Args:
+        delay_s: of motors, link and sensor together; half of it is the sensor's, a tilt is read as late.
+    """
+    dt, v, tilt, rate = 0.005, kick_m_s, 0.0, 0.0
+    seen, asked = deque([(v, 0.0)] * round(0.5 * delay_s / dt)), deque([0.0] * round(0.5 * delay_s / dt))
+    state, out, stick = RESET, [], 0.0
     for k in range(2400):
         if k % 6 == 0:
-            state, s = step(state, wanted(target), np.array([seen[0] * reads, 0.0, 0.0]), None, 0.03, OPTIONS)
-            asked = -s.pitch * OPTIONS.euler_angle_max_rad
-        tilt += (asked - tilt) * dt / lag_s
+            read, a_level = np.array([seen[0][0] * reads, 0.0, 0.0]), np.array([seen[0][1], 0.0])
+            state, s = step(state, wanted(target), read, a_level, 0.03, OPTIONS)
+            stick = -s.pitch * OPTIONS.euler_angle_max_rad
+        asked.append(stick)
+        rate += (speed_rad_s**2 * (asked.popleft() - tilt) - 2.0 * damping * speed_rad_s * rate) * dt
+        tilt += rate * dt
         v += (9.80665 * math.tan(tilt) - 0.43 * (v - wind_m_s)) * dt
-        seen.append(v)
+        seen.append((v, 9.80665 * math.tan(tilt)))
         seen.popleft()
         out.append(v)
     return np.array(out)
@@ -58,14 +68,17 @@ def test_signs() -> None:
 def test_a_step_is_reached_quickly_and_held(target: float) -> None:
     v = fly(target) / target
     assert np.argmax(v > 0.9) * 0.005 < 1.2
-    assert v.max() < 1.2
+    assert v.max() < 1.35
     assert v[-200:] == pytest.approx(np.ones(200), abs=0.02)
 
 
-def test_a_slow_drone_stays_stable() -> None:
-    v = fly(0.4, lag_s=0.3, delay_s=0.12) / 0.4
-    assert v.max() < 1.4
-    assert v[-200:] == pytest.approx(np.ones(200), abs=0.05)
+@pytest.mark.parametrize("speed_rad_s", [2.5, 3.16, 3.8])
+@pytest.mark.parametrize("damping", [0.6, 0.79, 1.0])
+@pytest.mark.parametrize("delay_s", [0.09, 0.14])
+def test_a_drone_unlike_its_file_comes_to_rest(speed_rad_s: float, damping: float, delay_s: float) -> None:
+    """Two standard deviations of what an owner's identification leaves."""
+    v = fly(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=delay_s, kick_m_s=0.5)
+    assert np.abs(v[-200:]).max() < 0.1
 
 
 def test_the_integral_holds_against_wind() -> None:
