@@ -274,7 +274,9 @@ def _way_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the time from the contact after which the feet are at the deck by what contradicts it, s."""
     if p.way_s is None:
         return contact.way_s(s, o)
-    seen_since = s.estimate is not None and p.since is not None and s.estimate.sighted > p.since
+    estimate, since = s.estimate, p.since
+    # What no frame shows any more is reckoned with an accelerometer that the contact may have shaken.
+    seen_since = estimate is not None and since is not None and estimate.sighted > since and estimate.age_s(s.at) <= _FRESH_S
     left_s = contact.way_s(s, o, contact.NEAR_M) if seen_since else 0.0
     return max(p.way_s, p.in_state_s(s.at) + left_s) if left_s > 0.0 else p.way_s
 

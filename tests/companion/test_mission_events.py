@@ -165,10 +165,10 @@ def test_a_contact_that_the_height_contradicts_is_pressed_for_as_long_as_the_way
     fast = cycle(seen((0.0, 0.0, feet), v=(0.0, 0.0, -0.35), age=1.0), impact=felt)
     assert of(Event.PRESSED, memory(State.PRESS, 1.0), fast) is None, "the descent that the push should have ended goes on"
     assert of(Event.PRESSED, memory(State.PRESS, 1.0), replace(fast, feels=False)) is not None
-    # A frame that was exposed after the contact shows it as high as before.
-    higher = account(replace(p, since=ns(NOW - 0.7)), cycle(seen((0.0, 0.0, feet + 0.2))), OPTIONS)
-    assert higher.way_s == pytest.approx(0.7 + 0.5)
-    assert account(replace(p, since=ns(NOW - 0.7)), cycle(seen((0.0, 0.0, feet + 0.14))), OPTIONS).way_s == p.way_s
+    # A frame that was exposed after the contact shows it as high as before. What no frame shows any more is no way that is left.
+    for feet_m, age_s, way_s in ((0.2, 0.0, 0.7 + 0.5), (0.14, 0.0, p.way_s), (0.2, 0.2, 0.7 + 0.5), (0.2, 0.21, p.way_s)):
+        later = cycle(seen((0.0, 0.0, feet + feet_m), age=age_s))
+        assert account(replace(p, since=ns(NOW - 0.7)), later, OPTIONS).way_s == pytest.approx(way_s)
     down = entered(p, StateChange(ns(NOW), State.PRESS, Event.PRESSED, State.DOWN, WHY))
     assert down.way_s is None
 
