@@ -227,6 +227,8 @@ class LandingGuidance:
         """The newest attitude."""
         self._heard: MonoNs | None = None
         """Time of receipt of the vehicle's own newest sample."""
+        self._measured: MonoNs | None = None
+        """Time at which the vehicle's newest sample was measured."""
         self._contact = ContactWatch()
         self._range: Range | None = None
         self._held, self._held_by_deck = HeldUp(), HeldUp()
@@ -360,6 +362,7 @@ class LandingGuidance:
             elif type(sample) is GimbalAttitude:
                 continue
             self._heard = received_at
+            self._measured = max(self._measured or sample.stamp.measured_at, sample.stamp.measured_at)
 
     def _feel_held(self, at: MonoNs, down_m_s: float) -> None:
         """Note the vehicle's vertical speed over the ground, m/s down, against the commands over the ground and to the deck."""
@@ -506,16 +509,16 @@ class LandingGuidance:
             now, knowledge, self._charge.fraction, wind, self._quality, self._frames, place, silent_s,
             self._contact.feels and self._unfelt_since is None,
             self._response.late_s, self._touch, range_m, not self._over_ground, self._thing, unseen, self._off_orders(knowledge),
+            0.0 if self._measured is None else max(0.0, seconds_between(self._measured, now)),
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         self.memory = memory_of(self.mission, s)
         target = aim if isinstance(aim, Target) else None
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
-        if target is None:
-            self._ordered = None if isinstance(aim, Target) else aim
-        else:
-            self._ordered = steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
+        if isinstance(aim, Target):
+            aim = steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
+        self._ordered = aim if aim is None or self._over_ground else steer.kept_up(aim, self.mission, s, self._guidance)
         return self._ordered
 
     def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool) -> Command:

@@ -15,6 +15,10 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 
 _FRAMES_LEAST = 10
+_UNFLOWN_S = 0.15
+"""Age of the vehicle's newest sample, s, from which on its own hover is expected: an AR.Drone hovers at .25 s."""
+_LANDS_M_S = 0.3
+"""Speed of a deck that falls up to which the vehicle's own landing, at 0.4 m/s, presses on it."""
 
 
 class VesselPosition(Struct, frozen=True, eq=False):
@@ -71,6 +75,18 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """Glare that hides a part of the pad; None if there is none, or if the operator says that it is clear."""
     off_orders: Reason | None = None
     """Height to which the vehicle went against what is ordered; None while it flies as ordered."""
+    age_s: float = 0.0
+    """Age of the newest measurement of the vehicle: where samples come late, its driver flies by none of them."""
+
+    @property
+    def unflown(self) -> bool:
+        """True if its own landing is better than to press on: its motion is so old that its driver is about to let it hover.
+
+        A deck that falls faster than the vehicle lands by itself would drag it along, and leaves a hover behind.
+        """
+        deck = self.knowledge.deck
+        falls = deck is not None and deck.v_level.item(2) > _LANDS_M_S
+        return self.silent_s > _UNFLOWN_S or (self.age_s > _UNFLOWN_S and not falls)
 
     @property
     def place(self) -> VesselPosition | None:

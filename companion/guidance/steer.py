@@ -6,13 +6,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, GROUND, State
-from companion.guidance import cone, heading, limits, out_of_reach, rendezvous
+from companion.guidance import cone, contact, heading, limits, out_of_reach, rendezvous
 from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.limits import sigma_m
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import BOUNCES_MOST, off_deck
+from companion.guidance.watch import off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -100,8 +100,8 @@ _LIFT_M = 0.3
 _BRAKES_M, _LEAN_LEAST_RAD = 0.1, math.radians(5.0)
 """Height of the lowest foot from which on a go-around leans further than it does, m, and the least lean that it may have."""
 _HOLD_SPEED_M_S = 0.5
-_PRESS_SILENT_S = 0.15
-"""Time without a sample of the vehicle after which it is not pressed on: its driver would let it hover, s."""
+_SURELY = 0.5
+"""Standard deviations of its vertical speed by which a drone may sink without being kept up: errors lift it by 3 cm/s."""
 _FREE_M = 1.0
 """Height over the held one from which a held vehicle climbs no more with its deck, m."""
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
@@ -145,7 +145,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
             return p, _way_down(p, s, o, estimate)
         # Sightings of the last decimetre are wrong often, and what was known before them still holds for so short a time.
-        case State.PRESS if estimate is not None and not estimate.alerts and s.silent_s <= _PRESS_SILENT_S:
+        case State.PRESS if estimate is not None and not estimate.alerts and not s.unflown:
             level = np.array(estimate.d_body_pad_level)
             # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
             level_off = None if s.wind is not None and s.wind.drags else 0.0
@@ -186,11 +186,20 @@ def _with_deck(climb_m_s: float, knowledge: Knowledge) -> float:
 
 
 def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the deck was felt and no sight contradicts it: only then do the motors stop by force."""
+    """Return whether the deck was felt and another witness finds it there: only then do the motors stop by force.
+
+    That is a range, or the newest height by sight less the way that the commit has made since. Without one the vehicle lands by
+    itself, and finds the deck with its own sensors.
+    """
     felt = s.knowledge.impact
-    if p.reckoned is not None and (felt is None or felt.at < p.reckoned):
+    if (p.reckoned is not None and (felt is None or felt.at < p.reckoned)) or off_deck(p, s, o) is not None:
         return False
-    return p.bounces < BOUNCES_MOST or off_deck(p, s, o) is None
+    if s.range_m is not None and s.range_m - o.cone.feet_below_m <= contact.NEAR_M:
+        return True
+    if p.seen is None:
+        return False
+    way_m = o.cone.commit_rate_m_s * min(o.limits.commit_sighting_age_s, seconds_between(p.seen, s.at))
+    return p.seen_height_m - way_m - o.cone.feet_below_m <= contact.NEAR_M
 
 
 def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
@@ -321,6 +330,24 @@ def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions,
     sure_m = estimate.height_m - (0.0 if fit else 2.0 * math.sqrt(estimate.cov.item(2, 2)))
     # A deck that falls need not be followed where a swell is known to come up again.
     return _following_less(command, sure_m - needs_m, sure_m - min(needs_m, o.tries.safe_height_m), over_ground=over_ground)
+
+
+def kept_up(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    """Return the command with a climb against what the drone sinks over the ground beyond its order, in a hold without sight.
+
+    Commands that arrive changed sink a drone that is to hold its height, and a height without sight is too uncertain to fly by.
+    The gain is 1: with that a loop stands commands that come however late.
+    """
+    estimate, deck = s.estimate, s.knowledge.deck
+    if p.state is not State.HOLD_BLIND or not isinstance(command, Velocity | Lean) or estimate is None or deck is None:
+        return command
+    if estimate.alerts or estimate.age_s(s.at) <= o.stale_after_s:
+        return command
+    v = np.array(command.v_level)
+    # Out of sight the errors of the speeds of drone and deck over the ground are the same.
+    over_ground_m_s = deck.v_level.item(2) - estimate.v_pad_level.item(2)
+    v[2] -= max(0.0, over_ground_m_s - _SURELY * math.sqrt(deck.cov_level.item(2, 2)) - max(0.0, v[2]))
+    return replace(command, v_level=v)
 
 
 def _waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:

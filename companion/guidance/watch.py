@@ -288,9 +288,12 @@ def _rises(s: GuidanceCycle) -> bool:
 
 
 def _over_blind(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:
-    """Return whether the commit has come to the deck when its sight is too old: a climb from there is worse than to press on."""
+    """Return whether the commit has come to the deck when its sight is too old, or its driver lets it hover there.
+
+    A climb from there is worse than to press on, and a deck drags a vehicle that hovers on it.
+    """
     too_old = s.estimate is not None and s.estimate.age_s(s.at) > o.limits.commit_sighting_age_s
-    return too_old and feet_m is not None and feet_m <= _AT_DECK_M and _stands_on_pad(s, o, feet_m)
+    return (too_old or s.unflown) and feet_m is not None and feet_m <= _AT_DECK_M and _stands_on_pad(s, o, feet_m)
 
 
 def _stands_on_pad(s: GuidanceCycle, o: GuidanceOptions, feet_m: float | None) -> bool:

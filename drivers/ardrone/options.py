@@ -121,10 +121,10 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "factor on the missing tilt that is commanded in addition, because the tilt lags behind",
             "1",
             0.0,
-            5.0,
-            "tuned in simulation",
+            0.9,
+            "below 1, with room for a tilt that overshoots: more swings where commands come late",
         ),
-    ] = 0.9
+    ] = 0.7
     velocity_scale: Annotated[
         float,
         number(

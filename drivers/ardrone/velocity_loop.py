@@ -3,6 +3,8 @@
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the commanded speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
 The tilt follows its command late; commanding more than the tilt still lacks (`velocity_lead`) compensates part of that delay.
+That lead is a loop of its own about the tilt, whose gain is below 1 (small gain theorem): with more, commands that come .1 s late
+make the tilt swing from stop to stop until the firmware cuts the motors of a drone that leans too far.
 The drone itself closes the loops of climb and turn rate, which are only scaled here.
 
 A tilt is flown as it is: its acceleration is the tilt. Its trim becomes the loop's integral, so a velocity that follows begins

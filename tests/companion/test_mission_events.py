@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -20,6 +21,7 @@ from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import ClimbResponse
 from estimator.contracts.estimates import IntegrityAlert, Verdict
+from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import Stamp
 from tests.companion.mission_flights import estimate, guided, ns
@@ -461,12 +463,24 @@ def test_a_drone_below_the_deck_climbs(state: State, past_m: float, bounces: int
 
 
 @pytest.mark.parametrize(
-    ("height_m", "age_s", "off_m", "pressed"),
-    [(0.14, 1.52, 0.1, True), (0.14, 1.49, 0.1, False), (0.15, 1.52, 0.1, False), (0.14, 1.52, 0.36, False)],
-)
-def test_over_the_deck_with_a_sight_that_is_too_old_it_presses_on(height_m, age_s, off_m, pressed):
-    """A PX4 stood on the pad at night, felt nothing yet, and took off again: its sight was 1.52 s old."""
-    found = happens(memory(State.COMMIT), cycle(seen((off_m, 0.0, height_m), v=(0.0, 0.0, -0.4), age=age_s)))
+    ("height_m", "age_s", "off_m", "late_s", "falls_m_s", "pressed"),
+    [
+        (0.14, 1.52, 0.1, 0.0, None, True), (0.14, 1.49, 0.1, 0.0, 0.0, False), (0.15, 1.52, 0.1, 0.0, 0.0, False),
+        (0.14, 1.52, 0.36, 0.0, 0.0, False), (0.14, 0.1, 0.1, 0.16, 0.29, True), (0.14, 0.1, 0.1, 0.15, 0.29, False),
+        (0.15, 0.1, 0.1, 0.16, 0.29, False), (0.14, 0.1, 0.36, 0.16, 0.29, False), (0.14, 0.1, 0.1, 0.16, 0.31, False),
+        (0.14, 0.1, 0.1, 0.16, None, True),
+    ],
+)  # fmt: skip
+def test_over_the_deck_with_sight_or_samples_that_are_too_old_it_presses_on(height_m, age_s, off_m, late_s, falls_m_s, pressed):
+    """A PX4 stood on the pad at night, felt nothing yet, and took off again: its sight was 1.52 s old.
+
+    An AR.Drone whose samples come late hovers on the deck, which moves on beneath it.
+    """
+    sighted = seen((off_m, 0.0, height_m), v=(0.0, 0.0, -0.4), age=age_s)
+    v = np.array([0.0, 0.0, falls_m_s or 0.0])
+    deck = None if falls_m_s is None else DeckMotion(ns(NOW), v, np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
+    late = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), sighted, deck=deck), age_s=late_s)
+    found = happens(memory(State.COMMIT), late)
     assert (bool(found) and found[0][0] is Event.CONTACT) is pressed
     assert not pressed or figures(found[0][1]) == (ReasonCause.REACHED, pytest.approx(height_m - 0.045), None)
 

@@ -229,7 +229,12 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
         cockpit.pilot.on_sample(GeoFix(stamp, "vessel", GeoPoint(0.9, 0.1, 0.0), 2.0))
         cockpit.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
         cockpit.pilot.decide(now)
-    assert cycles[-1].silent_s == pytest.approx(50 * TICK_S)
+    assert (cycles[-1].silent_s, cycles[-1].age_s) == pytest.approx((50 * TICK_S, 50 * TICK_S))
+    for delay_s in (0.3, 0.4):
+        late = Stamp(after(cockpit.now, -delay_s), cockpit.now, 0.001, "sim")
+        cockpit.pilot.on_sample(Attitude(late, Rotation.identity(), 1e-5 * np.eye(3)))
+        cockpit.pilot.decide(cockpit.now)
+        assert (cycles[-1].silent_s, cycles[-1].age_s) == pytest.approx((0.0, 0.3)), "late samples break it and are still old"
 
 
 @pytest.mark.parametrize(("own_deg", "flown_deg"), [(None, None), (25.0, 23.0), (45.0, 40.0)])
