@@ -11,7 +11,6 @@ from companion.guidance import response_watch
 from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit, fit_tilt
 from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
 from companion.settings.load import shipped_response
-from estimator.contracts.commands import Lean
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.test_identify import flown
 
@@ -58,40 +57,6 @@ def test_a_report_is_kept_with_its_instant_and_how_well_it_is_known() -> None:
     watch = told(FIRST, 2.0)
     assert watch.reported == ((2.0, 0.1, 0.2),)
     assert watch.stamp_sigma_s == 0.003
-
-
-@pytest.mark.parametrize(("after_s", "kept"), [(0.0079, False), (0.0081, True), (-1.0, False), (0.0, False)])
-@pytest.mark.parametrize("fitted_between", [False, True])
-def test_reports_that_follow_too_closely_or_out_of_order_are_left_out(after_s: float, kept: bool, fitted_between: bool) -> None:
-    watch = told(told(FIRST, 1.0), 2.0)
-    if fitted_between:
-        watch = asked(watch, ns(2.0), None, KNOWN_S)
-        assert watch.reported == ()
-    n = len(watch.reported)
-    assert len(told(watch, 2.0 + after_s).reported) == n + kept
-
-
-@pytest.mark.parametrize(("late_s", "kept"), [(0.0, True), (1.0, True), (1.001, False), (-0.001, False)])
-def test_a_report_that_is_old_on_arrival_or_of_the_future_is_left_out(late_s: float, kept: bool) -> None:
-    assert bool(told(FIRST, 4.0, late_s).reported) is kept
-
-
-@pytest.mark.parametrize(
-    ("in_use", "doubt", "each_s"), [(ASSUMED, None, 1.0), (KNOWN, None, 2.0), (IDENTIFIED, None, 2.0), (KNOWN, IDENTIFIED, 1.0)]
-)
-def test_a_fit_is_due_every_second_while_there_is_doubt_and_half_as_often_when_there_is_none(in_use, doubt, each_s):
-    tells = fit(0.05)
-    tells = structs.replace(tells, fitted=tells.fitted._replace(cov=np.diag([1e-4, 0.1**2, 0.2**2, 1.0])))
-    for unknown in (None, fit(0.05)):
-        watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt, fit=unknown), ns(5.0), None, KNOWN_S)
-        assert watch.due == ns(6.0), "nobody knows the frequency yet"
-    watch = asked(structs.replace(FIRST, in_use=in_use, doubt=doubt, fit=tells), ns(5.0), None, KNOWN_S)
-    assert watch.due == ns(5.0 + each_s)
-    assert watch.asked == ()
-    early = asked(watch, MonoNs(watch.due - 1), Lean(np.array([0.3, 0.1]), np.zeros(2), np.zeros(3), 0.0), KNOWN_S)
-    assert early.due == watch.due
-    assert early.asked == (((watch.due - 1) / 1e9, 0.3, 0.1),)
-    assert asked(early, watch.due, None, KNOWN_S).due == ns(5.0 + 2.0 * each_s)
 
 
 def test_another_flight_begins_with_what_is_known_and_without_the_courses() -> None:

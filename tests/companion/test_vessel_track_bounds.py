@@ -57,16 +57,6 @@ def known(track: VesselTrack, t: float) -> VesselPosition:
 # How old a report may be
 
 
-@pytest.mark.parametrize(
-    ("own_s", "yaw_s", "cause"),
-    [(2.0, 0.0, None), (2.001, 0.0, ReasonCause.NO_OWN_PLACE), (0.0, 1.0, None), (0.0, 1.001, ReasonCause.NO_OWN_HEADING)],
-)
-def test_the_vehicle_s_own_place_counts_for_two_seconds_and_its_heading_for_one(own_s, yaw_s, cause) -> None:
-    t = 20.0
-    place = found(track_of(fix("vehicle", t - own_s), nose(t - yaw_s), fix("vessel", t, (30.0, 0.0, 0.0))), t)
-    assert isinstance(place, VesselPosition) if cause is None else place is cause
-
-
 def test_the_ship_s_place_counts_until_its_age_reports_it() -> None:
     old = LIMITS.age_max_s
     for age_s, counts in ((old, True), (old + 0.001, False)):
@@ -87,31 +77,6 @@ def test_her_velocity_counts_until_it_is_forgotten() -> None:
     assert rendezvous.velocity_ned(VesselTrack(), ns(1.0)) is None
 
 
-def test_her_compass_counts_for_ten_seconds_and_her_course_from_seven_tenths_of_a_metre_a_second() -> None:
-    t = 50.0
-    rest = fix("vessel", t, (30.0, 0.0, 0.0)), fix("vehicle", t), nose(t)
-    for age_s, counts in ((10.0, True), (10.001, False)):
-        place = known(track_of(report(t - age_s, heading=1.2), *rest), t)
-        assert (place.bow_known, place.axis_rad) == (counts, pytest.approx(1.2 if counts else 0.0))
-    for speed, counts in ((0.701, True), (0.699, False)):
-        v = speed * math.cos(2.0), speed * math.sin(2.0)
-        place = known(track_of(report(t, v), *rest), t)
-        assert (place.bow_known, place.axis_rad) == (counts, pytest.approx(2.0 if counts else 0.0))
-    both = known(track_of(report(t, (3.0, 0.0), heading=-0.4), *rest), t)
-    assert both.axis_rad == pytest.approx(-0.4), "the compass before the course"
-
-
-@pytest.mark.parametrize("late_s", [0.0, 0.001])
-def test_a_report_that_was_long_under_way_is_stale_to_the_millisecond(late_s: float) -> None:
-    late = LIMITS.age_max_s + late_s
-    stale = late_s > 0.0
-    track = track_of(fix("vessel", 5.0, late_s=late), fix("vehicle", 5.0, late_s=late), report(5.0, (1.0, 0.0), late_s=late))
-    assert track.counted() == (
-        {"taken": 0, "vessel_stale": 2, "vehicle_stale": 1} if stale else {"taken": 1}
-    )  # fmt: skip
-    assert (track.velocity is None) is (track.vehicle is None) is (track.vessel is None) is stale
-
-
 # What cannot be
 
 
@@ -125,38 +90,6 @@ def test_a_speed_beyond_the_limit_is_refused_of_the_ship_and_of_the_vehicle() ->
         fix("vessel", 5.0, v=(0.0, 2.0 * top, 0.0)), report(5.0, (2.0 * top, 0.0)), fix("vehicle", 5.0, v=(0.0, 0.0, 41.0))
     )
     assert fast.counted() == {"taken": 0, "vessel_too_fast": 2, "vehicle_too_fast": 1}
-
-
-@pytest.mark.parametrize("reported", [False, True])
-def test_a_step_of_the_ship_is_a_jump_beyond_three_sigma_and_what_she_may_have_turned(reported: bool) -> None:
-    """The jump is measured from the extrapolated last report; the velocity is uncertain by 2 m/s if none is reported."""
-    dt, sigma_v = 3.0, 0.2 if reported else 2.0
-    way = dt * np.array([4.0, -2.0]) if reported else np.zeros(2)
-    may = LIMITS.jump_m + 3.0 * math.hypot(1.5, 0.7, sigma_v * dt) + 0.5 * LIMITS.acceleration_m_s2 * dt**2
-    for factor, taken in ((BELOW, True), (ABOVE, False)):
-        there = way + factor * may * np.array([0.6, -0.8])
-        first = [report(7.0, (4.0, -2.0))] if reported else []
-        track = track_of(*first, fix("vessel", 7.0, sigma_m=1.5), fix("vessel", 7.0 + dt, (*there, 0.0), sigma_m=0.7))
-        assert track.counted() == ({"taken": 2} if taken else {"taken": 1, "vessel_jump": 1})
-
-
-def test_a_step_of_the_vehicle_may_be_as_long_as_the_fastest_one_flies() -> None:
-    dt = 0.5
-    may = LIMITS.jump_m + 3.0 * math.hypot(2.0, 2.0, 40.0 * dt) + 0.5 * LIMITS.acceleration_m_s2 * dt**2
-    for factor, taken in ((BELOW, True), (ABOVE, False)):
-        track = track_of(report(6.9, (10.0, 0.0)), fix("vehicle", 7.0), fix("vehicle", 7.5, (factor * may, 0.0, 0.0)))
-        assert track.counted() == ({"taken": 0} if taken else {"taken": 0, "vehicle_jump": 1})
-
-
-@pytest.mark.parametrize(("after_s", "taken"), [(0.0, True), (-0.001, False)])
-def test_a_report_of_the_same_instant_is_in_order_and_one_before_it_is_not(after_s: float, taken: bool) -> None:
-    for whose in ("vessel", "vehicle"):
-        track = track_of(fix(whose, 7.0), fix(whose, 7.0 + after_s, (0.5, 0.0, 0.0)))
-        assert track.counted().get(f"{whose}_out_of_order", 0) == (0 if taken else 1)
-    track = track_of(report(7.0, (1.0, 0.0), heading=0.1), report(7.0 + after_s, (2.0, 0.0), heading=0.2))
-    assert track.velocity is not None
-    assert track.heading is not None
-    assert (track.velocity[1][0], track.heading[1]) == ((2.0, 0.2) if taken else (1.0, 0.1))
 
 
 def test_after_a_long_silence_any_place_is_accepted() -> None:

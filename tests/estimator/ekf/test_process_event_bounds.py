@@ -125,24 +125,6 @@ def test_a_low_pass_comes_nearer_and_does_not_begin_again() -> None:
     np.testing.assert_allclose(after.w_smooth, (1.0 - share) * np.array(b.w_smooth) + share)
 
 
-@pytest.mark.parametrize(("since", "holds"), [(HOLD, True), (HOLD + 1, False)])
-def test_a_sample_holds_for_sixty_milliseconds_and_what_follows_a_gap_stands_alone(since: int, holds: bool) -> None:
-    b = moving()
-    w, f = np.array([0.5, 0.5, 0.5]), REST + 20.0
-    after, verdict = folded(b, imu(T + since, w, f))
-    assert verdict is Verdict.FUSED
-    assert (after.t, after.t_imu) == (T + since, T + since)
-    assert (after.jolt_var_m2_s2 > 0.0) is holds, "after a gap no step is too large"
-    if not holds:
-        for found in (after.w, after.w_smooth):
-            np.testing.assert_allclose(found, w)
-        np.testing.assert_allclose(after.f, f)
-        assert after.coast_s == pytest.approx(1e-9)
-    else:
-        assert after.coast_s == 0.0
-        assert max(after.w_smooth) < 0.48, "smoothed with the one before"
-
-
 def test_a_sample_of_the_first_instant_holds_as_well() -> None:
     b = moving(t=0, t_imu=0, sighted=0)
     after, _ = folded(b, imu(20 * MS, np.add(b.w, 0.3), np.add(b.f, 0.2)))
@@ -179,14 +161,6 @@ def test_a_step_is_one_from_the_sample_before_not_one_from_nothing() -> None:
     after, _ = folded(b, imu(T + 20 * MS, np.full(3, 3.0), np.full(3, -10.0)))
     np.testing.assert_allclose(after.f, 5.0)
     np.testing.assert_allclose(after.w, -1.0)
-
-
-@pytest.mark.parametrize(("since_ms", "settles"), [(90, False), (99, False), (100, True), (110, True)])
-def test_the_covariance_moves_on_ten_times_a_second(since_ms: int, settles: bool) -> None:
-    b = moving(t_cov=T - (since_ms - 10) * MS)
-    after, _ = folded(b, imu(T + 10 * MS, np.add(b.w, 0.1), b.f))
-    assert after.t_cov == (T + 10 * MS if settles else b.t_cov)
-    assert np.shares_memory(after.P, b.P) is not settles
 
 
 def test_a_pad_not_seen_for_half_a_minute_is_forgotten_by_any_sample() -> None:

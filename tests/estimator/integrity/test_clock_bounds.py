@@ -28,25 +28,6 @@ def test_an_arrival_may_be_a_step_away_and_never_turns_the_time_back(t: int, ver
     assert (output, state.now, state.rival is None) == (verdict, now, verdict is None)
 
 
-@pytest.mark.parametrize(
-    ("after_ms", "confirmed"),
-    [
-        ([0, 50, 100, 150, 200], True),
-        ([0, 50, 100, 150, 199.999999], False),
-        ([0, 100, 200, 300], False),
-        ([0, 1, 2, 3, 4, 5, 6], False),
-        ([200, 150, 100, 50, 0], False),
-    ],
-)
-def test_one_stream_confirms_a_time_by_five_over_a_fifth_of_a_second(after_ms: list[float], confirmed: bool) -> None:
-    state, output = NOW, None
-    for ms in after_ms:
-        assert output is None or state.rival is not None
-        state, output = arrive(state, "Imu", 200 * S + round(ms * MS))
-    assert (output is None) is confirmed
-    assert state.now == (200 * S + 200 * MS if confirmed else 100 * S)
-
-
 def test_two_looks_of_one_stream_confirm_nothing_and_of_two_streams_they_do() -> None:
     state, _ = arrive(NOW, "Imu", 200 * S)
     assert arrive(state, "Imu", 200 * S)[1] is Verdict.TOO_NEW
@@ -81,24 +62,6 @@ def settled(n: int, delay_ms: float = 125.0) -> ClockWatch:
     for _ in range(n):
         state, _ = delay(state, delay_ms)
     return state
-
-
-def test_the_first_delays_are_averaged_and_the_later_ones_move_the_median_by_two_milliseconds() -> None:
-    state, medians = settled(1, 100.0), []
-    for ms in (200.0, 60.0, 121.5):
-        state, _ = delay(state, ms)
-        medians.append(state.delays["Imu"].median_s)
-    assert medians == pytest.approx([0.150, 0.120, 0.1215])
-    for n in (8, 9, 30):
-        for ms, median_s in ((200.0, 0.127), (50.0, 0.123), (126.0, 0.126), (124.0, 0.124)):
-            assert delay(settled(n), ms)[0].delays["Imu"].median_s == pytest.approx(median_s)
-    assert delay(settled(7), 205.0)[0].delays["Imu"].median_s == pytest.approx(0.135), "the eighth is averaged"
-
-
-def test_seven_delays_make_no_habit_and_eight_do() -> None:
-    state, output = delay(settled(7), 400.0)
-    assert (output, state.delays["Imu"].median_s, state.delays["Imu"].n) == (None, 0.4, 1)
-    assert delay(settled(8), 400.0)[1] is Verdict.TOO_OLD
 
 
 def test_a_delay_may_be_a_step_from_the_median() -> None:

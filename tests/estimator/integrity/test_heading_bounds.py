@@ -61,15 +61,6 @@ def test_a_sample_that_is_not_newer_is_passed_over() -> None:
         assert turned(watch, gyro(t_ms, 5.0)) is watch
 
 
-@pytest.mark.parametrize(("t_ns", "known"), [(-100 * MS, True), (-100 * MS - 1, False), (100 * MS, True), (100 * MS + 1, False)])
-def test_a_report_is_compared_with_a_gyro_sample_of_the_last_tenth_of_a_second(t_ns: int, known: bool) -> None:
-    event = reported(500, 1.0, t_ns)
-    watch, used = steadied(held(1.0, at_ms=400, turned_ms=500), event, OPTIONS)
-    assert used is event
-    assert watch.held_rad == (pytest.approx(1.0) if known else None)
-    assert watch.down == pytest.approx(tuple(event.R_ned_body.matrix[2]))
-
-
 def test_without_a_gyro_sample_nothing_is_held() -> None:
     event = reported(20, 1.0)
     watch, used = steadied(structs.replace(held(5.0), turned_at=-1, off_rad=4.0), event, OPTIONS)
