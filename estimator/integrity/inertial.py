@@ -46,6 +46,8 @@ again.
 """
 _SWINGS_SHARE, _AGREES_SHARE = 0.15, 0.3
 _DECIDED = 0.2
+_STILL_RIGHT_S = 10.0
+"""Time after the last sight for which the velocity stays right that sightings took the side of: the attitude errs as long."""
 _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
@@ -156,6 +158,8 @@ class Inertial(Struct, frozen=True):
     """Velocity fault by accelerometer and sightings."""
     velocity_against: int = 0
     """Number of bins in a row in which the velocity contradicted the accelerometer."""
+    velocity_right: int | None = None
+    """Instant, ns, of the newest bin in which the sightings took its side against the accelerometer; None if there was none."""
     velocity_steady: velocity.Steady = velocity.Steady()
     """Difference of velocity and accelerometer that is no lie."""
     suspected: str | None = None
@@ -460,9 +464,11 @@ def _judged_velocity(state: Inertial) -> Inertial:
     if not found.contradicts:
         return replace(state, velocity_against=0) if against else state
     in_sight = bool(state.parity.sight) and state.parity.bins[-1].t - state.parity.sight[-1][0] < _PICTURES_OLD_S * 1e9
-    right = velocity.seen_right(state.parity) if in_sight else False
+    now, since = state.parity.bins[-1].t, state.velocity_right
+    still = since is not None and now - since < _STILL_RIGHT_S * 1e9
+    right = velocity.seen_right(state.parity) if in_sight else still and not found.far
     if right is not False:
-        return state
+        return replace(state, velocity_right=now) if right and in_sight else state
     if against + 1 < _PERSISTS:
         return replace(state, velocity_against=against + 1)
     what = "moves otherwise than accelerometer and camera" if in_sight else "contradicts the accelerometer"

@@ -22,6 +22,8 @@ _POINTS = 8
 _LEAP_M_S = 0.8
 _APART_M_S, _SHARE, _SWINGS_M_S = 0.6, 0.25, 0.25
 """Difference, a root mean square; largest share of the integral's swing that the velocity has; and least swing that shows it."""
+_FAR_APART_M_S = 0.9
+"""Difference that is wrong whatever the share: of a velocity that comes half a second late the share is of the right sign."""
 _AGAINST_M_S, _AGAINST_SHARE, _AGAINST_SWINGS_M_S = 0.45, -0.4, 0.2
 """Limits where the velocity swings against the integral."""
 _WELL_M_S, _WELL_SHARE = 0.35, 0.5
@@ -70,11 +72,18 @@ class Compared(NamedTuple):
     """Part of the integral's swing that the velocity has, 1 where both agree."""
 
     @property
+    def far(self) -> bool:
+        """True if one of both is wrong by more than an attitude that errs makes."""
+        return self.apart_m_s > _FAR_APART_M_S
+
+    @property
     def contradicts(self) -> bool:
         """True if one of both is wrong."""
         apart = self.apart_m_s > _APART_M_S and self.share < _SHARE and self.swings_m_s > _SWINGS_M_S
         swings = self.swings_m_s > _AGAINST_SWINGS_M_S
-        return apart or (self.apart_m_s > _AGAINST_M_S and self.share < _AGAINST_SHARE and swings)
+        return (
+            apart or self.apart_m_s > _FAR_APART_M_S or (self.apart_m_s > _AGAINST_M_S and self.share < _AGAINST_SHARE and swings)
+        )
 
     @property
     def agrees(self) -> bool:
@@ -102,8 +111,11 @@ def compared(p: Parity, steady: Steady) -> Compared | None:
 
 
 def seen_right(p: Parity) -> bool | None:
-    """Return whether the velocity leads along the way that the pad's sightings show; None where they show too little."""
-    t, flow, _ = _window(p)
+    """Return whether the velocity leads along the way that the pad's sightings show; None where they show too little.
+
+    Where they show no way, it is right that shows none either, if the accelerometer shows one.
+    """
+    t, flow, felt = _window(p)
     if len(t) < _POINTS:
         return None
     seen = [(at, value[:2]) for at, value in p.sight if t[0] <= at <= t[-1]]
@@ -111,16 +123,22 @@ def seen_right(p: Parity) -> bool | None:
     if len(places) < _POINTS:
         return None
     at = np.array([instant for instant, _ in places], dtype=np.float64)
-    way = np.array([place for _, place in places])
-    steps = 0.5 * (flow[1:] + flow[:-1]) * (np.diff(t) * 1e-9)[:, None]
-    by_flow = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-    flown = np.column_stack([np.interp(at, t, by_flow[:, axis]) for axis in range(2)])
-    # Over the ground a ship's own way is a steady difference.
     x = at - at.mean()
-    way, flown = (y - y.mean(axis=0) - np.outer(x, x @ (y - y.mean(axis=0)) / (x @ x)) for y in (way, flown))
+
+    def swings(y: F64) -> F64:
+        # Over the ground a ship's own way is a steady difference.
+        swung: F64 = y - y.mean(axis=0) - np.outer(x, x @ (y - y.mean(axis=0)) / (x @ x))
+        return swung
+
+    def way_of(v: F64) -> F64:
+        steps = 0.5 * (v[1:] + v[:-1]) * (np.diff(t) * 1e-9)[:, None]
+        by_v = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        return swings(np.column_stack([np.interp(at, t, by_v[:, axis]) for axis in range(2)]))
+
+    way, flown, least = swings(np.array([place for _, place in places])), way_of(flow), len(places) * _SEEN_M**2
     square = float((way * way).sum())
-    if square < len(places) * _SEEN_M**2:
-        return None
+    if square < least:
+        return True if float((flown * flown).sum()) < least < 0.5 * float((way_of(felt) ** 2).sum()) else None
     return float((way * flown).sum()) > _SEEN_SHARE * square
 
 

@@ -1,6 +1,7 @@
 """A velocity that lies against the accelerometer, in sight of the pad and out of it (own truth)."""
 
 import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -24,6 +25,7 @@ def flown(
     velocity: Change,
     *,
     seen: bool,
+    blind_from: float = math.inf,
     size_m_s: float = 0.8,
     deck_m_s: float = 0.0,
     accelerometer: F64 | None = None,
@@ -35,7 +37,7 @@ def flown(
 
     Args:
         velocity: what the sensor makes of the velocity against the deck, (2,) m/s, with the time for which it lies, s.
-        seen: the pad's sightings come, 30 a second.
+        seen: the pad's sightings come, 30 a second, until `blind_from`, s.
         deck_m_s: size of the deck's own swing.
         accelerometer: what it adds to the specific force from `since` on, s, (3,) m/s^2.
     """
@@ -59,7 +61,7 @@ def flown(
         )
         attitude = Rotation.from_rotvec(0.002 * rng.standard_normal(3))
         state = inertial.levelled(state, Attitude(stamp, attitude, 1e-4 * np.eye(3)), True)
-        if seen and n % 3 == 0:
+        if seen and n % 3 == 0 and t < blind_from:
             at = tuple((-p + 0.01 * rng.standard_normal(2)).tolist())
             state = inertial.sighted(state, stamp.measured_at, (*at, 2.0), 0.0)
         out.append(state)
@@ -101,8 +103,19 @@ def test_an_honest_velocity_is_never_named_over_a_deck_that_sways_nor_for_an_att
 
 
 def test_an_accelerometer_that_lies_in_sight_leaves_the_velocity_alone() -> None:
-    states = flown(lambda v, t: v, seen=True, accelerometer=np.array([2.5, 0.0, 0.0]))
-    assert named_after_s(states) == math.inf
+    states = flown(lambda v, t: v, seen=True, accelerometer=np.array([2.5, 0.0, 0.0]), blind_from=6.0)
+    assert named_after_s(states) == math.inf, "nor out of sight soon after"
+
+
+def test_a_late_velocity_is_named_once_it_swings_the_vehicle() -> None:
+    """Its share of the integral's swing is of the right sign; in clean flights the difference is a third of this one's."""
+    late = deque([np.zeros(2)] * 50)
+
+    def half_a_second_old(v: F64, t: float) -> F64:
+        late.append(v)
+        return late.popleft()
+
+    assert named_after_s(flown(half_a_second_old, seen=False, size_m_s=2.0)) < 3.0
 
 
 def test_a_deck_that_ends_below_makes_a_leap_and_no_lie() -> None:
