@@ -6,7 +6,8 @@ less its mean and less the difference of both that has been there (`Steady`). A 
 neither a large difference nor a wrong sign: in clean flights up to weather_5 the difference is 0.5 m/s, a root mean square, at
 most. A leap of the velocity alone begins the comparison again: below the vehicle the deck has ended and the water begun.
 
-In sight of the pad its sightings decide who of both is right. Out of sight nobody does, and the velocity is not flown by.
+In sight of the pad its sightings decide who of both is right, and for 10 s after them that holds, unless the difference grows
+beyond what an attitude that errs makes. Later nobody decides, and the velocity is not flown by.
 """
 
 import math
