@@ -52,10 +52,6 @@ def test_the_sighting_before_explains_its_neighbourhood(after_ms, sigma_m, moved
         assert explains(tracks, place(T + after_ms * MS, side_m, 2.0 + down_m, sigma_m)) is (by_m < 0.0)
 
 
-def test_for_a_tenth_of_a_second_only() -> None:
-    assert [explains(followed(), place(T + t)) for t in (100 * MS, 100 * MS + 1, -100 * MS, -100 * MS - 1)] == [True, False] * 2
-
-
 @pytest.mark.parametrize("by_m", [-1e-3, 1e-3])
 @pytest.mark.parametrize(
     ("belief_m", "seen_m", "side_m", "down_m"),
@@ -159,15 +155,6 @@ def test_a_look_joins_its_place_within_a_second_and_begins_another_one_after() -
         tracks, _ = associate(followed(20, other(5, T, T + 5 * S), t=T - 1), place(T + 5 * S + after, 1.0), None, LIMITS)
         assert (tracks.candidates[-1].n, tracks.candidates[-1].last.t) == (n, T + 5 * S + after)
         assert tracks.candidates[-1].first == (T if n == 6 else T + 5 * S + after)
-
-
-def test_other_places_are_kept_for_two_seconds_the_newest_three_beside_the_one_just_seen() -> None:
-    others = tuple(other(4, T, T + i * MS, 10.0 + 5.0 * i) for i in (3, 1, 4, 2))
-    tracks, _ = associate(followed(20, *others), place(T + S, 1.0), None, LIMITS)
-    assert [c.last.t for c in tracks.candidates] == [T + 2 * MS, T + 3 * MS, T + 4 * MS, T + S]
-    for age, kept in ((2 * S, 2), (2 * S + 1, 1)):
-        tracks, _ = associate(followed(20, other(4, T, T, 9.0)), place(T + age, 1.0), None, LIMITS)
-        assert len(tracks.candidates) == kept
 
 
 def test_what_the_estimator_took_is_counted_and_compared_with_by_its_instant() -> None:
