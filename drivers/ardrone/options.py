@@ -102,7 +102,7 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "1/s",
             0.0,
             10.0,
-            "gain margin of the loop: 1.9, and 1.2 in drones unlike their file",
+            "gain margin of the loop: 2.0, and 1.3 in drones unlike their file",
         ),
     ] = 1.4
     velocity_integral_1_s2: Annotated[

@@ -82,9 +82,7 @@ class Compared(NamedTuple):
         """True if one of both is wrong."""
         apart = self.apart_m_s > _APART_M_S and self.share < _SHARE and self.swings_m_s > _SWINGS_M_S
         swings = self.swings_m_s > _AGAINST_SWINGS_M_S
-        return (
-            apart or self.apart_m_s > _FAR_APART_M_S or (self.apart_m_s > _AGAINST_M_S and self.share < _AGAINST_SHARE and swings)
-        )
+        return self.far or apart or (self.apart_m_s > _AGAINST_M_S and self.share < _AGAINST_SHARE and swings)
 
     @property
     def agrees(self) -> bool:

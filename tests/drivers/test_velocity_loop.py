@@ -83,7 +83,7 @@ def test_a_drone_unlike_its_file_comes_to_rest(speed_rad_s: float, damping: floa
 
 @pytest.mark.parametrize(("speed_rad_s", "damping"), [(8.0, 0.6), (11.5, 0.65), (14.0, 0.5), (20.0, 0.7)])
 def test_commands_that_come_late_make_no_quadcopter_swing(speed_rad_s: float, damping: float) -> None:
-    """WHY: with a lead of 1.2 and commands .12 s late one leaned by 67 degrees, and its firmware cut the motors."""
+    """A lead of 1.2 and commands .12 s late made one lean by 67 degrees, and its firmware cut the motors."""
     v = fly(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=0.24, kick_m_s=0.8, wind_m_s=-6.0)
     assert np.ptp(v[-400:]) < 0.07, "what is left is the integral's"
 

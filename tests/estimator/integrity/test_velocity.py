@@ -102,8 +102,10 @@ def test_an_honest_velocity_is_never_named_over_a_deck_that_sways_nor_for_an_att
     assert named_after_s(states) == math.inf
 
 
-def test_an_accelerometer_that_lies_in_sight_leaves_the_velocity_alone() -> None:
-    states = flown(lambda v, t: v, seen=True, accelerometer=np.array([2.5, 0.0, 0.0]), blind_from=6.0)
+@pytest.mark.parametrize(("size_m_s", "since"), [(0.8, BEGIN_S), (0.1, 0.0)])
+def test_an_accelerometer_that_lies_in_sight_leaves_the_velocity_alone(size_m_s: float, since: float) -> None:
+    lies = np.array([2.5, 0.0, 0.0])
+    states = flown(lambda v, t: v, seen=True, size_m_s=size_m_s, accelerometer=lies, since=since, blind_from=4.5)
     assert named_after_s(states) == math.inf, "nor out of sight soon after"
 
 
