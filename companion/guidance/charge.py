@@ -1,11 +1,23 @@
-"""The charge that decides: the highest of the last seconds' reports, so that a voltage that dips under load decides nothing."""
+"""The charge that decides, and what becomes of a landing whose battery ends.
+
+The charge is the highest of the last seconds' reports, so that a voltage that dips under load decides nothing.
+"""
+
+from functools import lru_cache
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.keys import grown
 from estimator.contracts.time import MonoNs, seconds_between
 
 DWELL_S = 3.0
 """Time for which every report has to be low, s: a climb against a gust or a wave loads a battery for less."""
+_LOOSER = 1.5
+"""Growth of the limits of place, speed and tilt and of the way down for a battery that ends: what feet bear at the contact."""
+_TRIES, _TIME_S = 100, 36000.0
+"""Tries and time, s, of a landing that nothing but the battery ends."""
 
 
 class ChargeWatch(Struct, frozen=True):
@@ -29,3 +41,20 @@ class ChargeWatch(Struct, frozen=True):
         if self.since is None or seconds_between(self.since, self.highest[-1][0]) < DWELL_S:
             return None
         return self.highest[0][1]
+
+
+def ends(charge: float | None, options: GuidanceOptions) -> bool:
+    """Return whether the battery ends: a charge, 0 to 1, with which no landing begins; None if it is not known."""
+    return charge is not None and charge < options.limits.battery
+
+
+@lru_cache(maxsize=2)
+def last_landing(options: GuidanceOptions) -> GuidanceOptions:
+    """Return the options of a landing whose battery ends: a contact that is less good is better than to go around and fall."""
+    o = options
+    return replace(
+        o,
+        limits=grown(o.limits, _LOOSER, ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")),
+        cone=grown(o.cone, _LOOSER, ("slope", "descent_rate_m_s")),
+        tries=replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S),
+    )

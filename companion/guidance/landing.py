@@ -12,7 +12,7 @@ from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance import held_up, limits, rendezvous, steer
-from companion.guidance.charge import ChargeWatch
+from companion.guidance.charge import ChargeWatch, ends, last_landing
 from companion.guidance.clearance import SwellWatch, watched_swell
 from companion.guidance.command_limits import Unmeasured, without_velocity
 from companion.guidance.contact import ContactWatch, watched
@@ -75,6 +75,7 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_grou
     Args:
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
     """
+    o = last_landing(o) if ends(s.battery, o) else o
     p = account(p, s, o)
     changes: list[StateChange] = []
     while len(changes) < _MOST:
@@ -485,7 +486,8 @@ class LandingGuidance:
         if air is None:
             return AtContact(*ahead, limits.sigma_m(estimate))
         gusts_m = limits.gusts_m(air.gust_m_s * self._tilt.drag_1_s, left_s)
-        return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), gusts_m), air.begins_m_s, air.begins_most_m_s)
+        gust_most_m_s = math.inf if ends(self._charge.fraction, self._guidance) else air.begins_most_m_s
+        return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), gusts_m), air.begins_m_s, gust_most_m_s)
 
     def command(self, knowledge: Knowledge) -> Command | None:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""

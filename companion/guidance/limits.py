@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.clearance import rise_beyond_climb_m
@@ -14,6 +13,7 @@ from companion.guidance.controller import Knowledge
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.keys import grown
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -73,8 +73,7 @@ class InputQuality(Struct, frozen=True):
 def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
     """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
     looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
-    names = ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg")
-    return replace(limits, **{name: looser * getattr(limits, name) for name in names})
+    return grown(limits, looser, ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg"))
 
 
 def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:

@@ -10,6 +10,7 @@ from companion.base.mission import FLOWN, Event, State
 from companion.base.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance import cone, contact, heading, limits, out_of_reach, rendezvous
 from companion.guidance.attempt import Attempt
+from companion.guidance.charge import ends
 from companion.guidance.clearance import SWELL_MEAN_S
 from companion.guidance.controller import Impact
 from companion.guidance.held_course import LASTS_S, HeldCourse
@@ -329,7 +330,7 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
     """Yield what ends the flight's tries: wind and late answers at once, the battery before it begins, the rest between tries."""
     if p.state is State.GO_AROUND and not clear(p, s, o):
         return
-    low = s.battery is not None and s.battery < o.limits.battery
+    low = ends(s.battery, o)
     lost = fit_in(p.state, s, o) is not None
     # The pad in sight is the nearest way down then, whatever wind and waves: the gate still waits for its limits.
     stays = not low or lost
@@ -359,7 +360,7 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[E
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
         used_up = p.go_arounds > o.tries.go_arounds_max or _landing_over(p, s, o) is not None
-        if p.refusing or (used_up and p.fault.cause in CONDITIONS):
+        if (p.refusing and stays) or (used_up and p.fault.cause in CONDITIONS):
             yield Event.NO_CONDITIONS, p.fault
         if used_up:
             yield Event.HOPELESS, (None if p.in_sight else of_frames(s.frames)) or p.fault

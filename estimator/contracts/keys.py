@@ -13,15 +13,18 @@ Modules of options do not postpone the evaluation of their annotations: each rea
 tenth of the service's start.
 """
 
+from collections.abc import Container
 from functools import cache
-from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 PUBLIC = "x-public"
 """Note of a key that stands outside of `[expert]` in a settings file."""
 _Range = tuple[str, float, float]
 _Choice = tuple[str, tuple[object, ...]]
+_Options = TypeVar("_Options", bound=Struct)
 
 
 def number(meaning: str, unit: str, low: float, high: float, source: str = "", *, public: bool = False) -> Meta:
@@ -65,6 +68,12 @@ def check_ranges(options: Struct) -> None:
     for key, words in choices:
         if getattr(options, key) not in words:
             raise ValueError(f"{kind}.{key} must be one of {', '.join(map(str, words))}, got {getattr(options, key)!r}")
+
+
+def grown(options: _Options, factor: float, keys: Container[str]) -> _Options:
+    """Return options with some numbers times a factor, each within its declared range."""
+    ranges, _ = _limits(type(options))
+    return replace(options, **{k: max(low, min(high, factor * getattr(options, k))) for k, low, high in ranges if k in keys})
 
 
 @cache

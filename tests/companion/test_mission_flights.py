@@ -13,9 +13,10 @@ from msgspec.structs import replace
 from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.charge import DWELL_S, ChargeWatch
+from companion.guidance.charge import DWELL_S, ChargeWatch, last_landing
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.landing import mission_step, ordered, reported
+from companion.guidance.limits import of_try
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
@@ -302,9 +303,30 @@ def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing()
     assert progress.state is State.DESCEND
 
 
+@pytest.mark.parametrize(("battery", "lands"), [(0.5, False), (0.09, True), (0.03, True)])
+def test_a_landing_whose_battery_ends_bears_more_and_gives_up_for_nothing(battery: float, lands: bool) -> None:
+    """WHY: six go-arounds for .46 instead of .45 m/s, and then a landing beside the pad with what the battery had left."""
+    flight = PointFlight([0.0, 0.0, 1.0], guided(tries={"go_arounds_max": 1, "landing_s": 30.0}), battery=battery)
+    flight.rolled = lambda t, d: math.radians(4.6)
+    flight.run(60.0)
+    assert (flight.progress.state is State.LANDED) is lands
+    flight = PointFlight([0.0, 0.0, 1.0], flight.options, battery=battery, rolled=lambda t, d: math.radians(8.0))
+    assert (flight.run(60.0).progress.state in (State.REFUSED, State.GAVE_UP)) is not lands, "beyond what it bears it tries on"
+
+
+@given(st.data())
+def test_what_a_try_allows_stays_within_the_settings_ranges(data: st.DataObject) -> None:
+    """WHY: with an error_m of 1.5 m, which the file may have, the third try raised ValueError in flight."""
+    edges = data.draw(st.sampled_from([{"error_m": 2.0}, {"deck_tilt_gate_deg": 45.0}, {"relative_speed_m_s": 5.0}, {}]))
+    o = guided(limits=edges, cone={"slope": data.draw(st.sampled_from([0.02, 0.22, 1.0]))})
+    last = last_landing(o)
+    assert of_try(last.limits, data.draw(st.integers(0, 9))).error_m >= o.limits.error_m
+    assert last.cone.slope >= o.cone.slope
+
+
 def test_a_low_battery_does_not_end_a_landing_that_went_around() -> None:
     """WHY: hovering on with 5 % ends in the water; the pad is the nearest way down."""
-    flight = PointFlight([0.0, 0.0, 2.0], rolled=lambda t, d: math.radians(3.4) if d[2] < 0.2 and t < 8.0 else 0.0)
+    flight = PointFlight([0.0, 0.0, 2.0], rolled=lambda t, d: math.radians(6.0) if d[2] < 0.2 and t < 8.0 else 0.0)
     while flight.t < 60.0 and flight.progress.state is not State.LANDED:
         flight.battery = 0.05 if flight.d[2] < 1.5 else flight.battery
         flight.cycle()
