@@ -35,6 +35,8 @@ _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 _AT_GATE_M = 0.08
 _OVER_GATE_M = 0.3
+_AGREE = 0.2
+"""Difference of an estimate out of sight from the range, of that, up to which two witnesses say the same height."""
 _RISEN_M = 0.4
 _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
@@ -140,10 +142,16 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 
 def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Note the height that is seen while no landing is flown."""
-    if s.estimate is None or unfit(s.estimate, s.at, o.stale_after_s) is not None:
+    """Note the height that is seen while no landing is flown, or found by a range that the estimate agrees with."""
+    if s.estimate is None:
         return p
-    return replace(p, seen_height_m=s.estimate.height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
+    height_m = s.estimate.height_m
+    if unfit(s.estimate, s.at, o.stale_after_s) is not None:
+        agree = s.range_m is not None and not s.estimate.alerts and abs(s.range_m - height_m) < _AGREE * s.range_m
+        if s.range_m is None or not agree:
+            return p
+        height_m = min(height_m, s.range_m)
+    return replace(p, seen_height_m=height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:

@@ -18,8 +18,9 @@ from companion.guidance.situation import GuidanceCycle, VesselPosition
 from companion.guidance.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
+from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import ns
+from tests.companion.mission_flights import estimate, ns
 
 NOW, DT = 100.0, 0.05
 OPTIONS = GuidanceOptions()
@@ -176,3 +177,23 @@ def test_after_a_person_s_hand_nobody_knows_the_height() -> None:
     assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (math.inf, 0.0, 0.0)
     p = flown_by_others(waiting(State.SEARCH, seen_height_m=5.0, climbs_m_s=0.5, climbed_m=1.0))
     assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (5.0, 1.0, 0.0), "a fence that held it back is no hand"
+
+
+@pytest.mark.parametrize(
+    ("range_m", "height_m", "alerts", "climbs"),
+    [
+        (5.0, 5.1, (), False),
+        (5.0, 3.9, (), True),
+        (6.0, 4.5, (), True),
+        (None, 5.1, (), True),
+        (5.0, 5.1, (IntegrityAlert.RANGE,), True),
+    ],
+)
+def test_a_refused_drone_climbs_no_further_where_range_and_estimate_agree_that_it_is_high(range_m, height_m, alerts, climbs):
+    """WHY: each wave lifted it a little without counting, and after it gave up it climbed by 3 m more, to 8.6 m."""
+    seen = replace(estimate(NOW, (0.0, 0.0, height_m), age=20.0, sigma=0.2), alerts=alerts)
+    p = waiting(State.GAVE_UP, seen_height_m=0.4, climbed_m=1.5)
+    p, _, _ = mission_step(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), seen), range_m=range_m), OPTIONS, over_ground=False)
+    lost = GuidanceCycle(ns(NOW + DT), Knowledge(ns(NOW + DT), None))
+    _, found, _ = mission_step(p, lost, OPTIONS, over_ground=False)
+    assert (isinstance(found, Velocity) and bool(found.v_level[2] < 0.0)) is climbs
