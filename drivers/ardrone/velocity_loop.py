@@ -146,6 +146,26 @@ def sticks_of(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, option
     )
 
 
+_LEANS_FAR_M_S2 = G_M_S2 * math.tan(math.radians(20.0))
+"""Acceleration of a lean that no reversal of a tilt passes for long, m/s^2."""
+_LEVELS_M_S = 0.3
+"""Rate of climb that leaves the rotors thrust to turn the drone level, m/s."""
+
+
+def levelling(sticks: Sticks, a_level: F64, options: ArDroneOptions) -> Sticks:
+    """Return the sticks with little climb while the drone leans far against them.
+
+    A climb that takes all thrust leaves none to turn: with a rotor at 70 % it tipped over within .5 s.
+
+    Args:
+        a_level: (2,) acceleration of the present tilt (`acceleration_of`), m/s^2.
+    """
+    against = -sticks.pitch * float(a_level[0]) + sticks.roll * float(a_level[1]) < 0.0
+    if not against or float(np.hypot(a_level[0], a_level[1])) < _LEANS_FAR_M_S2:
+        return sticks
+    return replace(sticks, gaz=min(sticks.gaz, _unit(_LEVELS_M_S / options.vz_max_m_s)))
+
+
 def _progressive(sticks: Sticks) -> Pcmd:
     return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
 
@@ -211,6 +231,7 @@ class VelocityLoop:
         self._held = None
         attitude = self._attitude if self._recent(self._attitude, now) else None
         heading = None if attitude is None else attitude.R_ned_body.rpy_rad[2]
+        a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
         if isinstance(wanted, Lean):
             if attitude is None:
                 return self._unmeasured(wanted)
@@ -220,11 +241,10 @@ class VelocityLoop:
             if measured is None or not self._recent(measured, now):
                 return self._unmeasured(wanted)
             dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
-            a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
             self._loop, sticks = step(self._loop.at_heading(heading), wanted, measured.v_level, a_level, dt_s, self._o)
         self._averages(0.0 if self._stepped is None else seconds_between(self._stepped, now))
         self._stepped, self._known_s = now, _HELD_S
-        return _progressive(sticks)
+        return _progressive(sticks if a_level is None else levelling(sticks, a_level, self._o))
 
     def feel_held(self, now: MonoNs) -> None:
         """Learn the tilt with which the drone's own hover cancels the wind, from which a velocity goes on."""
