@@ -109,8 +109,8 @@ _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
 _REFUSED = (State.REFUSED, State.GAVE_UP)
 _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
-_LOOK_M_S, _LEG_S = 0.4, 20.0
-"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s."""
+_LOOK_M_S, _LEG_S, _STEP_M = 0.4, 35.0, 2.0
+"""Speed upwind and to lee of a search in wind, m/s, the time of each way, s, and the first step aside, m."""
 _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
 """Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 _AWAY_M_S = 5.0
@@ -291,16 +291,19 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
 def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity | None:
     """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
 
-    The lean turns the camera to lee, so what was below is found upwind. The drone flies there, back, and so on, and turns the
-    wider side of the field into the wind. The first way is whole: a velocity loop with an integral falls short of it.
+    The lean turns the camera to lee, and a hover drifts there, so what was below is found upwind, and some way off. The drone
+    flies there, back, and so on, each time farther to the other side, and turns the wider side of the field into the wind.
     """
     if s.wind is None or not s.wind.leans_far:
         return None
-    spent_s = p.in_state_s(s.at)
-    speed = _LOOK_M_S if spent_s // _LEG_S % 2.0 == 0.0 else -_LOOK_M_S
+    legs = int(p.in_state_s(s.at) // _LEG_S)
+    back, times = legs % 2 == 1, legs // 2 + 1
+    speed = -_LOOK_M_S if back else _LOOK_M_S
+    across = times * _STEP_M / _LEG_S * (1.0 if times % 2 == 1 else -1.0) if back else 0.0
     turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
     ahead, aside = s.wind.into_level
-    return Velocity(np.array([speed * ahead, speed * aside, 0.0]), max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
+    v = np.array([speed * ahead - across * aside, speed * aside + across * ahead, 0.0])
+    return Velocity(v, max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
 
 
 def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> Command:

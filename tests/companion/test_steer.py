@@ -422,12 +422,21 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         )[1]
         assert isinstance(found, Target)
         assert found.lean_max_rad == lean, "level, a gust would drag it over the deck"
-    for since_s, side in ((19.0, 1.0), (21.0, -1.0), (41.0, 1.0)):
+    place, found_at = np.zeros(2), []
+    for since_s in np.arange(1.0, 281.0, 1.0):
         p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s), climbed_m=2.0)
         found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
         assert isinstance(found, Velocity)
-        assert found.v_level.tolist() == pytest.approx([0.0, side * 0.4, 0.0])
+        assert math.hypot(*found.v_level[:2]) < 0.5
+        assert found.v_level[2] == 0.0
         assert found.yaw_rate_rad_s == pytest.approx(0.32)
+        place = place + found.v_level[:2]
+        found_at.append(place)
+    flown = np.array(found_at)
+    for upwind_m, aside_m in ((12.0, 0.0), (6.0, 2.0), (6.0, -2.0), (1.0, 2.0), (1.0, -2.0)):
+        off_m = np.hypot(flown[:, 1] - upwind_m, flown[:, 0] - aside_m)
+        assert off_m.min() < 2.0, "seen from 5 m by a camera of 64 degrees"
+    assert np.abs(flown).max() < 15.0
     for seen_m, searches in ((2.0, True), (1.99, False)):
         p = Progress(State.HOLD_BLIND, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW - 1.0), seen_height_m=seen_m)
         found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
