@@ -1,15 +1,12 @@
 """The response identified in flight at each of its edges: what counts as a report, when a fit is due, and what it decides."""
 
-import math
-
 import numpy as np
 import pytest
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance import response_watch
-from companion.guidance.response_fit import Fitted, FlightCourse, TiltFit, fit_tilt
-from companion.guidance.response_watch import CONTRADICTION_S, DELAY_MAX_S, ResponseWatch, asked, begun, judged, landed, reported
+from companion.guidance.response_fit import Fitted, TiltFit, fit_tilt
+from companion.guidance.response_watch import ResponseWatch, asked, begun, judged, landed, reported
 from companion.settings.load import shipped_response
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.test_identify import flown
@@ -115,38 +112,6 @@ def test_no_delay_shorter_than_the_files_is_flown_with() -> None:
     assert output == ResponseInUse(ResponseState.ASSUMED, 0.1, None), "what was longer is in doubt, and the gains are soft"
 
 
-def moved(size: float) -> FlightCourse:
-    """Return a report that goes to and fro by this much about its offset, but where it is not compared."""
-    swing = np.outer(np.where(np.arange(100) % 2, size, -size), [1.0, 1.0])
-    counts = np.arange(100) >= 20
-    return FlightCourse(np.zeros((100, 2)), np.where(counts[:, None], swing + 0.1, 50.0), counts)
-
-
-SLOWNESS_S = 2.0 * TILT.damping / TILT.frequency_rad_s
-
-
-@pytest.mark.parametrize(
-    ("found", "trusted"),
-    [
-        (fit(0.05), True), (fit(0.0), False), (fit(1e-6), True), (fit(DELAY_MAX_S), True), (fit(DELAY_MAX_S + 1e-6), False),
-        (fit(0.05, gain=1.349), True), (fit(0.05, gain=1.351), False), (fit(0.05, gain=0.651), True),
-        (fit(0.05, gain=0.649), False),
-        (fit(0.05, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.149)), True),
-        (fit(0.05, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.151)), False),
-        (fit(0.3, frequency=TILT.frequency_rad_s * SLOWNESS_S / (SLOWNESS_S + 0.149)), True),
-        (fit(0.05, residual=math.sqrt(0.299)), True), (fit(0.05, residual=math.sqrt(0.301)), False),
-    ],
-)  # fmt: skip
-def test_a_fit_is_trusted_while_its_model_is_the_vehicles(found: TiltFit, trusted: bool) -> None:
-    assert response_watch._trusted(TILT, moved(1.0), found) is trusted
-    half = structs.replace(found, fitted=found.fitted._replace(residual=0.5 * found.fitted.residual))
-    assert response_watch._trusted(TILT, moved(0.5), half) is trusted
-    searching = structs.replace(found, fitted=found.fitted._replace(settled=False))
-    assert not response_watch._trusted(TILT, moved(1.0), searching), "on the way to its end a search tells nothing"
-    still = structs.replace(found, fitted=found.fitted._replace(residual=0.1))
-    assert not response_watch._trusted(TILT, moved(0.0), still), "a vehicle that stands still tells nothing"
-
-
 def test_a_search_is_settled_at_its_end_and_not_on_its_way() -> None:
     course = flown(1, 0.5)[1]
     far = structs.replace(TILT, delay_s=0.3, frequency_rad_s=14.0, damping=0.4)
@@ -160,31 +125,3 @@ def test_a_search_is_settled_at_its_end_and_not_on_its_way() -> None:
     whole = fit_tilt(course, far)
     assert whole is not None
     assert whole.fitted.settled
-
-
-def test_what_two_fits_in_a_row_say_is_flown_by(monkeypatch: pytest.MonkeyPatch) -> None:
-    says: list[TiltFit | None] = []
-    monkeypatch.setattr(response_watch, "fit_tilt", lambda *_, **__: says.pop(0))
-
-    def after(watch: ResponseWatch, *found: TiltFit | None) -> ResponseWatch:
-        for one in found:
-            says.append(one)
-            watch = response_watch._fitted(watch, moved(1.0), KNOWN_S)
-        return watch
-
-    once = after(structs.replace(FIRST, in_use=KNOWN), fit(0.2))
-    assert (once.in_use, once.doubt) == (KNOWN, ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.01, pytest.approx(0.15)))
-    assert once.fit is not None
-    assert after(once, None) is once
-    twice = after(once, fit(0.2 + CONTRADICTION_S - 1e-4))
-    assert (twice.in_use.delay_s, twice.doubt) == (pytest.approx(0.2399), None)
-    other = after(once, fit(0.2 + CONTRADICTION_S + 1e-4))
-    assert other.in_use is KNOWN
-    assert other.doubt is not None
-    assert other.doubt.delay_s == pytest.approx(0.2401)
-    assert after(once, fit(0.05)).doubt is None, "a fit that agrees takes the doubt away"
-    assert after(once, fit(0.2, gain=3.0)).doubt is None, "and so does one that is of something else"
-    confirmed = after(structs.replace(FIRST, in_use=ASSUMED), fit(0.05))
-    assert confirmed.in_use is ASSUMED
-    assert after(confirmed, fit(0.2)).in_use is ASSUMED, "another state is another word"
-    assert after(confirmed, fit(0.06)).in_use.state is ResponseState.KNOWN

@@ -133,18 +133,6 @@ def test_both_places_are_carried_on_to_the_instant_by_their_velocities() -> None
     assert place.at == ns(t)
 
 
-@pytest.mark.parametrize("reported", [False, True])
-def test_the_place_is_uncertain_by_both_receivers_and_by_what_nobody_reported_since(reported: bool) -> None:
-    """An unknown velocity of the vehicle counts 3 m/s, of the ship 2 m/s; the worse of her two axes counts if it is known."""
-    t, limits = 20.0, ReportLimits(pad_forward_m=3.0, pad_right_m=-4.0, sigma_max_m=50.0)
-    own = fix("vehicle", 19.2, sigma_m=1.1, v=(0.0, 0.0, 0.0) if reported else None)
-    ship = [report(18.0, (2.0, 0.0), var=(0.09, 0.16), heading=0.3)] if reported else []
-    place = known(track_of(*ship, fix("vessel", 18.0, (30.0, 0.0, 0.0), sigma_m=0.6), own, nose(t), limits=limits), t)
-    turned = 0.5 * limits.acceleration_m_s2 * 2.0**2
-    parts = (0.4 * 2.0,) if reported else (2.0 * 2.0, 3.0 * 0.8, 5.0)
-    assert place.sigma_m == pytest.approx(math.hypot(1.1, 0.6, turned, *parts))
-
-
 def test_a_place_that_is_too_uncertain_is_none_and_says_by_how_much() -> None:
     limits = ReportLimits(sigma_max_m=5.0)
     for sigma_m, counts in ((4.0, True), (4.001, False)):
