@@ -47,6 +47,8 @@ class Asks(Enum):
     """The action that a packet requests of the vehicle."""
 
     HOVER = "hover"
+    CENTRED = "sticks in the middle"
+    """An AR.Drone's sticks alone: in flight a hover, and a landing goes on."""
     MOVE = "move"
     LAND = "land"
     STOP = "stop the motors"
@@ -72,7 +74,9 @@ def of_at(commands: Iterable[AtCommand], at: MonoNs) -> SentPacket | None:
         return SentPacket(at, Asks.LAND)
     if not sticks:
         return None
-    return SentPacket(at, Asks.MOVE if sticks[-1].flags & PCMD_PROGRESSIVE else Asks.HOVER)
+    if sticks[-1].flags & PCMD_PROGRESSIVE:
+        return SentPacket(at, Asks.MOVE)
+    return SentPacket(at, Asks.HOVER if words else Asks.CENTRED)
 
 
 class MavlinkWires:
@@ -241,10 +245,10 @@ class HandsWatch:
             case "emergency":
                 return wire.asks is Asks.STOP
             case "land":
-                return wire.asks is Asks.LAND
+                return wire.asks is Asks.LAND or (self._answered and wire.asks is Asks.CENTRED)
             case "manual" | "hold" | "abort":
                 # A place over a deck is held by moving, and a velocity flown by tilts either way: `step` sees what comes of it.
-                return wire.asks in (Asks.HOVER, Asks.MOVE, Asks.MODE)
+                return wire.asks in (Asks.HOVER, Asks.CENTRED, Asks.MOVE, Asks.MODE)
         return False
 
 

@@ -302,7 +302,8 @@ UP = Ref(REF_BASE | REF_TAKE_OFF)
 def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
     assert of_at([ComWdg()], START) is None
     assert of_at([UP, STILL], START) == SentPacket(START, Asks.HOVER)
-    assert of_at([UP, GOES], START) == SentPacket(START, Asks.MOVE)
+    assert of_at([STILL], START) == SentPacket(START, Asks.CENTRED)
+    assert of_at([UP, GOES], START) == of_at([GOES], START) == SentPacket(START, Asks.MOVE)
     assert of_at([Ref(REF_BASE), GOES], START) == SentPacket(START, Asks.LAND)
     assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == SentPacket(START, Asks.STOP)
 
@@ -312,7 +313,7 @@ def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
     [
         ("hold", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
         ("abort", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
-        ("land", [Asks.LAND], [Asks.MOVE, Asks.HOVER, Asks.STOP]),
+        ("land", [Asks.LAND], [Asks.MOVE, Asks.HOVER, Asks.CENTRED, Asks.STOP]),
         ("emergency", [Asks.STOP], [Asks.MOVE, Asks.HOVER, Asks.LAND]),
         ("manual", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
     ],
@@ -326,6 +327,14 @@ def test_an_act_is_obeyed_by_what_it_means_from_a_third_of_a_second_on(act: str,
         assert line == f"a person ordered {act}, and was sent: {asks.value}, still 5.0 s later"
     late = Step(6.0, sent=(SentPacket(after(START, 6.0), not_[0]),))
     assert len(judged([*ordered(act, 0.1, obeys[0]), late]).unsafe) == 1, "to the end"
+
+
+def test_a_landing_goes_on_with_the_sticks_in_the_middle_once_it_was_sent() -> None:
+    """WHY: a person's landing that a dying service's sender left alone counted as disobeyed."""
+    centred = Step(9.0, sent=(SentPacket(after(START, 9.0), Asks.CENTRED),))
+    assert judged([*ordered("land", 0.1, Asks.LAND), centred]).unsafe == ()
+    hover = replace_step(centred, sent=(SentPacket(after(START, 9.0), Asks.HOVER),))
+    assert len(judged([*ordered("land", 0.1, Asks.LAND), hover]).unsafe) == 1, "which takes off again"
 
 
 def test_silence_is_no_obedience_unless_the_motors_stand_or_no_service_runs() -> None:
