@@ -50,11 +50,11 @@ def ends(charge: float | None, options: GuidanceOptions) -> bool:
 
 @lru_cache(maxsize=2)
 def last_landing(options: GuidanceOptions) -> GuidanceOptions:
-    """Return the options of a landing whose battery ends: a contact that is less good is better than to go around and fall."""
+    """Return the options of a landing whose battery ends: a contact that is less good, or another pad, is better than to fall."""
     o = options
     return replace(
         o,
         limits=grown(o.limits, _LOOSER, ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")),
         cone=grown(o.cone, _LOOSER, ("slope", "descent_rate_m_s")),
-        tries=replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S),
+        tries=replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S, another_pad="automatic"),
     )

@@ -280,7 +280,7 @@ class Referee:
         self.counts["low_outside_s"].note(self._low_s)
         ours = reached and served and not self.hands.hands_on and moment.motors
         if ours:
-            self._way(truth)
+            self._way(truth, dt_s)
         self._battery(truth, dt_s, hovers=ours and self.hands.act not in STAYS_UP and moment.clearance_m > ON_DECK_M)
         self._wires()
         self._was_standing = ours and abs(moment.clearance_m) < ON_DECK_M
@@ -320,12 +320,16 @@ class Referee:
         elif self._hop_m is not None:
             self._hop_m = max(self._hop_m, m.clearance_m)
 
-    def _way(self, truth: Truth) -> None:
+    def _way(self, truth: Truth, dt_s: float) -> None:
         """Count where and how fast the vehicle flies."""
         d, v, p = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned, truth.p_body_ned
         away_m, farthest_m = math.hypot(d[0], d[1]), self._errand.farthest_m
         if away_m <= farthest_m or self._left_ned is None:
             self._left_ned = float(p[0]), float(p[1])
+        elif math.hypot(v[0], v[1]) < math.hypot(*truth.v_body_ned[:2].tolist()):
+            # It stays with the ship, and so does that place.
+            north, east = truth.v_pad_ned[:2].tolist()
+            self._left_ned = self._left_ned[0] + dt_s * north, self._left_ned[1] + dt_s * east
         # A ship that goes on leaves a vehicle behind that hovers over the ground: that is neither a flight away nor a speed.
         # In its own hover it drifts with the wind, and no order of ours flies it there.
         if truth.phase is not VehiclePhase.HOVERING:

@@ -446,6 +446,8 @@ def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only
     options = guided(tries={"another_pad": "automatic"})
     flight = PointFlight([0.5, 0.0, 4.5], options, track=lambda t: 1 if t < jump_at else 2).run(120)
     assert (flight.progress.state is State.LANDED) == lands
+    ending = PointFlight([0.5, 0.0, 4.5], track=flight.track, battery=0.08).run(120)
+    assert not lands or ending.progress.state is State.LANDED, "nobody waits for an answer while the battery ends"
     twice = PointFlight([0.5, 0.0, 4.5], options, track=lambda t: 1 if t < 1 else 2 if t < 7 else 3).run(200)
     assert twice.progress.state is State.GAVE_UP
 

@@ -68,7 +68,8 @@ class Step:
     sent: tuple[SentPacket, ...] = field(default=())
 
     ship: float = 0.0
-    """Way that the ship has gone ahead, and its speed."""
+    """Way that the ship has gone ahead, and its speed unless that is given."""
+    ship_m_s: float | None = None
 
     def truth(self, yaw_rad: float = 0.0, at_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
         """Return the true state, with the whole world turned and moved."""
@@ -77,7 +78,7 @@ class Step:
         lowest = float((R.matrix @ FEET.corners_m.T)[2].max())
         pad = turned.matrix @ np.array([self.ship, 0.0, -self.deck_up]) + at_ned
         body = pad + turned.matrix @ np.array([self.aside, 0.0, -self.clearance - lowest])
-        v_pad = turned.matrix @ np.array([self.ship, 0.0, self.deck_falls])
+        v_pad = turned.matrix @ np.array([self.ship if self.ship_m_s is None else self.ship_m_s, 0.0, self.deck_falls])
         return Truth(
             after(START, self.at_s), body, turned.matrix @ np.array(self.v), R, pad, v_pad, turned, self.phase,
             self.contacts[-1] if self.contacts else None, self.contacts, battery=self.battery,
@@ -227,6 +228,10 @@ def test_a_ship_that_goes_on_leaves_a_vehicle_that_hovers_over_the_ground() -> N
     hovers = [Step(0.0), Step(1.0, aside=-40.0, ship=10.0, phase=VehiclePhase.HOVERING)]
     assert judged(hovers).unsafe == (), "its own hover drifts with the wind, and nobody flies it there"
     assert judged([hovers[0], replace_step(hovers[1], phase=FLIES)]).unsafe != ()
+    rides = [Step(float(n), aside=-10.0, ship=90.0 * n, ship_m_s=90.0, v=(90.0, 0.0, 0.0)) for n in range(4)]
+    behind = Step(4.0, aside=-100.0, ship=360.0, ship_m_s=90.0)
+    assert judged([*rides, behind]).unsafe == (), "nor one that she has carried with her before"
+    assert judged([*rides, replace_step(behind, aside=-150.0)]).unsafe != ()
     with_her = Step(1.0, ship=90.0, v=(90.0, 0.0, 0.0))
     assert judged([Step(0.0), with_her]).unsafe == (), "nor is one that goes with her fast"
 
