@@ -28,7 +28,6 @@ from estimator.ekf.state import (
     TURN_RATE,
     VEL,
     VEL_SCALE,
-    VELOCITY,
     VESSEL_VEL,
     Belief,
     N,
@@ -137,30 +136,6 @@ def test_no_message_reports_a_pad_never_seen_or_not_for_half_a_minute() -> None:
     assert at(first, MonoNs(0)) is not None
     assert forecast(first, MonoNs(0), [0.0]) is not None
     assert moving(first) is not None
-
-
-def test_a_ship_steers_for_two_fifths_of_a_second_after_a_sighting_showed_it() -> None:
-    for age_ms, steers in ((399, True), (401, False)):
-        assert told(belief(steered=T - age_ms * MS)).steers is steers
-    assert not told(belief()).steers
-
-
-@pytest.mark.parametrize(("agreed", "nis_mean", "wanted"), [(3, 1.0, True), (2, 1.0, False), (10, 1.99, True), (10, 2.0, False)])
-def test_three_sightings_that_fit_make_it_consistent(agreed: int, nis_mean: float, wanted: bool) -> None:
-    assert told(belief(agreed=agreed, nis_mean=nis_mean)).consistent is wanted
-
-
-def test_it_is_consistent_for_a_second_after_the_newest_sighting_or_velocity() -> None:
-    aids = list(belief().aids)
-    for sighted, velocity, wanted in (
-        (T - S, -1, True),
-        (T - S - MS, -1, False),
-        (T - S - MS, T - S, True),
-        (T - 2 * S, T - S - MS, False),
-        (T - S, T - 9 * S, True),
-    ):
-        aids[VELOCITY] = aids[VELOCITY]._replace(fused=velocity)
-        assert told(belief(sighted=sighted, aids=tuple(aids))).consistent is wanted
 
 
 @pytest.mark.parametrize("axis", range(3))
