@@ -145,12 +145,11 @@ def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note the height that is seen while no landing is flown, or found by a range that the estimate agrees with."""
     if s.estimate is None:
         return p
-    height_m = s.estimate.height_m
+    height_m, range_m = s.estimate.height_m, s.range_m
     if unfit(s.estimate, s.at, o.stale_after_s) is not None:
-        agree = s.range_m is not None and not s.estimate.alerts and abs(s.range_m - height_m) < _AGREE * s.range_m
-        if s.range_m is None or not agree:
+        if range_m is None or s.estimate.alerts or abs(range_m - height_m) >= _AGREE * range_m:
             return p
-        height_m = min(height_m, s.range_m)
+        height_m = min(height_m, range_m)
     return replace(p, seen_height_m=height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
 
 

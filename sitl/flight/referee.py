@@ -324,9 +324,10 @@ class Referee:
         """Count where and how fast the vehicle flies."""
         d, v, p = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned, truth.p_body_ned
         away_m, farthest_m = math.hypot(d[0], d[1]), self._errand.farthest_m
+        against_ship_m_s, over_ground_m_s = math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())
         if away_m <= farthest_m or self._left_ned is None:
             self._left_ned = float(p[0]), float(p[1])
-        elif math.hypot(v[0], v[1]) < math.hypot(*truth.v_body_ned[:2].tolist()):
+        elif against_ship_m_s < over_ground_m_s:
             # It stays with the ship, and so does that place.
             north, east = truth.v_pad_ned[:2].tolist()
             self._left_ned = self._left_ned[0] + dt_s * north, self._left_ned[1] + dt_s * east
@@ -335,7 +336,7 @@ class Referee:
         if truth.phase is not VehiclePhase.HOVERING:
             left_m = math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])
             self.counts["away_m"].note(min(away_m, farthest_m + left_m))
-            self.counts["fast_m_s"].note(min(math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())))
+            self.counts["fast_m_s"].note(min(against_ship_m_s, over_ground_m_s))
         # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
         self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
         self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)
