@@ -92,8 +92,6 @@ _SIGMA_MAX_M = 5.0
 """The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
 _SEEN_GAIN_1_S = 1.5
 """Acceleration for each m/s that the velocity differs from the wanted one by sight, 1/s."""
-_CLIMBS_M_S = 0.2
-"""Rate from which on a climb is worth a tilt by the wind that was watched, m/s: a velocity that was refused late falsified it."""
 _CLIMB_S = 1.0
 """The rate of climb is at most the height that is left over this time."""
 
@@ -304,7 +302,7 @@ def without_velocity(command: Command, by: Unmeasured, *, guided: bool) -> Comma
         a_level = a_level + _SEEN_GAIN_1_S * (v[:2] - by.v_seen[:2])
     elif guided:
         v[:2], a_level = 0.0, np.zeros(2)
-        if v[2] > -_CLIMBS_M_S:
+        if v[2] >= 0.0:
             return Hover()
     if by.over_ground:
         return Velocity(v, command.yaw_rate_rad_s)

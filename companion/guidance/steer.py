@@ -109,8 +109,10 @@ _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
 _REFUSED = (State.REFUSED, State.GAVE_UP)
 _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
-_LOOK_M_S, _LEG_S, _STEP_M = 0.4, 35.0, 2.0
-"""Speed upwind and to lee of a search in wind, m/s, the time of each way, s, and the first step aside, m."""
+_LOOK_M_S, _LEG_S = 0.4, 35.0
+"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s."""
+_STEPS_M = (2.0, -4.0, 6.0, -8.0, 4.0)
+"""Steps aside of its ways back, in turn, m: each time farther to the other side, and then to the middle again."""
 _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
 """Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 _AWAY_M_S = 5.0
@@ -296,10 +298,8 @@ def _looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity
     """
     if s.wind is None or not s.wind.leans_far:
         return None
-    legs = int(p.in_state_s(s.at) // _LEG_S)
-    back, times = legs % 2 == 1, legs // 2 + 1
-    speed = -_LOOK_M_S if back else _LOOK_M_S
-    across = times * _STEP_M / _LEG_S * (1.0 if times % 2 == 1 else -1.0) if back else 0.0
+    turns, back = divmod(int(p.in_state_s(s.at) // _LEG_S), 2)
+    speed, across = (-_LOOK_M_S, _STEPS_M[turns % len(_STEPS_M)] / _LEG_S) if back else (_LOOK_M_S, 0.0)
     turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
     ahead, aside = s.wind.into_level
     v = np.array([speed * ahead - across * aside, speed * aside + across * ahead, 0.0])
@@ -344,7 +344,8 @@ def kept_up(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions)
     estimate, deck = s.estimate, s.knowledge.deck
     if p.state is not State.HOLD_BLIND or not isinstance(command, Velocity | Lean) or estimate is None or deck is None:
         return command
-    if estimate.alerts or estimate.age_s(s.at) <= o.stale_after_s:
+    # Without a velocity a climb is flown by the tilt that the wind asked for, which the wrong velocity has falsified.
+    if not s.knowledge.trusts_velocity or estimate.alerts or estimate.age_s(s.at) <= o.stale_after_s:
         return command
     v = np.array(command.v_level)
     # Out of sight the errors of the speeds of drone and deck over the ground are the same.

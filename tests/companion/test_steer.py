@@ -341,6 +341,8 @@ def test_commands_that_arrive_changed_hardly_sink_a_drone_that_holds_without_sig
     assert np.mean(sinks_m_s[-24:]) == pytest.approx(loses_m_s, abs=0.02)
     fresh = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2)), deck=deck)
     assert kept_up(law, p, GuidanceCycle(ns(NOW), fresh), guided()) is law
+    refused = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2), age=4.0), deck=deck, trusts_velocity=False)
+    assert kept_up(law, p, GuidanceCycle(ns(NOW), refused), guided()) is law, "its own hover keeps its height"
 
 
 @pytest.mark.parametrize(("ago_s", "over"), [(9.9, True), (10.0, True), (10.1, False), (None, False)])
@@ -423,7 +425,7 @@ def test_in_wind_the_nose_turns_across_it_and_a_lost_pad_is_looked_for_upwind_an
         assert isinstance(found, Target)
         assert found.lean_max_rad == lean, "level, a gust would drag it over the deck"
     place, found_at = np.zeros(2), []
-    for since_s in np.arange(1.0, 281.0, 1.0):
+    for since_s in range(1, 1401):
         p = Progress(State.SEARCH, automatic=True, begun=True, since=ns(NOW - since_s), climbed_m=2.0)
         found = aim(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=strong), o, over_ground=False)[1]
         assert isinstance(found, Velocity)
