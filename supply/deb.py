@@ -1,7 +1,7 @@
 """Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
 
 The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service
-install`, so that packaged and other installations update and roll back alike (docs/decisions/042). Two builds of one
+install`, so that packaged and other installations update and roll back alike (docs/decisions). Two builds of one
 commit give the same bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
 
 Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.

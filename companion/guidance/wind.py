@@ -35,7 +35,7 @@ _BEGINS_SIGMAS, _BEGINS_M_S2 = 6.0, 1.0
 """Standard deviations of the gusts, and the least push, beyond which the air's push is another gust than those before."""
 _GAP_MAX_S = 0.5
 _DRAGGED_M = 0.06
-"""Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/108)."""
+"""Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/wind.md)."""
 _FAR_RAD = math.radians(8.0)
 _TURNS_S = 1.0
 """Time of watching after which the drone turns, and looks for the pad upwind, s."""

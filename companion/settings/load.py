@@ -236,7 +236,7 @@ _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
 """Defaults that depend on the autopilot, by settings table. They hold where a settings file names no value.
 
 A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
-(docs/decisions/063-an-autopilots-bias-moves.md).
+(docs/decisions/filter-tilt.md#an-autopilots-bias-walks).
 """
 
 

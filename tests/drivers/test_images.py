@@ -120,7 +120,7 @@ def test_a_jpeg_torn_in_the_middle_is_refused(progressive: int) -> None:
         )[n % 5]
         with contextlib.suppress(ImageRefused):
             taken += decode(torn, (320, 240)) is not None
-    assert taken <= 8, "some gaps leave what an encoder might have written: docs/decisions/095"
+    assert taken <= 8, "some gaps leave what an encoder might have written: docs/decisions/camera-drivers.md"
 
 
 def test_most_flipped_bits_that_shift_what_follows_are_refused() -> None:

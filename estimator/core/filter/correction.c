@@ -39,7 +39,7 @@ static void add_attitude(double *P, int state, const double A[9])
 
 /* The pad was seen from the body: its corrected place tilts as the body does, by whatever the attitude is off. Otherwise corrections
  * to and fro would teach the filter a tilt that nothing shows (Barrau, Bonnabel, The invariant extended Kalman filter as a stable
- * observer, IEEE Trans. Automatic Control 62(4), 2017; docs/decisions/056-a-place-leans-with-the-attitude.md). */
+ * observer, IEEE Trans. Automatic Control 62(4), 2017; docs/decisions/filter-tilt.md#a-place-leans-with-the-attitudes-correction). */
 static void lean(const double R[9], const double dx[DL_N], double *P)
 {
     const double back[3] = {-dx[DL_POS_REL], -dx[DL_POS_REL + 1], -dx[DL_POS_REL + 2]};

@@ -22,7 +22,7 @@ static const int64_t NEEDED = 3, SPAN_NS = 120000000;
 static const double ACTED_S = 0.3, STEERED_S = 0.15;
 /* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
  * sum, each counted for so many at most: of places for so few that one alone shows nothing. What her acceleration leaves of an
- * innovation is a chi-square; this and more is of a sighting that is wrong. Measured in docs/decisions/119. */
+ * innovation is a chi-square; this and more is of a sighting that is wrong. Measured in docs/decisions/ship-manoeuvres.md. */
 enum { TOGETHER = 3 };
 static const double DEVIATE_MOST[STEERINGS] = {5.0, 5.0, 9.0};
 static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, LEFT_MOST = 12.0;

@@ -100,7 +100,7 @@ def test_the_first_sighting_is_the_place_whatever_was_accepted() -> None:
 
 
 def test_a_sighting_that_is_off_along_the_deck_makes_no_heave() -> None:
-    """A sway in phase with the heave once let the filter explain a wrong place along the deck by a rising one (decision 139)."""
+    """A sway in phase with the heave once let the filter explain a wrong place along the deck by a rising one."""
     x, P, heave, t = under(), diagonal(d=0.01), WAVES[2], T + 50 * MS
     x[PAD_YAW + 1 :] = state()[PAD_YAW + 1 :]
     x[CAMERA_DELAY] = x[CAMERA_MOUNT] = 0.0

@@ -261,7 +261,7 @@ def test_a_climb_follows_a_velocity_as_late_as_the_shipped_response_says(stack: 
 
 
 def test_a_tilt_of_px4_follows_an_acceleration_as_its_response_file_says() -> None:
-    """WHY: it answered at 11.4 rad/s, and each flight was told that the vehicle is slower (docs/decisions/135)."""
+    """WHY: it answered at 11.4 rad/s, and each flight was told that the vehicle is slower (docs/decisions/stand-ins.md)."""
     deck = Deck("calm", Stack.PX4, QUICK)
     deck.up(1.5)
     rng, a, asked, flown = np.random.default_rng(1), np.zeros(2), [], []
