@@ -2,29 +2,24 @@
 
 from pathlib import Path
 
-_GATE = ("tests/estimator/ekf/test_gate_bounds.py",)
+_GATE = ("tests/estimator/ekf/test_gate.py",)
 _CORE = (
-    "tests/estimator/ekf/test_core_edges.py",
     "tests/estimator/ekf/test_core.py",
     "tests/estimator/ekf/test_process_event_bounds.py",
     "tests/estimator/ekf/test_noise_and_inflation.py",
 )
 _BESIDE_THE_ORACLE = "tests/estimator/ekf/test_core_sightings.py"
 _SIGHTINGS = (
-    "tests/estimator/ekf/test_core_edges.py",
-    "tests/estimator/ekf/test_vision_update_bounds.py",
     "tests/estimator/ekf/test_noise_and_inflation.py",
     f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
     f"{_BESIDE_THE_ORACLE}::test_the_model_of_a_sighting_is_the_oracle_s",
 )
 _BANK = (
-    "tests/estimator/ekf/test_skill_edges.py",
-    "tests/estimator/ekf/test_core_edges.py",
     f"{_BESIDE_THE_ORACLE}::test_the_bank_learns_what_the_oracle_s_does",
     f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
 )
-_ANSWERS = ("tests/estimator/ekf/test_answer.py", "tests/estimator/ekf/test_filter_bounds.py")
-_FORECASTS = ("tests/estimator/ekf/test_forecast.py", "tests/estimator/ekf/test_filter_bounds.py")
+_ANSWERS = ("tests/estimator/ekf/test_answer.py",)
+_FORECASTS = ("tests/estimator/ekf/test_forecast.py",)
 _RESULTS = ("tests/estimator/ekf/test_process_event_bounds.py", "tests/estimator/test_fusion_results.py")
 _PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
 _NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
@@ -60,7 +55,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/filter/bank_ahead.c": _FORECASTS,
     "estimator/core/filter/run.c": (
         *_CORE,
-        "tests/estimator/ekf/test_vision_update_bounds.py",
         f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
     ),
     "estimator/core/filter/aiding.c": _CORE,
@@ -88,7 +82,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/base/rotation.c": (
         "tests/estimator/ekf/test_half_turn.py",
         "tests/estimator/vision/test_pose_in_level.py",
-        "tests/estimator/ekf/test_core_edges.py",
         *_SIGHTINGS[1:3],
         "tests/estimator/ekf/test_process_event_bounds.py",
     ),
@@ -106,7 +99,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/history.py": (
         "tests/estimator/ekf/test_process_event_bounds.py",
         "tests/estimator/ekf/test_noise_and_inflation.py",
-        "tests/estimator/ekf/test_history_bounds.py",
         "tests/estimator/ekf/test_put_all.py",
         "tests/estimator/ekf/test_history.py",
     ),
