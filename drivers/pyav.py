@@ -17,7 +17,4 @@ def require_pyav(wanted: str) -> None:
         BadInput: it is not; the message says how to install it.
     """
     if not has_pyav():
-        raise BadInput(
-            f"{wanted} needs PyAV, which is not installed: install the extra decklander[video], "
-            "or decklander service install --video"
-        )
+        raise BadInput(f"{wanted} needs PyAV, which is not installed: install the extra decklander[video]")

@@ -1,14 +1,15 @@
 """Make a Debian package that carries every wheel the service needs: `python -m supply.deb`, or `make deb`.
 
-The package holds the wheels, not an environment: its scripts make one with `--no-index`, by the code of `decklander service
-install`, so that packaged and other installations update and roll back alike (docs/decisions). Two builds of one
-commit give the same bytes where SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
+The package holds the wheels, not an environment: unpacking it touches nothing that runs. Its scripts make an environment beside
+the one that runs and turn a link (docs/decisions/debian-package.md). Two builds of one commit give the same bytes where
+SOURCE_DATE_EPOCH is the same; `make deb` takes the commit's.
 
 Sources: Debian Policy 4.6, chapters 3, 5, 6 and 9; the specification of reproducible builds, SOURCE_DATE_EPOCH.
 """
 
 import argparse
 import gzip
+import hashlib
 import os
 import re
 import shutil
@@ -22,7 +23,6 @@ from email.utils import format_datetime
 from pathlib import Path
 
 from companion.cli.main import COMMANDS
-from companion.tools.install.layout import CREDENTIAL_PREFIX, CREDENTIALS, DATA, DROP_IN, SETTINGS_FOLDER
 from supply import wheels
 
 ROOT = wheels.ROOT
@@ -36,6 +36,7 @@ PYTHON = (3, 11)
 _GLIBC = 36
 """The minor version of its glibc 2."""
 CARRIED = "usr/share/decklander/wheels"
+SLIM = "usr/share/decklander/slim.sh"
 SYSTEM_FILES = {
     "decklander.service": "lib/systemd/system/decklander.service",
     "70-decklander.rules": "lib/udev/rules.d/70-decklander.rules",
@@ -70,22 +71,89 @@ Description: landing service for a drone on a moving ship
  are in /etc/decklander/rig.toml. An update is checked with them, and taken
  back if the service does not come up; nothing is touched in flight.
 """
-_RUN = 'PYTHONDONTWRITEBYTECODE=1 PYTHONPATH="/{carried}/{wheel}" python3 -m companion.cli.main'
-POSTINST = """#!/bin/sh
-# The code of `decklander service install`, out of the wheel in this package. Where it refuses because the drone flies, the
-# version that runs stays; dpkg --configure decklander goes on.
+PREFIX = "/opt/decklander"
+"""Holds a folder for each version, and the link `current` to the one that runs."""
+SETTINGS = "/etc/decklander/rig.toml"
+PURGED = (
+    "/etc/decklander /etc/systemd/system/decklander.service.d /etc/credstore/decklander.* /opt/decklander"
+    " /var/lib/decklander /var/lib/private/decklander /var/cache/decklander /var/cache/private/decklander"
+)
+"""Settings, secrets, recordings and caches; systemd keeps the state of the service below `private`, with a link beside it."""
+_STATE = """#!/bin/sh
 set -e
-if [ "$1" = configure ]; then
-    {run} service install --packaged /{carried}
-fi
+state() {{
+    systemctl show --property=ActiveState --value decklander 2>/dev/null || true
+}}
+refuse_in_flight() {{
+    case "$(state)" in active|activating|reloading|deactivating) ;; *) return 0;; esac
+    {prefix}/current/bin/decklander fly status --json | grep -q '"flying": *false' && return 0
+    echo "decklander: the drone flies, or the service cannot say that it does not: land it, or stop the service first" \
+        "(systemctl stop decklander); nothing was changed" >&2
+    exit 1
+}}
 """
-PRERM = """#!/bin/sh
-# Settings, keys and recordings stay. Refuses while the drone flies.
-set -e
-if [ "$1" = remove ]; then
-    {run} service uninstall --packaged
+POSTINST = (
+    _STATE
+    + """
+# Where this refuses or fails, the version that runs stays; dpkg --configure decklander goes on.
+[ "$1" = configure ] || exit 0
+refuse_in_flight
+turn() {{
+    ln -sfn "$1" {prefix}/.turning
+    mv -T {prefix}/.turning {prefix}/current
+    sync
+}}
+old=$(readlink {prefix}/current || true)
+if [ ! -e {prefix}/{name}/complete ]; then
+    rm -rf {prefix}/{name}
+    python3 -m venv {prefix}/{name}
+    {prefix}/{name}/bin/python -m pip --quiet --disable-pip-version-check install --no-cache-dir --no-index --no-deps \
+        /{carried}/*.whl
+    sh /{slim} {prefix}/{name}
+    sync
+    touch {prefix}/{name}/complete
 fi
+if [ -e {settings} ]; then
+    {prefix}/{name}/bin/decklander config check {settings}
+fi
+for secret in /etc/credstore/decklander.*; do
+    [ ! -e "$secret" ] || chmod 600 "$secret"
+done
+refuse_in_flight
+before=$(state)
+turn {name}
+systemd-sysusers
+if [ -d /run/systemd/system ]; then
+    systemctl daemon-reload
+fi
+if [ -e /run/udev/control ]; then
+    udevadm control --reload
+    udevadm trigger --subsystem-match=video4linux --subsystem-match=tty --action=change
+fi
+if [ -z "$old" ]; then
+    systemctl --quiet enable decklander
+    [ -e {settings} ] || echo "next: decklander start --out {settings}, then: systemctl start decklander"
+fi
+if [ "$before" = active ] || [ "$before" = activating ] || [ "$before" = failed ]; then
+    if ! systemctl restart decklander; then
+        [ "$old" = {name} ] || turn "$old"
+        systemctl restart decklander || true
+        echo "decklander: version {name} does not come up (journalctl -u decklander); $old is current again" >&2
+        exit 1
+    fi
+fi
+find {prefix} -mindepth 1 -maxdepth 1 ! -name current ! -name {name} -exec rm -rf {{}} +
 """
+)
+PRERM = (
+    _STATE
+    + """
+[ "$1" = remove ] || exit 0
+refuse_in_flight
+systemctl --quiet disable --now decklander || true
+rm -rf {prefix}
+"""
+)
 POSTRM = """#!/bin/sh
 set -e
 if [ "$1" = purge ]; then
@@ -154,7 +222,8 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     for name, target in SYSTEM_FILES.items():
         _put(folder / target, (ROOT / "configs/systemd" / name).read_bytes())
     (folder / "usr/bin").mkdir(parents=True)
-    (folder / "usr/bin/decklander").symlink_to("/opt/decklander/current/bin/decklander")
+    (folder / "usr/bin/decklander").symlink_to(f"{PREFIX}/current/bin/decklander")
+    _put(folder / SLIM, (ROOT / "requirements/slim.sh").read_bytes())
     _put(folder / _DOC / "copyright", copyright_file((ROOT / "docs/licences.md").read_text()).encode())
     _put(folder / _DOC / "CHANGELOG.md.gz", _gzipped((ROOT / "CHANGELOG.md").read_bytes()))
     _put(
@@ -162,10 +231,13 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     )
     _put(folder / "usr/share/man/man1/decklander.1.gz", _gzipped(manual(version).encode()))
     _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill))
-    run = _RUN.format(carried=CARRIED, wheel=own[0].name)
-    purged = " ".join([SETTINGS_FOLDER, DROP_IN, f"{CREDENTIALS}/{CREDENTIAL_PREFIX}*", "/opt/decklander", *DATA])
+    # A version may be built twice: the digest keeps the two apart.
+    words = {
+        "prefix": PREFIX, "name": f"{version}-{hashlib.sha256(own[0].read_bytes()).hexdigest()[:8]}", "carried": CARRIED,
+        "slim": SLIM, "settings": SETTINGS, "purged": PURGED,
+    }  # fmt: skip
     for name, text in (("postinst", POSTINST), ("prerm", PRERM), ("postrm", POSTRM)):
-        _put(folder / "DEBIAN" / name, text.format(run=run, carried=CARRIED, purged=purged).encode(), 0o755)
+        _put(folder / "DEBIAN" / name, text.format(**words).encode(), 0o755)
     size_kb = sum(-(-path.stat().st_size // 1024) for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     control = CONTROL.format(
         version=version, maintainer=MAINTAINER, architecture=ARCHITECTURES[architecture], size_kb=size_kb,

@@ -1,7 +1,7 @@
 """Print how large an installed environment is, and its largest packages: `python -m supply.size /opt/decklander/current`.
 
-`--make FOLDER` first makes the environment of the pins there and takes out of it what the service does not use, as
-`decklander service install` does.
+`--make FOLDER` first makes the environment of the pins there and takes out of it what the service does not use, as the Debian
+package and the image do.
 """
 
 import argparse
@@ -19,8 +19,8 @@ def size_mb(path: Path) -> float:
     return sum(file.lstat().st_size for file in files if file.is_file() and not file.is_symlink()) / 1e6
 
 
-def make(folder: Path) -> None:
-    """Make an environment of the pinned dependencies and this checkout, without what the service does not use.
+def make(folder: Path, checkout: Path = ROOT) -> None:
+    """Make an environment of the pinned dependencies and a checkout, without what the service does not use.
 
     Raises:
         subprocess.CalledProcessError: a package cannot be had or built.
@@ -29,7 +29,7 @@ def make(folder: Path) -> None:
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     for pins in ("build", "runtime"):
         subprocess.run([*pip, "--require-hashes", "-r", str(ROOT / f"requirements/{pins}.txt")], check=True)
-    subprocess.run([*pip, "--no-deps", "--no-build-isolation", str(ROOT)], check=True)
+    subprocess.run([*pip, "--no-deps", "--no-build-isolation", str(checkout)], check=True)
     build = (line.partition("==")[0] for line in (ROOT / "requirements/build.txt").read_text().splitlines() if "==" in line)
     runtime = (ROOT / "requirements/runtime.txt").read_text()
     only_build = [name for name in build if f"\n{name}==" not in f"\n{runtime}"]

@@ -137,7 +137,6 @@ SLOW = (
     "tests/companion/watch/test_watch.py",
     "tests/sitl/test_film.py",
     "tests/sitl/test_scenario.py",
-    "tests/companion/install/test_killed.py",
     "tests/companion/operator/test_local_socket.py",
     "tests/drivers/test_pave.py",
     "tests/estimator/vision/test_ellipse.py",

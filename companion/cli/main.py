@@ -54,7 +54,6 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     },
     "maintain": {
-        "service": ("companion.cli.service", "install, update, roll back or uninstall the service on this computer"),
         "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
         "completion": ("companion.cli.completion", "print the completion of commands for bash, zsh or fish"),
     },
@@ -67,13 +66,6 @@ _EXAMPLES = (
     ("decklander run --config rig.toml", "the service, then: decklander fly takeoff"),
     ("decklander simulate sea_state_4 --seed 1", "one flight, the same every time"),
 )
-_NOW = {
-    "identify": "calibrate vehicle",
-    "soak": "campaign --soak",
-    **{name: f"service {name}" for name in ("install", "update", "rollback", "uninstall")},
-}
-"""Replacements for commands that no longer exist."""
-
 Load = Callable[[str], ModuleType]
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Errors of a disk that takes no more, whatever is written."""
@@ -205,7 +197,7 @@ def _dispatch(argv: list[str], load: Load) -> int:
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=Parser)
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in COMMANDS:
-        near = [_NOW[asked]] if asked in _NOW else difflib.get_close_matches(asked, COMMANDS, n=1)
+        near = difflib.get_close_matches(asked, COMMANDS, n=1)
         meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(COMMANDS)}"
         parser.error(f"unknown command {asked!r}; {meant}")
     for name, (_, summary) in COMMANDS.items():

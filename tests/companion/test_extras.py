@@ -4,8 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from companion.tools.install import versions
-from tests.companion.install.computer import wheel
 from tests.sitl.near import NEAR
 
 ROOT = Path(__file__).parents[2]
@@ -56,15 +54,3 @@ def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_
     assert f"{film}: a video needs PyAV" in printed
     assert printed.count("decklander[video]") == 2
     assert "Traceback" not in printed
-
-
-def test_the_installed_service_has_pyav_where_it_was_wanted_or_lies_in_the_folder_of_wheels(tmp_path: Path) -> None:
-    plain = wheel(tmp_path, "1.0.0")
-    assert b"\nav==" not in plain.pins
-    (tmp_path / "wheels").mkdir()
-    assert b"\nav==" in versions.read(plain.wheel, video=True).pins
-    assert versions.read(plain.wheel, tmp_path / "wheels").pins == plain.pins
-    (tmp_path / "wheels/av-18.1.0-cp311.whl").touch()
-    carried = versions.read(plain.wheel, tmp_path / "wheels")
-    assert b"\nav==" in carried.pins
-    assert carried.name == f"{plain.name}{versions.VIDEO}", "installed beside the version without"

@@ -8,7 +8,6 @@ import asyncio
 import re
 import shlex
 import subprocess
-import sys
 import tempfile
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, nullcontext
@@ -28,7 +27,6 @@ from estimator.contracts.commands import Command, CutMotors, Land, Lean, LeaveEm
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp, after
 from tests.companion import calibration_flights
-from tests.companion.install.computer import wheel
 from tests.companion.virtual_flight import TICK_S, FakeFlight, SeeingPilot, VirtualClock, settled
 
 ROOT = Path(__file__).parents[2]
@@ -254,15 +252,3 @@ def test_the_calibrations_of_a_flight_run(reader: Path, capsys: pytest.CaptureFi
     printed = capsys.readouterr().err
     assert codes == {"pad": 0, "mount": 0, "delay": 0, "readout": 2, "vehicle": 2}
     assert "images" in printed, "the page says that readout needs them"
-
-
-def test_the_installation_on_a_card_would_do_what_the_page_says(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (reader / "my-rig.toml").write_text(_BASE)
-    (reader / "page.token").write_text("0" * 48)
-    made = wheel(reader, "1.0.0").wheel
-    lines = re.findall(r"-m companion\.cli\.main (service install .*)", (ROOT / "docs/installation.md").read_text())
-    assert len(lines) == 2
-    for line in lines:
-        words = shlex.split(line.replace("$wheel", str(made)).replace("--root /mnt ", ""))
-        assert main([*words, "--dry-run", "--python", sys.executable]) == 0, line
-        assert "/etc/decklander/rig.toml" in capsys.readouterr().out

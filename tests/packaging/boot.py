@@ -19,7 +19,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from companion.tools.install.layout import CURRENT, PREFIX
+from supply import deb
 
 ROOT = Path(__file__).parents[2]
 MIRROR = "http://deb.debian.org/debian"
@@ -114,29 +114,36 @@ def until(what: str, condition: Callable[[], object], seconds: float) -> None:
     print(f"{time.monotonic() - began:7.1f} s  until {what}", flush=True)
 
 
-def another(wheel: Path, version: str, folder: Path, broken: str = "") -> Path:
-    """Return the wheel under another version; `broken` goes in front of the code of `decklander run`."""
-    old = wheel.name.split("-")[1]
-    made = folder / wheel.name.replace(f"-{old}-", f"-{version}-")
-    with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(made, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if ".dist-info/" in name:
-                content = content.replace(f"\nVersion: {old}\n".encode(), f"\nVersion: {version}\n".encode())
-                content = content.replace(f"decklander-{old}.dist-info".encode(), f"decklander-{version}.dist-info".encode())
-            if name == "companion/cli/run.py" and broken:
-                content = content.replace(
-                    b"    proven = Proven(settings)\n", broken.encode() + b"    proven = Proven(settings)\n"
-                )
-            target.writestr(name.replace(f"-{old}.dist-info", f"-{version}.dist-info"), content)
+def another(package: Path, version: str, broken: str = "") -> str:
+    """Make a package of another version, and return its name; `broken` goes in front of the code of `decklander run`."""
+    made = f"{version}.deb"
+    with tempfile.TemporaryDirectory() as work:
+        folder = Path(work, "package")
+        subprocess.run(["dpkg-deb", "--raw-extract", str(package), str(folder)], check=True)
+        (wheel,) = (folder / deb.CARRIED).glob("decklander-*.whl")
+        with zipfile.ZipFile(wheel) as source, zipfile.ZipFile(Path(work, "made.whl"), "w") as target:
+            for name in source.namelist():
+                proven = b"    proven = Proven(settings)\n"
+                changed = broken.encode() + proven if name == "companion/cli/run.py" else proven
+                target.writestr(name, source.read(name).replace(proven, changed))
+        Path(work, "made.whl").replace(wheel)
+        control, script = folder / "DEBIAN/control", folder / "DEBIAN/postinst"
+        control.write_text(re.sub(r"(?m)^Version: .*", f"Version: {version}", control.read_text()))
+        script.write_text(re.sub(re.escape(current(script)), version, script.read_text()))
+        subprocess.run(["dpkg-deb", "-Znone", "--build", str(folder), str(package.parent / made)], check=True)
     return made
 
 
-def fly(guest: Guest, wheels: Path) -> None:
+def current(script: Path) -> str:
+    """Return the name of the folder that a package's script makes the current one."""
+    return re.findall(r"^turn (\S+)$", script.read_text(), re.MULTILINE)[0]
+
+
+def fly(guest: Guest) -> None:
     """All that a person does with an installation, from nothing to nothing."""
-    carried = "/usr/share/decklander/wheels"
-    guest.expect("dpkg -i /decklander.deb", 0, "next: write /etc/decklander/rig.toml")
-    guest.expect("decklander --version", 0, "decklander 0")
+    link = guest.root / f"{deb.PREFIX}/current".lstrip("/")
+    guest.expect("dpkg -i /decklander.deb", 0, f"next: decklander start --out {deb.SETTINGS}")
+    guest.expect("decklander --version", 0, "decklander [0-9]")
     shutil.copyfile(ROOT / "configs/sim.toml", guest.root / "etc/decklander/rig.toml")
     # A busy machine is no failure.
     patient = guest.root / "etc/systemd/system/decklander.service.d/patient.conf"
@@ -144,34 +151,31 @@ def fly(guest: Guest, wheels: Path) -> None:
     patient.write_text("[Service]\nTimeoutStartSec=300\nWatchdogSec=120\n")
     guest.expect("systemctl daemon-reload && systemctl start decklander", 0)
     until("the unit is active", lambda: guest.run("systemctl is-active decklander").stdout == "active\n", 60)
-    first = os.readlink(guest.root / CURRENT.lstrip("/"))
+    first = os.readlink(link)
     guest.expect("stat -c '%U %a' /var/lib/private/decklander && systemctl is-enabled decklander", 0, "decklander 700", "enabled")
-    (wheel,) = (guest.root / carried.lstrip("/")).glob("decklander-*.whl")
-    good = another(wheel, "9.1", wheels)
-    update = f"decklander service update /new/{{}} --wheels {carried}"
-    guest.expect(update.format(good.name), 1, "whether the drone flies is not known")
-    guest.expect(update.format(good.name) + " --on-ground", 0, "version 9.1-[0-9a-f]{8} is current; the service runs with it")
-    bad = another(wheel, "9.2", wheels, "    raise SystemExit(1)\n")
-    guest.expect(update.format(bad.name) + " --on-ground", 1, "going back to 9.1", "version 9.1-.* is current again and runs")
-    wrong = another(wheel, "9.3", wheels)
-    guest.expect("echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
-    guest.expect(update.format(wrong.name) + " --on-ground", 2, "refuses the present settings")
+    package = guest.root / "decklander.deb"
+    good, bad = another(package, "9.1"), another(package, "9.2", "    raise SystemExit(1)\n")
+    guest.expect(f"dpkg -i /{good}", 1, "the drone flies, or the service cannot say")
+    guest.expect("systemctl stop decklander && dpkg -i /decklander.deb && systemctl start decklander", 0)
     guest.expect(
-        "systemctl is-active decklander && sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0
-    )
-    guest.expect("decklander service rollback --on-ground", 0, f"version {first} is current; the service runs with it")
-    guest.expect(
-        f"systemd-run --quiet --unit sim {CURRENT}/bin/python -m sitl.emulators.ardrone.serve demo"
+        "systemd-run --quiet --unit sim /opt/decklander/current/bin/python -m sitl.emulators.ardrone.serve demo"
         " --host 127.0.0.1 --seed 1 --repeat",
         0,
     )
     until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
-    for command in (update.format(good.name), "decklander service rollback --on-ground"):
-        guest.expect(command, 1, "the drone is flying .* land it first")
-    guest.expect("dpkg -r decklander", 1, "the drone is flying")
+    for command in (f"dpkg -i /{good}", "dpkg -r decklander"):
+        guest.expect(command, 1, "the drone flies")
     guest.expect("systemctl is-active decklander", 0)
-    guest.expect("systemctl stop sim decklander; dpkg -r decklander", 0, "left, since they are yours: /etc/decklander")
-    guest.expect(f"test ! -e {PREFIX} && test -e /etc/decklander/rig.toml && test -d /var/lib/private/decklander", 0)
+    assert os.readlink(link) == first
+    until("the drone stands", lambda: '"flying":false' in guest.run("decklander fly status --json").stdout, 300)
+    guest.expect(f"systemctl stop sim; dpkg -i /{bad}", 1, f"version 9.2 does not come up .* {first} is current again")
+    guest.expect("systemctl stop decklander; echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
+    guest.expect(f"dpkg -i /{good}", 1, "vision.colors")
+    guest.expect("sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0)
+    guest.expect("dpkg --configure decklander", 0)
+    assert os.readlink(link) == "9.1"
+    guest.expect("dpkg -r decklander", 0)
+    guest.expect(f"test ! -e {deb.PREFIX} && test -e {deb.SETTINGS} && test -d /var/lib/private/decklander", 0)
     guest.expect("dpkg -P decklander", 0)
     guest.expect("ls -d /opt/decklander /etc/decklander /var/lib/decklander /var/lib/private/decklander 2>/dev/null", 2)
 
@@ -195,10 +199,9 @@ def main() -> int:
     shutil.rmtree(root, ignore_errors=True)
     subprocess.run(["cp", "--archive", "--reflink=auto", str(base), str(root)], check=True)
     shutil.copyfile(asked.deb, root / "decklander.deb")
-    (root / "new").mkdir()
     guest = Guest(root)
     try:
-        fly(guest, root / "new")
+        fly(guest)
     except Failed as why:
         print(f"FAILED: {why}\n{guest.run('journalctl --unit decklander --no-pager --lines 30').stdout}", file=sys.stderr)
         return 1

@@ -3,7 +3,6 @@
 import gzip
 import os
 import re
-import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import COMMANDS
-from companion.tools.install.layout import PACKAGED_UNIT, PREFIX
 from supply import deb
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="there is no dpkg-deb here")
@@ -57,42 +55,86 @@ def test_dpkg_reads_what_the_package_says_of_itself(tmp_path: Path, carried: Pat
     assert re.search(r"^Depends: python3 \(>= 3\.11~\), python3 \(<< 3\.12~\), python3-venv, systemd$", fields, re.MULTILINE)
     listed = subprocess.run(["dpkg-deb", "--contents", str(made)], capture_output=True, text=True, check=True).stdout
     assert all(" root/root " in line for line in listed.splitlines())
-    for path in (f"./{deb.CARRIED}/{OWN}", f".{PACKAGED_UNIT}", "./usr/share/man/man1/decklander.1.gz"):
+    for path in (f"./{deb.CARRIED}/{OWN}", "./lib/systemd/system/decklander.service", "./usr/share/man/man1/decklander.1.gz"):
         assert f" {path}\n" in listed
-    assert f"./usr/bin/decklander -> {PREFIX}/current/bin/decklander\n" in listed
+    assert f"./usr/bin/decklander -> {deb.PREFIX}/current/bin/decklander\n" in listed
 
 
 def test_there_is_no_package_for_a_32_bit_system() -> None:
     assert set(deb.ARCHITECTURES.values()) == {"amd64", "arm64"}
 
 
-def test_its_scripts_run_the_commands_that_a_user_runs(tmp_path: Path, carried: Path) -> None:
-    """Each script is run by a shell whose python3 and rm only tell what they were given."""
-    folder = staged(tmp_path, carried, "package")
-    reported = tmp_path / "told"
-    for name in ("python3", "rm"):
+@pytest.fixture
+def computer(tmp_path: Path, carried: Path):
+    """Return a call that runs a script of the package on a computer below tmp_path, and the log of the programs that it calls.
+
+    Its Python makes an environment whose `decklander` answers as the files `flying` and `refusal` say.
+    """
+    scripts = staged(tmp_path, carried, "package") / "DEBIAN"
+    (tmp_path / "bin").mkdir()
+    for name, body in _PROGRAMS.items():
         program = tmp_path / "bin" / name
-        program.parent.mkdir(exist_ok=True)
-        program.write_text(f'#!/bin/sh\necho {name} "$PYTHONPATH" "$@" >> {reported}\n')
+        program.write_text(f'#!/bin/sh\necho {name} "$@" >> "$HERE/log"\n{body}\n')
         program.chmod(0o755)
-    ours = f"python3 /{deb.CARRIED}/{OWN} -m companion.cli.main"
-    wanted = {
-        ("postinst", "configure"): f"{ours} service install --packaged /{deb.CARRIED}",
-        ("prerm", "remove"): f"{ours} service uninstall --packaged",
-        ("postinst", "abort-upgrade"): "",
-        ("prerm", "upgrade"): "",
-        ("postrm", "remove"): "",
-    }
-    environment = {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}
-    for (script, argument), line in wanted.items():
-        reported.write_text("")
-        subprocess.run([folder / "DEBIAN" / script, argument], check=True, env=environment)
-        assert reported.read_text().strip() == line
-    reported.write_text("")
-    subprocess.run([folder / "DEBIAN/postrm", "purge"], check=True, env=environment)
-    purged = shlex.split(reported.read_text())[1:]
-    assert {"/etc/decklander", "/var/lib/private/decklander", PREFIX} <= set(purged)
-    assert all("decklander" in path for path in purged if path.startswith("/")), "nothing of others'"
+    (tmp_path / "opt").mkdir()
+    (tmp_path / "etc/decklander").mkdir(parents=True)
+
+    def run(script: str, argument: str, **states: str) -> subprocess.CompletedProcess[str]:
+        text = re.sub(r"/(?=opt/|etc/|run/|usr/share)", f"{tmp_path}/", (scripts / script).read_text())
+        environment = {"PATH": f"{tmp_path}/bin:/usr/bin:/bin", "HERE": str(tmp_path), **states}
+        command = ["/bin/sh", "-c", text, script, argument]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+_DECKLANDER = """#!/bin/sh
+case "$1" in fly) echo "{\\"flying\\":${FLYING:-null}}";; config) [ -z "$REFUSED" ] || { echo "$REFUSED" >&2; exit 2; };; esac"""
+_PROGRAMS = {
+    "python3": f"""mkdir -p "$3/bin"; cat > "$3/bin/decklander" << 'END'
+{_DECKLANDER}
+END
+ln -s /bin/true "$3/bin/python"; chmod +x "$3/bin/decklander" """,
+    "systemctl": 'case "$1" in show) echo "${STATE:-inactive}";; restart) exit ${RESTART:-0};; esac',
+    "systemd-sysusers": "",
+    "sh": "",
+}
+
+
+def test_an_update_turns_the_link_once_its_version_is_whole_and_takes_the_settings(computer, tmp_path: Path) -> None:
+    current = tmp_path / "opt/decklander/current"
+    done = computer("postinst", "configure")
+    assert (done.returncode, "next: decklander start" in done.stdout) == (0, True), done.stderr
+    first = current.readlink()
+    assert "systemctl --quiet enable decklander" in (tmp_path / "log").read_text()
+    (tmp_path / "etc/decklander/rig.toml").write_text("")
+    old = current.parent / "0.9"
+    shutil.copytree(current.resolve(), old, symlinks=True)
+    for states, code in (
+        ({"STATE": "active", "FLYING": "true"}, 1),
+        ({"STATE": "active", "FLYING": "null"}, 1),
+        ({"STATE": "activating"}, 1),
+        ({"STATE": "active", "FLYING": "false", "REFUSED": "no such key"}, 2),
+        ({"STATE": "failed", "RESTART": "1"}, 1),
+        ({"STATE": "active", "FLYING": "false"}, 0),
+    ):
+        current.unlink()
+        current.symlink_to(old.name)
+        done = computer("postinst", "configure", **states)
+        assert (done.returncode, current.readlink()) == (code, first if code == 0 else Path(old.name)), done.stderr
+    assert sorted(path.name for path in current.parent.iterdir()) == [str(first), "current"], "the old one is gone"
+
+
+def test_it_is_removed_on_the_ground_alone_and_purges_nothing_of_others(computer, tmp_path: Path) -> None:
+    assert computer("postinst", "configure").returncode == 0
+    done = computer("prerm", "remove", STATE="active", FLYING="true")
+    assert (done.returncode, "the drone flies" in done.stderr) == (1, True)
+    assert computer("prerm", "upgrade", STATE="active", FLYING="true").returncode == 0, "the new version's script decides"
+    assert (tmp_path / "opt/decklander/current").exists()
+    assert computer("prerm", "remove", STATE="active", FLYING="false").returncode == 0
+    assert not (tmp_path / "opt/decklander").exists()
+    assert (tmp_path / "etc/decklander").exists()
+    assert all("decklander" in path for path in deb.PURGED.split())
 
 
 def test_it_says_under_which_licences_each_wheel_is(tmp_path: Path, carried: Path) -> None:
