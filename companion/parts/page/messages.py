@@ -8,7 +8,7 @@ from msgspec import Meta, Struct
 
 from companion.base.things import ThingReport
 from companion.base.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
-from companion.parts.page.tool_messages import CheckSettingsRequest, SaveSettingsRequest, ToolAnswer, ToolRequest
+from companion.parts.page.tool_messages import SaveSettingsRequest, ToolAnswer, ToolRequest
 
 TEXT_MAX = 1024
 """The longest message from a browser, characters, unless it brings a settings text."""
@@ -208,7 +208,7 @@ def request_in(text: str) -> PageRequest | str:
     """Return the request in a message, or the reason why it is none. Never raises."""
     try:
         found: PageRequest = _requests.decode(text)
-        if len(text) > TEXT_MAX and not isinstance(found, CheckSettingsRequest | SaveSettingsRequest):
+        if len(text) > TEXT_MAX and not isinstance(found, SaveSettingsRequest):
             return f"more than {TEXT_MAX} characters"
         return found
     except (msgspec.DecodeError, UnicodeError, RecursionError) as why:

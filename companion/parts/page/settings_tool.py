@@ -1,47 +1,52 @@
-"""The settings on the page: what is in force, a text to edit that is checked as it is typed, and saving it on the ground.
+"""The settings on the page: what is in force, and a text that replaces the settings file while the vehicle stands disarmed.
 
-A saved text is read at the next start of the service; nothing of it reaches a flight.
+A text is checked as `decklander config check` checks a file, and read at the next start of the service; nothing of it reaches a
+flight. Whoever has the page's token commands the vehicle. That must not grow into reading other files of the computer, writing
+into other folders, or sending a password to another host at the next start.
 """
 
-import json
 import logging
+import re
 import tomllib
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
-from companion.parts.page.tool_messages import (
-    CheckedSettings,
-    CheckSettingsRequest,
-    SavedSettings,
-    SaveSettingsRequest,
-    SettingsRequest,
-    SettingsText,
-    ShownChange,
-    ShownFault,
-    ToolAnswer,
-    ToolRequest,
-)
+from companion.parts.page.tool_messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
 from companion.parts.page.viewer import PageViewer
 from companion.settings import whole_file
-from companion.settings.draft import Draft, check_draft, masked, unmasked
-from companion.settings.expert import split
+from companion.settings.expert import in_file
+from companion.settings.load import complete, from_file
 from companion.settings.model import Settings
+from companion.settings.referenced_files import check_files
+from companion.settings.remarks import remarks
 from companion.settings.settings_file import BEFORE, SettingsFile
 from drivers.mailbox import Line
 from estimator.contracts.errors import BadInput, DecklanderError
 
 log = logging.getLogger(__name__)
 
-IN_FLIGHT = "the vehicle flies: settings are checked and saved on the ground"
+IN_FLIGHT = "the vehicle flies: settings are saved on the ground"
 ARMED = "the motors are armed: settings are saved while they are disarmed"
 NO_FILE = "this service was started without a settings file of its own"
 AFTERWARDS = "It takes effect when the service starts again (sudo systemctl restart decklander)"
 _WAITING = 8
+
+MASK = "***"
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:(?://|\\/\\/)[^\s\"']+")
+_USER = re.compile(r"^([^:]+:[/\\]+).*@")
+_VALUE = re.compile(r"([?&;][\w.-]*(?:pass|pwd|token|key|secret|auth|user)[\w.-]*=)[^&;#]*", re.IGNORECASE)
+
+GUARDED = (
+    "page", "metrics", "foxglove", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
+    "vehicle.signing_key_file", "vehicle.signing_time_file", "vehicle.unsigned", "vehicle.links",
+)  # fmt: skip
+"""Keys and tables that a browser does not change: who may command, where secrets are and go, and where files are written."""
+_NO_PATH = re.compile(r"[^/\\]*|/dev/[\w/-]+|(?:rtsps?|https?|udp|tcp)://\S+")
+"""A changed text may name what is shipped, a file beside the settings, a device or a stream."""
 
 
 class SettingsTool:
@@ -54,7 +59,7 @@ class SettingsTool:
         armed: whether its motors are armed, as far as it says so.
     """
 
-    kinds: tuple[type, ...] = (SettingsRequest, CheckSettingsRequest, SaveSettingsRequest)
+    kinds: tuple[type, ...] = (SettingsRequest, SaveSettingsRequest)
 
     def __init__(
         self, in_force: Settings, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
@@ -66,11 +71,7 @@ class SettingsTool:
         self._asked: Line[tuple[PageViewer, ToolRequest]] = Line(_WAITING)
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        refusal = self._refusal(request)
-        if refusal is None:
-            self._asked.offer((viewer, request))
-        else:
-            viewer.tell(refusal)
+        self._asked.offer((viewer, request))
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         pass
@@ -79,81 +80,138 @@ class SettingsTool:
         worker = Worker("page settings")
         try:
             async for viewer, request in self._asked:
-                answer = self._refusal(request)
-                if answer is None:
-                    answer = await worker.run(self._answer, request, str(viewer.sender))
-                viewer.tell(answer)
+                if not isinstance(request, SaveSettingsRequest):
+                    viewer.tell(await worker.run(self._shown))
+                elif self._flying() or self._armed():
+                    viewer.tell(SavedSettings(saved=False, text=IN_FLIGHT if self._flying() else ARMED))
+                else:
+                    viewer.tell(await worker.run(self._saved, request, str(viewer.sender)))
         finally:
             worker.close()
-
-    def _refusal(self, request: ToolRequest) -> ToolAnswer | None:
-        """Return the refusal of what must not be done now."""
-        if isinstance(request, CheckSettingsRequest) and self._flying():
-            return CheckedSettings(number=request.number, text=IN_FLIGHT)
-        if isinstance(request, SaveSettingsRequest) and (self._flying() or self._armed()):
-            return SavedSettings(number=request.number, saved=False, text=IN_FLIGHT if self._flying() else ARMED)
-        return None
-
-    def _answer(self, request: ToolRequest, who: str) -> ToolAnswer:
-        if isinstance(request, CheckSettingsRequest):
-            return self._checked(request)
-        return self._saved(request, who) if isinstance(request, SaveSettingsRequest) else self._shown()
 
     def _shown(self) -> SettingsText:
         in_force = masked(whole_file.toml(self._in_force))
         if self._file is None:
             return SettingsText(text=in_force, in_force=in_force, path="", revision="", refusal=NO_FILE)
+        path = str(self._file.path)
         try:
             text, revision = self._file.read()
         except DecklanderError as why:
-            return SettingsText(text=in_force, in_force=in_force, path=str(self._file.path), revision="", refusal=str(why))
-        path, refusal = str(self._file.path), self._file.refusal()
-        return SettingsText(text=masked(text), in_force=in_force, path=path, revision=revision, refusal=refusal)
-
-    def _checked(self, request: CheckSettingsRequest) -> CheckedSettings:
-        try:
-            draft = self._draft(request.text)[1]
-        except DecklanderError as why:
-            return CheckedSettings(
-                number=request.number, text="", faults=(ShownFault(path="", text=masked(str(why)), line=None),)
-            )
-        faults = tuple(ShownFault(path=one.path, text=masked(one.text), line=one.line) for one in draft.faults)
-        changes = tuple(
-            ShownChange(path=one.path, before=_shown_value(one.before), after=_shown_value(one.after)) for one in draft.changes
-        )
-        remarks = tuple(masked(one) for one in draft.remarks)
-        return CheckedSettings(number=request.number, text="", faults=faults, changes=changes, remarks=remarks)
+            return SettingsText(text=in_force, in_force=in_force, path=path, revision="", refusal=str(why))
+        return SettingsText(text=masked(text), in_force=in_force, path=path, revision=revision, refusal=self._file.refusal())
 
     def _saved(self, request: SaveSettingsRequest, who: str) -> SavedSettings:
         try:
             if self._file is None:
                 raise BadInput(f"cannot be saved: {NO_FILE}")
-            text, draft = self._draft(request.text)
-            if draft.faults:
-                raise BadInput(f"not saved, as it has {len(draft.faults)} faults: {draft.faults[0].text}")
+            before = self._file.read()[0]
+            text = unmasked(request.text, before)
+            checked = check(text, before, self._file)
             revision = self._file.save(text, request.revision)
         except DecklanderError as why:
-            return SavedSettings(number=request.number, saved=False, text=masked(str(why)))
+            words = str(why)
+            return SavedSettings(saved=False, text=f"Not saved: {masked(words)}", line=line_of(request.text, words))
         log.warning("settings saved from the page by %s into %s", who, self._file.path)
         kept = f"the one before is {self._file.path.name}{BEFORE}"
-        return SavedSettings(number=request.number, saved=True, text=f"Saved; {kept}. {AFTERWARDS}.", revision=revision)
-
-    def _draft(self, text: str) -> tuple[str, Draft]:
-        """Return the text with its secrets, and its remarks."""
-        whole = whole_file.toml(self._in_force)
-        original = whole if self._file is None else self._file.read()[0]
-        path = Path("settings.toml") if self._file is None else self._file.path
-        restored = unmasked(text, original)
-        before = _mapping(original) or split(msgspec.to_builtins(self._in_force))
-        return restored, check_draft(restored, path, before, self._in_force)
+        notes = "".join(f" {line}." for line in remarks(checked))
+        return SavedSettings(saved=True, text=f"Saved; {kept}. {AFTERWARDS}.{masked(notes)}", revision=revision)
 
 
-def _mapping(text: str) -> Mapping[str, Any] | None:
+def check(text: str, before: str, file: SettingsFile) -> Settings:
+    """Return the settings of a text from a browser.
+
+    Args:
+        before: the text that it replaces.
+        file: where it would be saved; references in it are relative to its folder.
+
+    Raises:
+        BadInput: `decklander config check` would refuse it, or it changes what a browser must not change.
+    """
+    try:
+        settings = from_file(_table(text), "")
+        _refuse_guarded(settings, before)
+        settings = complete(settings, file.path)
+        check_files(settings)
+    except BadInput as why:
+        raise BadInput(str(why).removeprefix(": ").removeprefix(f"{file.path}: ")) from why
+    return settings
+
+
+def _table(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError):
-        return None
+    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
+        raise BadInput(f"not valid TOML: {why}") from why
 
 
-def _shown_value(value: object) -> str:
-    return "" if value is None else masked(json.dumps(value, ensure_ascii=False))
+def _refuse_guarded(settings: Settings, before: str) -> None:
+    """Refuse changes of who may command and of where secrets go, and names of files elsewhere. It reads none of them."""
+    try:
+        old = _flat(msgspec.to_builtins(from_file(_table(before), "")))
+    except BadInput as why:
+        raise BadInput(f"the settings file itself is refused ({why}): mend it on the drone's computer first") from why
+    new = _flat(msgspec.to_builtins(settings))
+    if old.get("camera.source") != new.get("camera.source"):
+        del old["camera.device"]  # what names no file for one kind of camera may name one for another
+    for path in dict.fromkeys((*old, *new)):
+        had, has = old.get(path), new.get(path)
+        if had == has:
+            continue
+        if any(f"{path}.".startswith(f"{guarded}.") for guarded in GUARDED):
+            raise BadInput(
+                f"{in_file(path)} is not changed from a browser: who may command, and where secrets go, is set on the drone"
+            )
+        pipeline = path == "camera.device" and new["camera.source"] == "gstreamer"
+        if isinstance(has, str) and (pipeline or not _NO_PATH.fullmatch(has)):
+            raise BadInput(
+                f"{in_file(path)}: from a browser only what is shipped or lies beside the settings is named, found {has[:60]!r}"
+            )
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, value in data.items():
+        out |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
+    return out
+
+
+def masked(text: str) -> str:
+    """Return the text with the secrets of its addresses hidden: a user with password, and query values named like a secret."""
+    return _ADDRESS.sub(lambda found: _VALUE.sub(rf"\1{MASK}", _USER.sub(rf"\1{MASK}@", found[0])), text)
+
+
+def unmasked(text: str, original: str) -> str:
+    """Return the text with each masked address as the original has it.
+
+    Raises:
+        BadInput: a masked address is none of the original's: it was changed, so its secret would go elsewhere.
+    """
+    known: dict[str, set[str]] = {}
+    for found in _ADDRESS.finditer(original):
+        known.setdefault(masked(found[0]), set()).add(found[0])
+
+    def restored(found: re.Match[str]) -> str:
+        address = found[0]
+        if MASK not in address:
+            return address
+        meant = known.get(address, set())
+        if len(meant) != 1:
+            raise BadInput(f"{address}: the address was changed, so write its user and password again in place of {MASK}")
+        return next(iter(meant))
+
+    return _ADDRESS.sub(restored, text)
+
+
+def line_of(text: str, refusal: str) -> int | None:
+    """Return the line, from 1, of a TOML text that a refusal is about; None if the key is not in it or written in another way."""
+    if at := re.search(r"\(at line (\d+)", refusal):
+        return int(at[1])
+    path, table = re.match(r"(?:the table \[)?([\w.-]*)", refusal), ""
+    for number, line in enumerate(text.splitlines(), 1):
+        key = re.match(r"\s*(?:\[\s*([\w.-]+)\s*\]|([\w.-]+)\s*=)", line)
+        if key is None:
+            continue
+        table = key[1] or table
+        if path is not None and ".".join(filter(None, (table, key[2]))) == path[1]:
+            return number
+    return None

@@ -36,17 +36,9 @@ class SettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="
     """Show the settings. It is answered by a `SettingsText`."""
 
 
-class CheckSettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="check_settings", forbid_unknown_fields=True):
-    """Is this text good settings? It is answered by a `CheckedSettings`."""
-
-    number: Annotated[int, Meta(ge=0, le=1 << 53)]
-    text: Annotated[str, Meta(max_length=SETTINGS_MAX)]
-
-
 class SaveSettingsRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="save_settings", forbid_unknown_fields=True):
     """Save this text as the settings file. It is answered by a `SavedSettings`."""
 
-    number: Annotated[int, Meta(ge=0, le=1 << 53)]
     text: Annotated[str, Meta(max_length=SETTINGS_MAX)]
     revision: Annotated[str, Meta(max_length=64)]
     """Revision of the text that was edited."""
@@ -66,41 +58,14 @@ class SettingsText(Struct, frozen=True, kw_only=True, tag_field="kind", tag="set
     """Reason why the text cannot be saved here; empty if it can."""
 
 
-class ShownFault(Struct, frozen=True, kw_only=True):
-    """One reason why a text cannot be saved."""
-
-    path: str
-    """The key; empty for the whole text."""
-    text: str
-    line: int | None
-
-
-class ShownChange(Struct, frozen=True, kw_only=True):
-    """One key that would change at the next start; empty where there is no such key."""
-
-    path: str
-    before: str
-    after: str
-
-
-class CheckedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="checked"):
-    """Result of a settings check."""
-
-    number: int
-    text: str
-    """Reason why the text was not checked; empty if it was."""
-    faults: tuple[ShownFault, ...] = ()
-    changes: tuple[ShownChange, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-
 class SavedSettings(Struct, frozen=True, kw_only=True, tag_field="kind", tag="saved"):
     """Result of saving a text."""
 
-    number: int
     saved: bool
     text: str
     """Next step, or the reason why the text was not saved."""
+    line: int | None = None
+    """The line of the text that is wrong; null if it is no single one."""
     revision: str = ""
 
 
@@ -134,5 +99,5 @@ class CalibrationReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag
     """The camera file, once a calibration has ended with one that can be used."""
 
 
-ToolRequest = ExamineRequest | SettingsRequest | CheckSettingsRequest | SaveSettingsRequest | CalibrationRequest
-ToolAnswer = ExaminedReport | SettingsText | CheckedSettings | SavedSettings | CalibrationReport
+ToolRequest = ExamineRequest | SettingsRequest | SaveSettingsRequest | CalibrationRequest
+ToolAnswer = ExaminedReport | SettingsText | SavedSettings | CalibrationReport

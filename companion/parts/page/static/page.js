@@ -41,7 +41,7 @@ const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"
 const plots = new Plots();
 new RecordingsList(link);
 const doctor = new Doctor(link);
-const settings = new SettingsEditor(link);
+new SettingsEditor(link);
 const calibration = new Calibration(link);
 const views = [new Above($("above")), new Side($("side"))];
 $("lines").addEventListener("change", (event) => picture.showLines(event.target.checked));
@@ -73,7 +73,6 @@ link.on("welcome", (message) => {
   picture.begin(message.h264);
   for (const view of views) view.pad(message);
   orders.enable(true);
-  settings.back();
 });
 link.on("state", (message) => {
   telling.state(message);
@@ -91,7 +90,6 @@ link.onLost = (why) => {
   orders.enable(false);
   sticks.lost();
   doctor.lost();
-  settings.lost();
   calibration.lost();
   picture.forget();
   $("flight").classList.add("stale");
