@@ -15,8 +15,9 @@ CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 demo: $(VENV)/.report $(VENV)/.compare $(VENV)/.video $(CORE)
 	$(BIN)/decklander demo
 
-# Before each commit: lint, types, and every test but those of the slow files that tests/conftest.py names.
+# Before each commit: lint, types, the limits of benches/house.toml, and every test but those of the slow files that tests/conftest.py names.
 check: lint
+	@$(BIN)/python -m benches.house --check
 	$(BIN)/pytest $(WORKERS) -m "not slow"
 
 test: lint

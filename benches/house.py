@@ -1,7 +1,9 @@
 """Measure the shape of the code: `python -m benches.house [COMMIT ...]`.
 
-Prints one row a figure: its name, one column for each commit and one for the working tree. Without a commit the first column
-is that of the commit from which the house was rebuilt, where the clone has it.
+Prints one row a figure: its name, what is asked, its limit, one column for each commit and one for the working tree. `--check`
+fails where a figure of the working tree is worse than its limit in house.toml, and prints what the figure counts. `--tighten`
+sets each limit to the figure where that is better. A change that adds lines finds as many to remove, or raises the limit in
+house.toml in its own commit and gives the reason there.
 """
 
 from __future__ import annotations
@@ -11,16 +13,21 @@ import ast
 import io
 import re
 import subprocess
+import sys
 import tarfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from statistics import median
 
+import tomlkit
+
 ROOT = Path(__file__).parents[1]
-REBUILT_FROM = "34a8ccc7"
-PRODUCT = ("companion", "drivers", "estimator", "sitl")
+LIMITS = Path(__file__).with_suffix(".toml")
+PRODUCT = ("companion/", "drivers/", "estimator/", "sitl/")
+AROUND = ("benches/", "fuzz/", "mutants/", "supply/")
 CODE = (".py", ".c", ".h", ".js", ".css")
 PARAMETERS_MAX = 8
 EXPERT = "## Expert keys"
@@ -46,6 +53,11 @@ class Tree:
     def imports(self) -> dict[str, set[str]]:
         """The product's modules that each module imports, in functions and under TYPE_CHECKING too."""
         return {name: set(_imported(name, tree, self.modules)) - {name} for name, tree in self.modules.items()}
+
+    @cached_property
+    def lines_of(self) -> dict[str, int]:
+        """The lines of each of the product's Python modules."""
+        return {_dotted(path): text.count("\n") for path, text in self.under(*PRODUCT, ending=(".py",)).items()}
 
     @cached_property
     def c_functions(self) -> list[tuple[str, str, int]]:
@@ -105,19 +117,29 @@ def _count(parameters: str) -> int:
     return 0 if inside in ("", "void") else inside.count(",") + 1
 
 
+def floors(edges: Mapping[str, Iterable[str]]) -> tuple[int, set[str]]:
+    """Return the nodes of the longest chain of a graph, and the nodes that lie on or above a circle."""
+    left, found = {node: set(ends) & set(edges) for node, ends in edges.items()}, 0
+    while ground := {node for node, ends in left.items() if not ends & left.keys()}:
+        left = {node: ends for node, ends in left.items() if node not in ground}
+        found += 1
+    return found, set(left)
+
+
+def reached(edges: Mapping[str, Iterable[str]], *starts: str) -> set[str]:
+    """Return the nodes that some nodes lead to."""
+    seen: set[str] = set()
+    todo = list(starts)
+    while todo:
+        new = set(edges.get(todo.pop(), ())) - seen
+        seen |= new
+        todo += new
+    return seen
+
+
 def circles(edges: Mapping[str, Iterable[str]]) -> list[list[str]]:
     """Return the groups of nodes that reach each other (strongly connected, of two or more)."""
-
-    def reached(start: str) -> set[str]:
-        seen: set[str] = set()
-        todo = [start]
-        while todo:
-            new = set(edges.get(todo.pop(), ())) - seen
-            seen |= new
-            todo += new
-        return seen
-
-    reach = {node: reached(node) for node in edges}
+    reach = {node: reached(edges, node) for node in floors(edges)[1]}
     groups = {tuple(sorted(n for n in ends if node in reach.get(n, ()))) for node, ends in reach.items() if node in ends}
     return sorted(list(group) for group in groups)
 
@@ -158,14 +180,13 @@ def one_importer(tree: Tree) -> list[str]:
 
 def import_share(tree: Tree) -> float:
     """Return the share of the product's lines of Python that import statements take, percent."""
-    lines = sum(text.count("\n") for text in tree.under(*PRODUCT, ending=(".py",)).values())
     taken = sum(
         node.end_lineno - node.lineno + 1
         for module in tree.modules.values()
         for node in ast.walk(module)
         if isinstance(node, ast.Import | ast.ImportFrom) and node.end_lineno
     )
-    return 100 * taken / lines
+    return 100 * taken / sum(tree.lines_of.values())
 
 
 def wide_python(tree: Tree) -> list[str]:
@@ -205,51 +226,95 @@ def contracts(tree: Tree) -> int:
     return tree.texts.get("pyproject.toml", "").count("[[tool.importlinter.contracts]]")
 
 
-FIGURES: tuple[tuple[str, str, Callable[[Tree], float]], ...] = (
-    ("circles of packages", "0", lambda t: len(package_circles(t))),
-    ("packages in circles", "0", lambda t: sum(map(len, package_circles(t)))),
-    ("circles of Python files", "0", lambda t: len(circles(t.imports))),
-    ("circles of C files", "0", lambda t: len(c_circles(t))),
-    ("contracts of lint-imports", "", contracts),
-    ("entries of the flying library", "<= 25", lambda t: len(entries(t, *FLYING))),
-    ("  of more than 8 parameters", "0", lambda t: sum(n > PARAMETERS_MAX for _, n in entries(t, *FLYING))),
-    ("C functions of more than 8 parameters", "0", lambda t: sum(n > PARAMETERS_MAX for *_, n in t.c_functions)),
-    ("Python functions of more than 8", "0", lambda t: len(wide_python(t))),
-    ("modules of the product", "", lambda t: len(t.modules)),
-    ("  with exactly one importer", "<= 90", lambda t: len(one_importer(t))),
-    ("  median lines", "", lambda t: median(x.count("\n") for x in t.under(*PRODUCT, ending=(".py",)).values())),
-    ("import lines, %", "<= 6", import_share),
-    ("public keys", "<= 130", public_keys),
-    ("lines of the product", "", lambda t: lines(t, *PRODUCT)),
-    ("lines of tests", "<= 62000", lambda t: lines(t, "tests/")),
-    ("lines of all code", "<= 170000", lines),
+def lines_of_run(tree: Tree) -> int:
+    """Return the lines of Python that `decklander run` imports, in functions too."""
+    run = "companion.cli.run"
+    return sum(tree.lines_of[name] for name in reached(tree.imports, run) | {run})
+
+
+def guidance(tree: Tree) -> dict[str, set[str]]:
+    """Return the modules of companion.guidance with those of them that each imports."""
+    return {name: ends for name, ends in tree.imports.items() if name.startswith("companion.guidance.")}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One row: its key in house.toml, what is asked, and how it is counted."""
+
+    label: str
+    asked: float | None
+    count: Callable[[Tree], float]
+    names: Callable[[Tree], Iterable[object]] = lambda _: ()
+    """Lists what it counts."""
+    more_is_better: bool = False
+
+    def is_worse(self, value: float, limit: float) -> bool:
+        """Compare a value with the limit."""
+        return value < limit if self.more_is_better else value > limit
+
+
+def counted(label: str, asked: float | None, names: Callable[[Tree], Iterable[object]]) -> Figure:
+    """Return the figure that counts what it names."""
+    return Figure(label, asked, lambda tree: len(list(names(tree))), names)
+
+
+def wide_c(tree: Tree) -> list[str]:
+    """Return the C functions with more parameters than are allowed."""
+    return [f"{path}:{name}" for path, name, n in tree.c_functions if n > PARAMETERS_MAX]
+
+
+def wide_entries(tree: Tree) -> list[str]:
+    """Return the entries of the flying library with more parameters than are allowed."""
+    return [name for name, n in entries(tree, *FLYING) if n > PARAMETERS_MAX]
+
+
+FIGURES = (
+    counted("circles of packages", 0, package_circles),
+    counted("circles of Python files", 0, lambda t: circles(t.imports)),
+    counted("circles of C files", 0, c_circles),
+    Figure("contracts of lint-imports", None, contracts, more_is_better=True),
+    counted("entries of the flying library", 25, lambda t: entries(t, *FLYING)),
+    counted("entries of more than 8 parameters", 0, wide_entries),
+    counted("C functions of more than 8 parameters", 0, wide_c),
+    counted("Python functions of more than 8", 0, wide_python),
+    counted("modules with exactly one importer", 60, one_importer),
+    Figure("median lines of a module", 180, lambda t: float(median(t.lines_of.values())), more_is_better=True),
+    Figure("import lines, %", 5.5, import_share),
+    Figure("public keys", 130, public_keys),
+    counted("files in guidance", 25, guidance),
+    Figure("import floors of guidance", 7, lambda t: floors(guidance(t))[0]),
+    Figure("lines of Python that run reaches", 52_000, lines_of_run),
+    Figure("lines of the product", 118_000, lambda t: lines(t, *PRODUCT)),
+    Figure("lines of tests", 60_000, lambda t: lines(t, "tests/", "qualification/")),
+    Figure("lines of benches, fuzz, mutants, supply", 8_000, lambda t: lines(t, *AROUND)),
+    Figure("lines of all code", 186_000, lines),
 )
 
 
-def main() -> None:
+def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m benches.house", description="Measure the shape of the code.")
-    parser.add_argument("commits", nargs="*", metavar="COMMIT", help=f"describe these (default: {REBUILT_FROM})")
-    parser.add_argument("--names", action="store_true", help="name what the figures of the working tree count")
+    parser.add_argument("commits", nargs="*", metavar="COMMIT", help="describe these too")
+    parser.add_argument("--check", action="store_true", help="fail where a figure is worse than its limit")
+    parser.add_argument("--tighten", action="store_true", help="set each limit to the figure where that is better")
     args = parser.parse_args()
-    commits = args.commits or [
-        c for c in (REBUILT_FROM,) if not subprocess.run(["git", "cat-file", "-e", c], cwd=ROOT).returncode
-    ]
-    trees = [Tree(commit) for commit in commits] + [now := Tree(None)]
-    print(f"{'':<40}{'asked':>10}" + "".join(f"{c:>12}" for c in [*commits, "now"]))
-    for label, asked, figure in FIGURES:
-        print(f"{label:<40}{asked:>10}" + "".join(f"{figure(tree):>12.10g}"[:12] for tree in trees))
-    if args.names:
-        for label, names in (
-            ("circles", [*package_circles(now), *circles(now.imports), *c_circles(now)]),
-            (
-                "more than 8 parameters",
-                [*wide_python(now), *(f"{p}:{f} {n}" for p, f, n in now.c_functions if n > PARAMETERS_MAX)],
-            ),
-            ("one importer", one_importer(now)),
-        ):
-            print(f"\n{label}:", *names, sep="\n  ")
+    trees = [Tree(commit) for commit in args.commits] + [now := Tree(None)]
+    limits = tomlkit.parse(LIMITS.read_text())
+    failed = False
+    print(f"{'':<40}{'asked':>10}{'limit':>10}" + "".join(f"{c[:8]:>10}" for c in [*args.commits, "now"]))
+    for figure in FIGURES:
+        values = [round(figure.count(tree), 2) for tree in trees]
+        limit, asked = limits.get(figure.label, values[-1]), "" if figure.asked is None else figure.asked
+        print(f"{figure.label:<40}{asked:>10}{limit:>10}" + "".join(f"{value:>10}" for value in values))
+        if args.tighten and not figure.is_worse(values[-1], limit):
+            limits[figure.label] = values[-1]
+        elif args.check and figure.is_worse(values[-1], limit):
+            print(f"worse than its limit in {LIMITS.name}: {figure.label}", *figure.names(now), sep="\n  ", file=sys.stderr)
+            failed = True
+    if args.tighten:
+        LIMITS.write_text(tomlkit.dumps(limits))
+    return int(failed)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
