@@ -3,8 +3,8 @@
     python -m benches.law [--response NAME]
 
 The rows leave parts of the law out, or let the vehicle answer otherwise than its response file says. Both come from
-`companion.guidance.margins`. The second table sets the law beside the bound: the linear-quadratic-Gaussian controller, which has
-the vehicle and the disturbances exactly and keeps no margins, at the law's amount of tilt and at three times as much.
+`companion.guidance.law.margins`. The second table sets the law beside the bound: the linear-quadratic-Gaussian controller,
+which has the vehicle and the disturbances exactly and keeps no margins, at the law's amount of tilt and at three times as much.
 """
 
 import argparse
@@ -18,11 +18,9 @@ import numpy as np
 from msgspec import structs
 
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.disturbance import ObserverNoise
-from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins, stationary
-from companion.guidance.riccati import observer, regulator
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.follow_deck import FollowDeck
+from companion.guidance.law.gains import ObserverNoise, observer, regulator, tilt_model
+from companion.guidance.law.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins, stationary
 from companion.settings.load import find_file, read_toml, shipped_response
 from companion.settings.response import Response, TiltResponse, response_from_mapping
 from estimator.contracts.estimates import RelativeState

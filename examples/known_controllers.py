@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import OFFERED, ControllerSetup, make_controller
-from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory
-from companion.guidance.riccati import regulator, riccati
+from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
+from companion.guidance.law.gains import regulator, riccati
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between

@@ -42,17 +42,17 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if len(outcomes) < wanted and row  ->  if True": _UNREAD,
         "if len(outcomes) < wanted  ->  if True": _UNREAD,
     },
-    "companion/guidance/cone.py": {
+    "companion/guidance/mission/cone.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
         "  ->  error_m <= math.sqrt(INSIDE) * radius_m(height_m, options)": _ROUNDED,
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
         "  ->  error_m >= math.sqrt(OUT) * radius_m(height_m, options)": _ROUNDED,
     },
-    "companion/guidance/law_records.py": {
+    "companion/guidance/law/records.py": {
         "0  ->  1": "one horizon is no course, as none is",
         "0.0  ->  1.0": "a flag beside it says that there is none, and the core reads none",
     },
-    "companion/guidance/rendezvous.py": {
+    "companion/guidance/mission/rendezvous.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
         "report.v_vessel_ned is not None and report.cov_v_ned is not None"
@@ -60,22 +60,22 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,
         "math.hypot(*step) > may_m  ->  math.hypot(*step) >= may_m": _ROUNDED,
     },
-    "companion/guidance/clearance.py": {
+    "companion/guidance/mission/clearance.py": {
         "span_s <= 0.0  ->  span_s < 0.0": "over no time nothing is summed",
         "before * after < 0.0  ->  before * after <= 0.0": "where one of them is zero the triangle is the whole area",
         "True  ->  False": "a forecast has as many sigmas as rates",
     },
-    "companion/guidance/response_fit.py": {
+    "companion/guidance/law/response_fit.py": {
         "1e-12  ->  2e-12": "it keeps zero out of a denominator, and a report is never known to a millionth",
     },
-    "companion/guidance/tilt_model.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
-    "companion/guidance/response_watch.py": {
+    "companion/guidance/law/gains.py": {"1e-09  ->  2e-09": "what floating point adds is 1e-15"},
+    "companion/guidance/law/response_watch.py": {
         "self.longer_s > 0.0  ->  self.longer_s >= 0.0": "an identified response is off by more than 40 ms",
     },
-    "companion/guidance/response_course.py": {
+    "companion/guidance/law/response_course.py": {
         "np.isfinite(u).all  ->  np.isfinite(u).any": "a step is unknown on all axes",
     },
-    "companion/guidance/margins.py": {
+    "companion/guidance/law/margins.py": {
         "40  ->  41": "the sum has converged",
         "angle[:-1] * angle[1:] < 0.0  ->  angle[:-1] * angle[1:] <= 0.0": _ROUNDED,
         "np.abs(angle[:-1]) > 2.0  ->  np.abs(angle[:-1]) >= 2.0": _ROUNDED,

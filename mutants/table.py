@@ -125,60 +125,61 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks_bounds.py", f"{_INTEGRITY}/test_tracks.py"),
     "estimator/integrity/view.py": (f"{_INTEGRITY}/test_view.py",),
-    "companion/guidance/mission.py": ("tests/companion/test_mission_table.py",),
+    "companion/guidance/mission/machine.py": ("tests/companion/test_mission_table.py",),
     "companion/guidance/landing.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),
-    "companion/guidance/progress.py": ("tests/companion/test_progress.py", *_MISSION),
-    "companion/guidance/watch.py": (
+    "companion/guidance/mission/progress.py": (
+        "tests/companion/test_progress.py",
+        "tests/companion/test_heading.py",
+        "tests/companion/test_attempt.py",
+        *_MISSION,
+    ),
+    "companion/guidance/mission/watch.py": (
         "tests/companion/test_mission_events.py",
         "tests/companion/test_mission_ways.py",
         "tests/companion/test_mission_account.py",
     ),
-    "companion/guidance/steer.py": (
+    "companion/guidance/mission/steer.py": (
         "tests/companion/test_blind_hold.py",
         "tests/companion/test_steer.py",
         *_MISSION,
         "tests/companion/test_clearance.py",
     ),
-    "companion/guidance/cone.py": (
+    "companion/guidance/mission/cone.py": (
         "tests/companion/test_cone.py",
         "tests/companion/test_steer.py",
         *_MISSION,
         "tests/companion/test_clearance.py",
     ),
-    "companion/guidance/heading.py": ("tests/companion/test_heading.py",),
-    "companion/guidance/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
-    "companion/guidance/attempt.py": ("tests/companion/test_attempt.py", *_MISSION),
-    "companion/guidance/held_up.py": ("tests/companion/test_held_up.py",),
-    "companion/guidance/contact.py": ("tests/companion/test_contact.py",),
-    "companion/guidance/clearance.py": ("tests/companion/test_clearance.py",),
-    "companion/guidance/rendezvous.py": (
+    "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
+    "companion/guidance/mission/contact.py": ("tests/companion/test_held_up.py", "tests/companion/test_contact.py"),
+    "companion/guidance/mission/clearance.py": ("tests/companion/test_clearance.py",),
+    "companion/guidance/mission/rendezvous.py": (
         "tests/companion/test_rendezvous_way.py",
         "tests/companion/test_vessel_track_bounds.py",
         "tests/companion/test_vessel_track.py",
         "tests/companion/test_rendezvous.py",
     ),
-    "companion/guidance/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
-    "companion/guidance/law_records.py": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
-    "companion/guidance/tilt_law.py": _AXIS,
-    "companion/guidance/disturbance.py": _AXIS,
-    "companion/guidance/margins.py": ("tests/companion/test_margins.py",),
+    "companion/guidance/law/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
+    "companion/guidance/law/records.py": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
+    "companion/guidance/law/margins.py": ("tests/companion/test_margins.py",),
     "companion/settings/response.py": ("tests/companion/test_response.py",),
-    "companion/guidance/tilt_model.py": (
+    "companion/guidance/law/gains.py": (
+        *_AXIS,
         "tests/companion/test_response.py",
         "tests/companion/test_law.py::test_the_discrete_model_is_the_continuous_one",
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
-    "companion/guidance/response_course.py": ("tests/companion/test_response_course.py",),
-    "companion/guidance/response_fit.py": (
+    "companion/guidance/law/response_course.py": ("tests/companion/test_response_course.py",),
+    "companion/guidance/law/response_fit.py": (
         "tests/companion/test_response_fit.py",
         "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_distinguished",
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
-    "companion/guidance/response_watch.py": (
+    "companion/guidance/law/response_watch.py": (
         "tests/companion/test_response_watch_bounds.py",
         "tests/companion/test_response_watch.py",
     ),
-    "companion/guidance/pid.py": ("tests/companion/test_pid.py",),
+    "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/sight.py": ("tests/sitl/test_referee.py",),

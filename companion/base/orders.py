@@ -8,7 +8,7 @@ from estimator.contracts.time import MonoNs
 
 
 class OperatorOrder(Enum):
-    """An order of a person. `companion.guidance.precedence` says when each is accepted."""
+    """An order of a person. `companion.guidance.operator.precedence` says when each is accepted."""
 
     EMERGENCY = "emergency"
     """Cut the motors at once."""
@@ -47,7 +47,7 @@ class OrderSource(Enum):
     MQTT = "mqtt"
     SIGNAL = "signal"
     LIMITS = "limits"
-    """The geofence or another limit of `companion.guidance.command_limits`, which may only hold."""
+    """The geofence or another limit of `companion.guidance.operator.command_limits`, which may only hold."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from companion.guidance import mission
+from companion.guidance.mission.page import page
 from companion.parts.mqtt import messages
 from companion.settings import whole_file
 from companion.settings.load import load, shipped
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "schema":
         sys.stdout.write(messages.schema() if args.mqtt else whole_file.schema())
     elif args.action == "mission":
-        sys.stdout.write(mission.page())
+        sys.stdout.write(page())
     else:
         sys.stdout.write(whole_file.reference(expert=args.expert))
     return 0

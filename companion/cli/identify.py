@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.guidance.margins import LoopMargins, margins
-from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
+from companion.guidance.law.margins import LoopMargins, margins
+from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.reading import Recording, open_recording
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.load import find_file, read_toml, response_model, shipped

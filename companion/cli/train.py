@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from companion.base.version import version
-from companion.guidance.policy import Policy, read_policy
+from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import settings_for

@@ -6,7 +6,7 @@ next one.
 """
 
 import math
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
@@ -21,6 +21,18 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
+
+
+class FieldOfView(NamedTuple):
+    """The camera's field, in the body's axes."""
+
+    forward_m: float
+    """The camera ahead of the body's origin."""
+    right_m: float
+    half_forward_rad: float
+    """Half the field ahead and astern."""
+    half_right_rad: float
+
 
 HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Horizons of the forecast that guidance requests, s."""

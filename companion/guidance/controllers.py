@@ -10,13 +10,11 @@ from typing import Any
 
 from msgspec import structs
 
-from companion.guidance.controller import Controller
-from companion.guidance.disturbance import ObserverNoise
-from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.pid_controller import PidController
-from companion.guidance.policy import read_policy, shipped_policy
-from companion.guidance.policy_controller import PolicyController
-from companion.guidance.view import FieldOfView
+from companion.guidance.controller import Controller, FieldOfView
+from companion.guidance.law.follow_deck import FollowDeck
+from companion.guidance.law.gains import ObserverNoise
+from companion.guidance.law.pid import PidController
+from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import Response
 from estimator.contracts.errors import BadInput

@@ -11,29 +11,26 @@ from msgspec.structs import replace
 from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import held_up, limits, rendezvous, steer
-from companion.guidance.charge import ChargeWatch, ends, last_landing
-from companion.guidance.clearance import SwellWatch, watched_swell
-from companion.guidance.command_limits import Unmeasured, without_velocity
-from companion.guidance.contact import ContactWatch, watched
-from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Impact, Knowledge, Target
+from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
-from companion.guidance.held_course import OFF_M, ClimbWatch
-from companion.guidance.held_up import HeldUp
-from companion.guidance.limits import InputQuality
-from companion.guidance.margins import expected_error_m
-from companion.guidance.mission import TABLES
-from companion.guidance.out_of_reach import flown_by_others
-from companion.guidance.progress import Progress, entered
-from companion.guidance.rendezvous import VesselTrack
-from companion.guidance.response_course import reported_lean
-from companion.guidance.response_watch import ResponseIdentifier
-from companion.guidance.situation import GuidanceCycle, VesselPosition, unfit
-from companion.guidance.steer import Aim, aim
-from companion.guidance.view import FieldOfView
-from companion.guidance.watch import account, events
-from companion.guidance.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
-from companion.guidance.wind import watched as watched_wind
+from companion.guidance.law.margins import expected_error_m
+from companion.guidance.law.response_course import reported_lean
+from companion.guidance.law.response_watch import ResponseIdentifier
+from companion.guidance.mission import limits, rendezvous, steer
+from companion.guidance.mission.clearance import SwellWatch, watched_swell
+from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
+from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition, unfit
+from companion.guidance.mission.held_course import OFF_M, ClimbWatch
+from companion.guidance.mission.limits import ChargeWatch, InputQuality, ends, last_landing
+from companion.guidance.mission.machine import TABLES
+from companion.guidance.mission.out_of_reach import flown_by_others
+from companion.guidance.mission.progress import Progress, entered
+from companion.guidance.mission.rendezvous import VesselTrack
+from companion.guidance.mission.steer import Aim, aim
+from companion.guidance.mission.watch import account, events
+from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
+from companion.guidance.mission.wind import watched as watched_wind
+from companion.guidance.operator.command_limits import Unmeasured, without_velocity
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import ReportLimits
 from companion.settings.response import ClimbResponse, TiltResponse
@@ -368,9 +365,9 @@ class LandingGuidance:
     def _feel_held(self, at: MonoNs, down_m_s: float) -> None:
         """Note the vehicle's vertical speed over the ground, m/s down, against the commands over the ground and to the deck."""
         ground, deck = self._held, self._held_by_deck
-        self._held = held_up.measured(ground, at, down_m_s)
+        self._held = ground.measured(at, down_m_s)
         if self._deck_down_m_s is not None:
-            self._held_by_deck = held_up.measured(deck, at, down_m_s - self._deck_down_m_s)
+            self._held_by_deck = deck.measured(at, down_m_s - self._deck_down_m_s)
         for before, after in ((ground, self._held), (deck, self._held_by_deck)):
             if after.newest is not before.newest:
                 self._impact = after.newest
@@ -546,9 +543,9 @@ class LandingGuidance:
         down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s
         if self._over_ground:
-            self._held = held_up.commanded(self._held, now, down_m_s)
-            to_deck_m_s = held_up.to_deck(self._held, now, self._deck_down_m_s)
-            self._held_by_deck = held_up.commanded(self._held_by_deck, now, to_deck_m_s)
+            self._held = self._held.commanded(now, down_m_s)
+            to_deck_m_s = self._held.to_deck(now, self._deck_down_m_s)
+            self._held_by_deck = self._held_by_deck.commanded(now, to_deck_m_s)
         return response
 
     def _off_orders(self, knowledge: Knowledge) -> Reason | None:

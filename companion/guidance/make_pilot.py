@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import structs
 
-from companion.guidance.controller import Controller
+from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.pilot import Pilot, PilotOptions
-from companion.guidance.view import FieldOfView
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings

@@ -12,12 +12,11 @@ from msgspec.structs import replace
 
 from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
-from companion.guidance.arbiter import OperatorArbiter
-from companion.guidance.controller import Controller, Knowledge
+from companion.guidance.controller import Controller, FieldOfView, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
-from companion.guidance.view import FieldOfView
+from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response

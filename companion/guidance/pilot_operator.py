@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
-from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock

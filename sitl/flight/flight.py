@@ -20,8 +20,8 @@ from companion.base.health import Health
 from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
 from companion.base.orders import HandledOrder
+from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import WAITING_MOST, Pilot
-from companion.guidance.precedence import ControlSituation
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter

@@ -5,7 +5,7 @@ from enum import Enum
 from typing import Literal, NamedTuple
 
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome
-from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from sitl.world.truth import Touchdown
 
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]

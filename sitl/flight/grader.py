@@ -9,7 +9,7 @@ from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
 from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
-from companion.guidance.precedence import ControlSituation
+from companion.guidance.operator.precedence import ControlSituation
 from companion.settings.model import Settings
 from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import OperatorArbiter
 from estimator.contracts.time import MonoNs
 from sitl.faults.kinds import OperatorActs
 from sitl.faults.timer import FaultTimer

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.guidance.policy import STEP_S
+from companion.guidance.law.policy import STEP_S
 from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
 from sitl.core.abi import ACTION_NUMBERS, VIEW_NUMBERS

@@ -16,8 +16,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.guidance.policy import ACTIONS, ARRAYS, F32, OBSERVED, STEP_S, Policy, forward, normal
-from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
+from companion.guidance.law.gains import TiltGains, TiltWeights, tilt_gains
+from companion.guidance.law.policy import ACTIONS, ARRAYS, F32, OBSERVED, STEP_S, Policy, forward, normal
 from companion.settings.response import Response
 from estimator.contracts.motion import G_M_S2
 from sitl.gym.training import DOWN_MAX_M_S, ENDS, YAW_RATE_MAX_RAD_S, TrainingOptions, TrainingWorlds

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.guidance.policy import STEP_S, TRIM_TIME_S
+from companion.guidance.law.policy import STEP_S, TRIM_TIME_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2

@@ -4,8 +4,7 @@ import math
 
 from msgspec import Struct
 
-from companion.guidance.disturbance import ObserverGains
-from companion.guidance.tilt_law import TiltGains
+from companion.guidance.law.gains import ObserverGains, TiltGains
 from companion.settings.response import TiltResponse
 
 _DISTURBANCE_MAX_M_S2 = 4.0

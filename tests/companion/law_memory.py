@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from msgspec import Struct, structs
 
-from companion.guidance.follow_deck import FollowDeckMemory, TuningChoice
+from companion.guidance.law.follow_deck import FollowDeckMemory, TuningChoice
 from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
 from tests.companion.law_axis import Observed, TiltAxis

@@ -13,9 +13,9 @@ from companion.base.mission import Event, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.landing import mission_step, ordered, reported
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import Aim
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.steer import Aim
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState

@@ -3,7 +3,7 @@
 import pytest
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.attempt import Attempt
+from companion.guidance.mission.progress import Attempt
 from companion.settings.mission import TryOptions
 from tests.companion.mission_flights import ns
 

@@ -5,8 +5,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import climbing, never_lower, pressing, usable, without_estimate
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.steer import climbing, never_lower, pressing, usable, without_estimate
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert

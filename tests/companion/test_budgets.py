@@ -10,8 +10,8 @@ from msgspec import structs
 from companion.base.mission import DESCENDS, ENDED, Event, State
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.landing import mission_step, ordered, reported
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, unfit
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Land, Velocity
 from tests.companion.mission_flights import estimate, guided, ns, status

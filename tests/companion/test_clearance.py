@@ -8,14 +8,14 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, State
 from companion.base.reason import ReasonCause
-from companion.guidance import cone
-from companion.guidance.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
-from companion.guidance.limits import InputQuality, gate
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import aim
-from companion.guidance.watch import events
+from companion.guidance.mission import cone
+from companion.guidance.mission.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.limits import InputQuality, gate
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.steer import aim
+from companion.guidance.mission.watch import events
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion

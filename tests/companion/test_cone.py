@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.guidance.cone import descent_rate_m_s, inside, outside, radius_m
+from companion.guidance.mission.cone import descent_rate_m_s, inside, outside, radius_m
 from companion.settings.mission import ConeOptions
 
 CONE = ConeOptions(slope=0.2, descent_rate_m_s=0.7, feet_below_m=0.1, gate_height_m=0.2)

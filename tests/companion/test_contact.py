@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.contact import ENOUGH, ContactWatch, votes, watched
-from companion.guidance.contact import way_s as contact_way_s
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.contact import ENOUGH, ContactWatch, votes, watched
+from companion.guidance.mission.contact import way_s as contact_way_s
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp

@@ -8,10 +8,10 @@ from msgspec import structs
 from companion.base.mission import Event
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.landing import LandingGuidance
+from companion.guidance.law.follow_deck import FollowDeck
+from companion.guidance.law.pid import PidController
 from companion.guidance.make_pilot import field_of_view, law_of, make_pilot
-from companion.guidance.pid_controller import PidController
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, response_model
 from companion.settings.response import response_from_mapping

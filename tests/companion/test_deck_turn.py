@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck
+from companion.guidance.law.follow_deck import FollowDeck
 from companion.settings.load import shipped_response
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState

@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance import follow_deck
-from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice
-from companion.guidance.pid_controller import PidController
-from companion.guidance.tilt_model import tilt_model
-from companion.guidance.view import FieldOfView
+from companion.guidance.controller import FieldOfView, Knowledge, Target
+from companion.guidance.law import follow_deck
+from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice
+from companion.guidance.law.gains import tilt_model
+from companion.guidance.law.pid import PidController
 from companion.settings.guidance import PidOptions
 from companion.settings.load import shipped_response
 from estimator.contracts.commands import Hover, Lean, Velocity

@@ -8,9 +8,9 @@ from msgspec import structs
 
 from companion.base.mission import State
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.held_up import ANSWERS_S, HELD_S, HeldUp, commanded, measured, to_deck
 from companion.guidance.landing import mission_step
-from companion.guidance.situation import GuidanceCycle
+from companion.guidance.mission.contact import ANSWERS_S, HELD_S, HeldUp
+from companion.guidance.mission.cycle import GuidanceCycle
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from tests.companion.mission_flights import PointFlight, estimate, guided, ns
@@ -23,7 +23,7 @@ def contacts(command: F64, speed: F64) -> list[float]:
     held, found = HeldUp(), []
     for k, (u, v) in enumerate(zip(command.tolist(), speed.tolist(), strict=True)):
         at, before = MonoNs(round(k * STEP_S * 1e9)), held.newest
-        held = measured(commanded(held, at, u), at, v)
+        held = held.commanded(at, u).measured(at, v)
         if held.newest is not before and held.newest is not None:
             assert held.newest.by == "velocity"
             assert held.newest.held_m_s >= 0.3
@@ -75,8 +75,8 @@ def contacts_by_deck(command: F64, speed: F64, deck: F64) -> list[float]:
     held, by_deck, found = HeldUp(), HeldUp(), []
     for k, (u, v, d) in enumerate(zip(command.tolist(), speed.tolist(), deck.tolist(), strict=True)):
         at, before = MonoNs(round(k * STEP_S * 1e9)), by_deck.newest
-        held = commanded(held, at, u)
-        by_deck = measured(commanded(by_deck, at, to_deck(held, at, d)), at, v - d)
+        held = held.commanded(at, u)
+        by_deck = by_deck.commanded(at, held.to_deck(at, d)).measured(at, v - d)
         if by_deck.newest is not before:
             found.append(k * STEP_S)
     return found
@@ -109,10 +109,10 @@ def test_no_flight_is_a_contact_by_the_speeds_to_the_deck(seed: int, delay_s: fl
 
 def test_to_the_deck_counts_the_command_that_is_answered_now() -> None:
     held = remembered((0, 0.1), (100, 0.2), (300, 0.5))
-    assert to_deck(held, at_ms(299.9), 0.3) is None
-    assert to_deck(held, at_ms(399.9), 0.3) == pytest.approx(-0.2)
-    assert to_deck(held, at_ms(400), 0.3) == pytest.approx(-0.1)
-    assert to_deck(held, at_ms(400), None) is None
+    assert held.to_deck(at_ms(299.9), 0.3) is None
+    assert held.to_deck(at_ms(399.9), 0.3) == pytest.approx(-0.2)
+    assert held.to_deck(at_ms(400), 0.3) == pytest.approx(-0.1)
+    assert held.to_deck(at_ms(400), None) is None
 
 
 def test_nothing_is_found_before_a_command_had_its_time_to_be_flown() -> None:
@@ -121,7 +121,7 @@ def test_nothing_is_found_before_a_command_had_its_time_to_be_flown() -> None:
     held = HeldUp()
     for k in range(100):
         at = MonoNs(round(k * STEP_S * 1e9))
-        held = measured(commanded(held, at, None if k == 80 else 0.5), at, 0.5 if k < 81 else 0.0)
+        held = held.commanded(at, None if k == 80 else 0.5).measured(at, 0.5 if k < 81 else 0.0)
     assert held.newest is None, "a person's order in between begins anew"
 
 
@@ -133,7 +133,7 @@ def remembered(*commands: tuple[float, float]) -> HeldUp:
     """Return the memory after commands, each at an instant in ms, of m/s down."""
     held = HeldUp()
     for ms, down_m_s in commands:
-        held = commanded(held, at_ms(ms), down_m_s)
+        held = held.commanded(at_ms(ms), down_m_s)
     return held
 
 
@@ -151,20 +151,20 @@ def test_commands_are_remembered_for_seven_tenths_of_a_second_and_the_one_that_w
 )
 def test_a_vehicle_is_held_up_by_three_tenths_against_the_least_of_commands_that_had_their_time(ms, faster_m_s, holds):
     held = remembered((0, 0.5), (100, 0.3), (200, 0.7))
-    after = measured(held, at_ms(ms), 0.3 - faster_m_s)
+    after = held.measured(at_ms(ms), 0.3 - faster_m_s)
     assert after.since == (at_ms(ms) if holds else None)
     assert after.newest is None
-    assert measured(after, at_ms(ms + 1), 0.3).since is None, "it ends when the vehicle follows again"
+    assert after.measured(at_ms(ms + 1), 0.3).since is None, "it ends when the vehicle follows again"
 
 
 @pytest.mark.parametrize(("held_ms", "found"), [(249.9, False), (250, True)])
 def test_it_is_a_contact_after_a_quarter_of_a_second(held_ms: float, found: bool) -> None:
-    first = measured(remembered((0, 0.5)), at_ms(1000), -0.5)
-    last = measured(first, at_ms(1000 + held_ms), 0.1)
+    first = remembered((0, 0.5)).measured(at_ms(1000), -0.5)
+    last = first.measured(at_ms(1000 + held_ms), 0.1)
     assert last.since == at_ms(1000), "it began with the first"
     assert last.newest == (Impact(at_ms(1250), "velocity", held_m_s=0.4) if found else None)
-    assert commanded(last, at_ms(1300), 0.5).newest is last.newest
-    assert commanded(last, at_ms(1300), None) == HeldUp(newest=last.newest)
+    assert last.commanded(at_ms(1300), 0.5).newest is last.newest
+    assert last.commanded(at_ms(1300), None) == HeldUp(newest=last.newest)
 
 
 @pytest.mark.parametrize(

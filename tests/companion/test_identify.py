@@ -17,10 +17,10 @@ from msgspec import structs
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseState
 from companion.cli.main import main
-from companion.guidance.arbiter import BY_HAND
-from companion.guidance.response_course import Track, course_of
-from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.gains import tilt_model
+from companion.guidance.law.response_course import Track, course_of
+from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
+from companion.guidance.operator.arbiter import BY_HAND
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.mcap_file import Attachment
 from companion.recording.reading import SETTINGS, open_recording

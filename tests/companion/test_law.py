@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.margins import margins
-from companion.guidance.riccati import exponential, observer, regulator, riccati
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.follow_deck import FollowDeck
+from companion.guidance.law.gains import exponential, observer, regulator, riccati, tilt_model
+from companion.guidance.law.margins import margins
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Hover, Lean

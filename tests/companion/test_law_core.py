@@ -7,9 +7,9 @@ import pytest
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse
-from companion.guidance import law_records
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import FollowDeck
+from companion.guidance.law.follow_deck import FollowDeck
+from companion.guidance.law.records import law_params
 from companion.settings.load import shipped_response
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
@@ -56,9 +56,9 @@ def test_a_memory_of_plain_values_is_the_core_s() -> None:
 
 
 def test_the_law_keeps_as_many_commands_as_the_core_has_room_for() -> None:
-    law_records.law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX, looks_ahead=True, over_ground=False)
+    law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX, looks_ahead=True, over_ground=False)
     with pytest.raises(ValueError, match=f"the law keeps {UNDER_WAY_MAX}"):
-        law_records.law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX + 1, looks_ahead=True, over_ground=False)
+        law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX + 1, looks_ahead=True, over_ground=False)
 
 
 def test_a_deck_that_is_not_looked_at_stands_still() -> None:

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
-from companion.guidance.limits import (
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.mission.limits import (
     LEANS_MORE_M_S2,
     InputQuality,
     commit,
@@ -25,7 +26,6 @@ from companion.guidance.limits import (
     stop_m,
     to_contact_s,
 )
-from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
 from companion.settings.mission import ConeOptions, LandingLimits
 from companion.settings.response import ClimbResponse

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.guidance import disturbance
-from companion.guidance.margins import (
+from companion.guidance.law.gains import ObserverNoise, TiltWeights, observer_gains, tilt_gains, tilt_model
+from companion.guidance.law.margins import (
     MEDIAN_OF_AXIS,
     PERIOD_S,
     AxisDisturbances,
@@ -18,8 +18,6 @@ from companion.guidance.margins import (
     expected_error_m,
     margins,
 )
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
-from companion.guidance.tilt_model import tilt_model
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
@@ -93,7 +91,7 @@ def flown(
 ) -> F64:
     """Return place and speed of the pad against the body and the command, (cycles, 3), from rest; `answer` scales commands."""
     gains = tilt_gains(assumed, TiltWeights(), PERIOD_S)
-    seeing = disturbance.observer_gains(disturbance.ObserverNoise(), PERIOD_S)[1]
+    seeing = observer_gains(ObserverNoise(), PERIOD_S)[1]
     model, x = tilt_model(true, PERIOD_S), np.zeros(len(tilt_model(true, PERIOD_S).A))
     axis = begun(AxisMeasured(0.0, 0.0, 0.0, 0.0, 0.0), max(1, len(gains.under_way)))
     out = np.empty((cycles, 3))

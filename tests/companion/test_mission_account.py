@@ -10,13 +10,11 @@ from msgspec.structs import replace
 from companion.base.mission import FLOWN, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Knowledge
-from companion.guidance.heading import HeadingMemory
-from companion.guidance.limits import InputQuality
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, VesselPosition
-from companion.guidance.watch import account
+from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition
+from companion.guidance.mission.limits import InputQuality
+from companion.guidance.mission.progress import Attempt, HeadingMemory, Progress
+from companion.guidance.mission.watch import account
 from companion.settings.guidance import GuidanceOptions
 from tests.companion.mission_flights import estimate, guided, ns
 

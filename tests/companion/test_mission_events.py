@@ -10,14 +10,13 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.attempt import Attempt
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.held_course import OFF_M, ClimbWatch, HeldCourse
-from companion.guidance.mission import TABLES
-from companion.guidance.progress import Progress, entered
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.watch import account, events, fit_in
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.held_course import OFF_M, ClimbWatch, HeldCourse
+from companion.guidance.mission.machine import TABLES
+from companion.guidance.mission.progress import Attempt, Progress, entered
+from companion.guidance.mission.watch import account, events, fit_in
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import ClimbResponse
 from estimator.contracts.estimates import IntegrityAlert, Verdict

@@ -13,15 +13,14 @@ from msgspec.structs import replace
 from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.charge import DWELL_S, ChargeWatch, last_landing
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.landing import mission_step, ordered, reported
-from companion.guidance.limits import of_try
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, unfit
-from companion.guidance.steer import Aim, never_lower
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.steer import Aim, never_lower
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
 from estimator.contracts.commands import Hover, Land, Lean, Velocity

@@ -8,8 +8,8 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance import landing as module
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import Transitions, mission_step, ordered, reported
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
 from tests.companion.mission_flights import estimate, ns, status

@@ -9,9 +9,9 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.attempt import Attempt
-from companion.guidance.situation import VesselPosition
-from companion.guidance.watch import clear, near
+from companion.guidance.mission.cycle import VesselPosition
+from companion.guidance.mission.progress import Attempt
+from companion.guidance.mission.watch import clear, near
 from estimator.contracts.estimates import IntegrityAlert
 from tests.companion.mission_flights import guided, ns
 from tests.companion.test_mission_events import BLIND, NOW, OPTIONS, WHY, cycle, figures, happens, memory, of, seen

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 from companion.base.mission import ENDED, FLOWN, GROUND, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import mission_step
-from companion.guidance.out_of_reach import flown_by_others
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, VesselPosition
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition
+from companion.guidance.mission.out_of_reach import flown_by_others
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import IntegrityAlert

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.guidance.pid import Pid, SetPoint, fit_to_steer, pid_step
+from companion.guidance.law.pid import Pid, SetPoint, fit_to_steer, pid_step
 from companion.settings.guidance import GuidanceOptions, HeadingGains, HorizontalGains, PidOptions, VerticalGains
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import RelativeState

@@ -12,9 +12,9 @@ from msgspec import structs
 
 from companion.base.mission import FlightOutcome
 from companion.guidance.landing import mission_step
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.progress import Progress
 from companion.guidance.pilot import Pilot, PilotOptions
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model

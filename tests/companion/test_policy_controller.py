@@ -8,7 +8,7 @@ from msgspec import structs
 
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.policy_controller import PolicyController
+from companion.guidance.law.policy import PolicyController
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import SHIPPED, load, read_toml, response_model
 from companion.settings.response import response_from_mapping

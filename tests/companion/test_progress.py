@@ -8,9 +8,7 @@ import pytest
 
 from companion.base.mission import ENDED, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.attempt import Attempt
-from companion.guidance.heading import HeadingMemory
-from companion.guidance.progress import Progress, entered
+from companion.guidance.mission.progress import Attempt, HeadingMemory, Progress, entered
 from tests.companion.mission_flights import ns
 
 WHY = Reason(ReasonCause.OPERATOR)

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from companion.base.mission import State, StateChange
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance import rendezvous
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import mission_step, reported
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, VesselPosition
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission import rendezvous
+from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.commands import Velocity

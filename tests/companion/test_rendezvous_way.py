@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.rendezvous import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
-from companion.guidance.situation import VesselPosition
+from companion.guidance.mission.cycle import VesselPosition
+from companion.guidance.mission.rendezvous import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.geometry import F64
 from tests.companion.mission_flights import ns

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.gains import tilt_model
 from companion.settings.response import ClimbResponse, TiltResponse, response_from_mapping
 from estimator.contracts.errors import BadInput
 from estimator.contracts.motion import G_M_S2

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.response_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean, track
-from companion.guidance.response_fit import STEP_S, FlightCourse
+from companion.guidance.law.response_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean, track
+from companion.guidance.law.response_fit import STEP_S, FlightCourse
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.guidance.response_fit import (
+from companion.guidance.law.gains import tilt_model
+from companion.guidance.law.response_fit import (
     STEP_S,
     FlightCourse,
     TiltFit,
@@ -20,7 +21,6 @@ from companion.guidance.response_fit import (
     fit_climb,
     fit_tilt,
 )
-from companion.guidance.tilt_model import tilt_model
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64

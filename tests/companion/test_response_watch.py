@@ -15,11 +15,11 @@ from msgspec import structs
 from companion.base.mission import Event, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.margins import margins
-from companion.guidance.response_fit import TiltFit, fit_tilt
-from companion.guidance.response_watch import (
+from companion.guidance.law.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
+from companion.guidance.law.gains import TiltWeights, tilt_model
+from companion.guidance.law.margins import margins
+from companion.guidance.law.response_fit import TiltFit, fit_tilt
+from companion.guidance.law.response_watch import (
     CONTRADICTION_S,
     DELAY_MAX_S,
     ResponseIdentifier,
@@ -29,10 +29,9 @@ from companion.guidance.response_watch import (
     judged,
     landed,
     reported,
+    shaped,
 )
-from companion.guidance.retuning import shaped
-from companion.guidance.tilt_law import TiltWeights
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.make_pilot import make_pilot
 from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response

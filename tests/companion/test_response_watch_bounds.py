@@ -5,8 +5,8 @@ import pytest
 from msgspec import structs
 
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.response_fit import Fitted, TiltFit, fit_tilt
-from companion.guidance.response_watch import ResponseWatch, asked, begun, judged, landed, reported
+from companion.guidance.law.response_fit import Fitted, TiltFit, fit_tilt
+from companion.guidance.law.response_watch import ResponseWatch, asked, begun, judged, landed, reported
 from companion.settings.load import shipped_response
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.test_identify import flown

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from companion.base.observer import Decision
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.guidance.mission.cycle import fit_to_steer
 from companion.guidance.pilot import Pilot
-from companion.guidance.situation import fit_to_steer
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.mission import TryOptions

@@ -10,13 +10,13 @@ from msgspec.structs import replace
 from companion.base.mission import GROUND, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.limits import InputQuality
-from companion.guidance.mission import TABLES
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
-from companion.guidance.steer import Aim, aim, allowed, asks_to_descend, kept_up
-from companion.guidance.watch import account, events
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.limits import InputQuality
+from companion.guidance.mission.machine import TABLES
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.steer import Aim, aim, allowed, asks_to_descend, kept_up
+from companion.guidance.mission.watch import account, events
+from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert

@@ -5,10 +5,7 @@ import pytest
 from msgspec import structs
 from scipy.linalg import solve_discrete_are
 
-from companion.guidance import disturbance
-from companion.guidance.disturbance import SIGMAS_P_M, ObserverNoise
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.gains import SIGMAS_P_M, ObserverNoise, TiltWeights, chosen, observer_gains, tilt_gains, tilt_model
 from companion.settings.response import TiltResponse
 
 TILT = TiltResponse(0.05, 9.0, 0.7, lag_s=0.08)
@@ -18,16 +15,16 @@ DT = 0.02
 def test_the_gains_that_are_kept_reach_from_five_millimetres_to_sixteen_centimetres() -> None:
     assert SIGMAS_P_M == (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
     for n, sigma in enumerate(SIGMAS_P_M):
-        assert disturbance.chosen(SIGMAS_P_M, 0.9 * sigma) == sigma
-        assert disturbance.chosen(SIGMAS_P_M, 1.4 * sigma) == sigma
-        assert disturbance.chosen(SIGMAS_P_M, 1.41 * sigma) == SIGMAS_P_M[min(n + 1, 5)]
+        assert chosen(SIGMAS_P_M, 0.9 * sigma) == sigma
+        assert chosen(SIGMAS_P_M, 1.4 * sigma) == sigma
+        assert chosen(SIGMAS_P_M, 1.41 * sigma) == SIGMAS_P_M[min(n + 1, 5)]
     with pytest.raises(IndexError):
-        disturbance.chosen((1.0,), 1.0)
+        chosen((1.0,), 1.0)
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
 def test_the_observers_gains_solve_its_riccati_equation(accelerometer: bool) -> None:
-    table = disturbance.observer_gains(ObserverNoise(accelerometer=accelerometer), DT)
+    table = observer_gains(ObserverNoise(accelerometer=accelerometer), DT)
     A = np.array([[1.0, DT, -0.5 * DT**2, 0.0], [0.0, 1.0, -DT, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     C = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
     Q = np.diag([1e-8, 0.01 * DT, 2.0 * DT, 0.1 * DT])

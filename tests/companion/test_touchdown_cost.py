@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from companion.guidance.margins import margins
-from companion.guidance.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
+from companion.guidance.law.margins import margins
+from companion.guidance.law.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
 from companion.settings.load import shipped_response
 from companion.settings.mission import ConeOptions
 from companion.settings.response import Response, response_from_mapping

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance import rendezvous
-from companion.guidance.rendezvous import VesselTrack
-from companion.guidance.situation import VesselPosition
+from companion.guidance.mission import rendezvous
+from companion.guidance.mission.cycle import VesselPosition
+from companion.guidance.mission.rendezvous import VesselTrack
 from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.guidance.controller import Knowledge
-from companion.guidance.view import FieldOfView
-from companion.guidance.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
+from companion.guidance.controller import FieldOfView, Knowledge
+from companion.guidance.mission.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion

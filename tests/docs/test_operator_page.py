@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from companion.cli.fly import KEYS, MOTIONS, ORDERS
-from companion.guidance.precedence import markdown
+from companion.guidance.operator.precedence import markdown
 
 PAGE = (Path(__file__).parents[2] / "docs/operator.md").read_text()
 
 
 def test_the_page_holds_the_table_of_precedence() -> None:
     shown = PAGE.partition("<!-- precedence -->\n")[2].partition("<!-- /precedence -->")[0]
-    assert shown == markdown(), "copy what python -m companion.guidance.precedence prints"
+    assert shown == markdown(), "copy what python -m companion.guidance.operator.precedence prints"
 
 
 def test_the_page_names_every_order_and_key() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from companion.guidance.policy import STEP_S
+from companion.guidance.law.policy import STEP_S
 from estimator.contracts.errors import BadInput
 from sitl.gym import register
 from sitl.gym.environment import LandEnv, LandVectorEnv, weighted

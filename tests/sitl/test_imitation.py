@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.guidance.policy import ARRAYS, Policy, forward, normal, read_policy, shipped_policy
+from companion.guidance.law.policy import ARRAYS, Policy, forward, normal, read_policy, shipped_policy
 from companion.settings.load import load as settings
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome
 from companion.base.orders import StickPositions
-from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.settings.guidance import GuidanceOptions, PidOptions
 from companion.settings.load import SHIPPED
 from companion.settings.load import load as load_settings

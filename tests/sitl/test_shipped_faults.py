@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from companion.base.mission import FlightOutcome as Outcome
-from companion.guidance.precedence import ControlSituation
+from companion.guidance.operator.precedence import ControlSituation
 from companion.settings.load import load as load_settings
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure

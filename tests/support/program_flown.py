@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.orders import HandledOrder, OperatorOrder
-from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import OperatorArbiter
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.autopilot import Autopilot, open_autopilot

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.guidance.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import OperatorArbiter
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.guidance.response_fit import STEP_S, ClimbFit, Fitted, FlightCourse, TiltFit
+from companion.guidance.law.response_fit import STEP_S, ClimbFit, Fitted, FlightCourse, TiltFit
 from companion.tools.calibrate.assess import CELLS, coverage
 from companion.tools.calibrate.flown_courses import FlownCourses
 from companion.tools.calibrate.solve import Solution

@@ -9,9 +9,9 @@ import numpy as np
 
 from companion.base.mission import State
 from companion.base.observer import Decision
-from companion.guidance.arbiter import BY_HAND
-from companion.guidance.response_course import asked_descent, asked_lean, course_of, joined, reported_lean, track
-from companion.guidance.response_fit import FlightCourse
+from companion.guidance.law.response_course import asked_descent, asked_lean, course_of, joined, reported_lean, track
+from companion.guidance.law.response_fit import FlightCourse
+from companion.guidance.operator.arbiter import BY_HAND
 from companion.recording.reading import Recording
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.geometry import Rotation

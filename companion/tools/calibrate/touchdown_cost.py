@@ -8,10 +8,10 @@ wrong is a delay that differs from row to row. A focal length that is wrong by a
 that stays in the middle of the frame does not move aside by that, one beside it by the vehicle's tilt does.
 
 Of the vehicle's response: near the deck, at sea state 4, gusts, the deck and the filter's errors drive the loop of
-`companion.guidance.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by more,
-and the squares' difference is the cost, as for mount and delay. In the climb a commit is a step of the wanted rate at the gate.
-By a wrong climb the rate is another at the contact and differs more from flight to flight; and the thrust that tilting turns into
-a push aside is another, which is all that the climb does to the place.
+`companion.guidance.law.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by
+more, and the squares' difference is the cost, as for mount and delay. In the climb a commit is a step of the wanted rate at the
+gate. By a wrong climb the rate is another at the contact and differs more from flight to flight; and the thrust that tilting
+turns into a push aside is another, which is all that the climb does to the place.
 """
 
 import math
@@ -22,11 +22,9 @@ import numpy as np
 from msgspec import structs
 
 from companion.guidance.controller import HORIZONS_S
-from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
-from companion.guidance.law_records import law_gains, law_in_use, law_params
-from companion.guidance.margins import PERIOD_S, GaussMarkov, axis_error_m, pushed_axis, stationary
-from companion.guidance.riccati import exponential
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.law.gains import ObserverNoise, TiltWeights, chosen, exponential, observer_gains, tilt_gains
+from companion.guidance.law.margins import PERIOD_S, GaussMarkov, axis_error_m, pushed_axis, stationary
+from companion.guidance.law.records import law_gains, law_in_use, law_params
 from companion.settings.mission import ConeOptions
 from companion.settings.response import ClimbResponse, Response, TiltResponse
 from estimator.contracts.geometry import F64
@@ -82,7 +80,7 @@ def of_readout(seconds: float) -> TouchdownCost:
 # The loop of the climb over a heaving deck as one matrix: the law made for one response around a vehicle with another.
 #
 # The law's own cycle (`law_step` of the native core) is applied to each unit vector, as in
-# `companion.guidance.margins`. It goes down at a wanted rate, as in a commit. A drone that tilts against the wind is pushed
+# `companion.guidance.law.margins`. It goes down at a wanted rate, as in a commit. A drone that tilts against the wind is pushed
 # aside as its thrust changes; the horizontal axis of `margins` takes that push as a gust.
 
 LEAN_RAD = math.radians(8.5)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
-from companion.guidance.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
+from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
+from companion.guidance.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after

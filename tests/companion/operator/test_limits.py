@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.command_limits import (
+from companion.guidance.controller import Knowledge
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.operator.command_limits import (
     Limit,
     PlaceMemory,
     Unmeasured,
@@ -19,8 +21,6 @@ from companion.guidance.command_limits import (
     within,
     without_velocity,
 )
-from companion.guidance.controller import Knowledge
-from companion.guidance.make_pilot import make_pilot
 from companion.settings.limits import LimitOptions
 from companion.settings.load import load
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity

@@ -11,7 +11,7 @@ import pytest
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.base.orders import CENTRED, StickPositions
-from companion.guidance import contact
+from companion.guidance.mission import contact
 from companion.settings.load import response_model, shipped_response
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable

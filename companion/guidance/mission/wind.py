@@ -17,8 +17,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.guidance.controller import Knowledge
-from companion.guidance.view import FieldOfView
+from companion.guidance.controller import FieldOfView, Knowledge
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2

@@ -8,10 +8,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from companion.guidance.controller import Knowledge, Target
-from companion.guidance.disturbance import ObserverGains
-from companion.guidance.tilt_law import TiltGains
-from companion.guidance.view import FieldOfView
+from companion.guidance.controller import FieldOfView, Knowledge, Target
+from companion.guidance.law.gains import ObserverGains, TiltGains
 from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.motion import BodyMotion
 from estimator.core.abi import UNDER_WAY_MAX

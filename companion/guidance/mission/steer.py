@@ -6,13 +6,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, GROUND, State
-from companion.guidance import cone, contact, heading, limits, out_of_reach, rendezvous
-from companion.guidance.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.limits import sigma_m
-from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, fit_to_steer, unfit
-from companion.guidance.watch import off_deck
+from companion.guidance.mission import cone, contact, limits, out_of_reach, rendezvous
+from companion.guidance.mission.clearance import WAITING_SIGMAS, rise_beyond_climb_m
+from companion.guidance.mission.cycle import GuidanceCycle, fit_to_steer, unfit
+from companion.guidance.mission.limits import sigma_m
+from companion.guidance.mission.progress import Progress, heading_to_arrow_rad
+from companion.guidance.mission.watch import off_deck
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
@@ -232,7 +232,7 @@ def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relat
 def _yaw_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> float | None:
     """Return the heading against the arrow to turn to; None to keep the present one."""
     if o.tries.heading == "align":
-        return heading.wanted_rad(estimate)
+        return heading_to_arrow_rad(estimate)
     turns = o.tries.heading == "across" and s.wind is not None and s.wind.leans_far
     return estimate.yaw_rad + s.wind.across_rad if turns and s.wind is not None and estimate.yaw_rad is not None else None
 

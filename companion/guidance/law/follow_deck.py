@@ -16,16 +16,20 @@ from msgspec import Struct, field, structs
 from msgspec.structs import replace
 
 from companion.base.response_in_use import ResponseInUse, ResponseState
-from companion.guidance.controller import Knowledge, Target
-from companion.guidance.disturbance import SIGMAS_P_M, ObserverNoise, chosen, observer_gains
-from companion.guidance.law_records import law_course, law_cycle, law_gains, law_in_use, law_params
-from companion.guidance.pid import Pid
-from companion.guidance.pid_controller import PidController
-from companion.guidance.response_watch import DELAY_MAX_S
-from companion.guidance.retuning import shaped
-from companion.guidance.tilt_law import TiltGains, TiltWeights, tilt_gains
-from companion.guidance.tilt_model import tilt_model
-from companion.guidance.view import FieldOfView
+from companion.guidance.controller import FieldOfView, Knowledge, Target
+from companion.guidance.law.gains import (
+    SIGMAS_P_M,
+    ObserverNoise,
+    TiltGains,
+    TiltWeights,
+    chosen,
+    observer_gains,
+    tilt_gains,
+    tilt_model,
+)
+from companion.guidance.law.pid import Pid, PidController
+from companion.guidance.law.records import law_course, law_cycle, law_gains, law_in_use, law_params
+from companion.guidance.law.response_watch import DELAY_MAX_S, shaped
 from companion.settings.response import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
@@ -37,7 +41,7 @@ from estimator.core.library import CORE
 #
 # Softer gains let the place weigh a third and take the vehicle to answer 50 ms later than its file says: with the shipped
 # AR.Drone they stand 196 ms of further delay instead of 92, and err by 2.8 cm a side instead of 1.8
-# (`companion.guidance.margins`). A longer delay that is known takes gains of its own, with the place weighing less the longer
+# (`companion.guidance.law.margins`). A longer delay that is known takes gains of its own, with the place weighing less the longer
 # it is, so that the margin of 60 ms is kept. So do another frequency and damping, with what `retuning` lets the place weigh.
 
 _STIFF_M = 0.01

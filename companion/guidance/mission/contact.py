@@ -10,6 +10,14 @@ makes a contact while a healthy accelerometer is silent: blind on the deck a fil
 A jolt also moves the filter's speed, so a descent that seems to have ended is no second witness of it. Where the height still
 contradicts, at the contact or in a later sight, the drone presses on for the time that the rest of the way takes (`way_s`): it is
 at the deck then, jolt or not. And no deck was met for as long as the descent goes on (`descends`).
+
+A deck may also be met softly, so that something holds the vehicle up against every velocity that was commanded lately (`HeldUp`).
+A vehicle that tilts against the wind meets the deck with one foot. It turns about that foot, its middle is slowed down over some
+tenths of a second, and no step of the accelerometer shows it. A real PX4 stood on a deck like this for two seconds, with its
+thrust falling and its tilt growing. What it does then no flight does: it goes up faster than any of the newest commands requests,
+and goes on doing so. Commands are remembered for longer than a vehicle takes to answer them, and the least of them counts, so
+that neither a delay nor a step of the commands is a contact. It is for velocities over the ground, an autopilot's, and for the
+same ones to the deck (`to_deck`): a deck that falls faster and faster carries a vehicle down past the least one over the ground.
 """
 
 import math
@@ -17,9 +25,9 @@ import math
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.guidance import limits
 from companion.guidance.controller import Impact
-from companion.guidance.situation import GuidanceCycle
+from companion.guidance.mission import limits
+from companion.guidance.mission.cycle import GuidanceCycle
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
@@ -198,3 +206,54 @@ def _of_impact(felt: Impact | None, *, feels: bool) -> float:
 
 def _sigma_m(s: GuidanceCycle) -> float:
     return math.inf if s.estimate is None else math.sqrt(max(0.0, s.estimate.cov.item(2, 2)))
+
+
+ANSWERED_S = 0.7
+"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
+ANSWERS_S = 0.3
+"""Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
+_HELD_LEAST_M_S = 0.3
+"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
+HELD_S = 0.25
+"""Duration of the excess, s."""
+
+
+class HeldUp(Struct, frozen=True):
+    """Commands over the ground, or to the deck, and what contradicts them."""
+
+    commands: tuple[tuple[MonoNs, float], ...] = ()
+    """Commanded vertical speeds with their times, m/s down, oldest first."""
+    since: MonoNs | None = None
+    """Time since which the vehicle is held up."""
+    newest: Impact | None = None
+
+    def commanded(self, at: MonoNs, down_m_s: float | None) -> "HeldUp":
+        """Return the memory after a command; None, which is no vertical speed over the ground, forgets those before."""
+        if down_m_s is None:
+            return HeldUp(newest=self.newest)
+        kept = self.commands
+        # One that is older than the window stays: it was flown when the window began.
+        while len(kept) > 1 and seconds_between(kept[1][0], at) > ANSWERED_S:
+            kept = kept[1:]
+        return replace(self, commands=(*kept, (at, down_m_s)))
+
+    def to_deck(self, at: MonoNs, deck_down_m_s: float | None) -> float | None:
+        """Return the speed towards the deck that the vehicle is to fly now, m/s down: by the command that it answers now.
+
+        Args:
+            deck_down_m_s: the deck's velocity over the ground, m/s down; None if it is not known.
+        """
+        answered = [v for given, v in self.commands if seconds_between(given, at) >= ANSWERS_S]
+        return None if deck_down_m_s is None or not answered else answered[-1] - deck_down_m_s
+
+    def measured(self, at: MonoNs, down_m_s: float) -> "HeldUp":
+        """Return the memory after the vehicle's vertical speed, m/s down; `newest` is the newest contact."""
+        if not self.commands or seconds_between(self.commands[0][0], at) < ANSWERED_S:
+            return replace(self, since=None)
+        short_m_s = min(v for _, v in self.commands) - down_m_s
+        if short_m_s < _HELD_LEAST_M_S:
+            return replace(self, since=None)
+        since = at if self.since is None else self.since
+        if seconds_between(since, at) < HELD_S:
+            return replace(self, since=since)
+        return replace(self, since=since, newest=Impact(at, "velocity", held_m_s=short_m_s))

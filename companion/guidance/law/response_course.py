@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.guidance.response_fit import STEP_S, FlightCourse
+from companion.guidance.law.response_fit import STEP_S, FlightCourse
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

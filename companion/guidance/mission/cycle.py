@@ -8,8 +8,8 @@ from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.limits import InputQuality
-from companion.guidance.wind import WindOverDrone
+from companion.guidance.mission.limits import InputQuality
+from companion.guidance.mission.wind import WindOverDrone
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between

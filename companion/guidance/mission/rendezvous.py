@@ -20,7 +20,7 @@ from types import MappingProxyType
 import numpy as np
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.situation import VesselPosition
+from companion.guidance.mission.cycle import VesselPosition
 from companion.settings.rendezvous import RendezvousOptions, ReportLimits
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geodesy import ned_between

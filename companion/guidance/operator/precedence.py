@@ -1,6 +1,6 @@
 """The precedence of people's orders as a table: which order is accepted in which situation, and from whom.
 
-`python -m companion.guidance.precedence` prints the table of docs/operator.md.
+`python -m companion.guidance.operator.precedence` prints the table of docs/operator.md.
 """
 
 import sys

@@ -1,98 +1,23 @@
-"""The mission as one machine: the table that says for each of its states and events (`companion.base.mission`) what follows.
-
-Everything that decides on a state lives here. What computes is beside it: `watch` finds the events of a guidance cycle, `steer`
-says where to be in each state, `mission_step` puts them together. A state that waits for something also has a time, and when that
-is over it goes up: to a go-around, a hold or a refusal, never down.
-"""
+"""docs/mission.md, written from the table."""
 
 import ast
 import inspect
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
-from types import MappingProxyType
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.guidance.advice import advised_alerts, advised_causes
-from estimator.contracts.total_table import next_states, total
-
-Row = Mapping[Event, State]
-Table = Mapping[State, Row]
-
-_S, _E = State, Event
-
-_VEHICLE: Row = {_E.CUT: _S.EMERGENCY, _E.GROUNDED: _S.LANDED, _E.GROUNDED_BY_OTHERS: _S.LANDED_BY_OTHERS}
-_HELD: Row = {**_VEHICLE, _E.ABORT: _S.ABORTED}
-_FLIGHT: Row = {**_HELD, _E.PAUSE: _S.PAUSED}
-_LANDING: Row = {**_FLIGHT, _E.TAKEN: _S.TAKEN}
-_AROUND: Row = {_E.LIMIT: _S.GO_AROUND, _E.TIMEOUT: _S.GO_AROUND}
-_TRY: Row = {
-    **_LANDING, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.NO_CONDITIONS: _S.GO_AROUND, _E.SIGHT_LOST: _S.HOLD_BLIND,
-}  # fmt: skip
-_NEXT: Row = {_E.TAKEN_OFF: _S.READY}
-
-_CONE: Table = {
-    _S.STANDBY: {_E.BEGIN: _S.WAIT, _E.TAKEN_OFF: _S.READY, _E.ABORT: _S.ABORTED},
-    _S.WAIT: {_E.PAUSE: _S.STANDBY, _E.TAKEN_OFF: _S.SEARCH, _E.ABORT: _S.ABORTED},
-    _S.READY: {**_FLIGHT, _E.BEGIN: _S.SEARCH},
-    _S.PAUSED: {**_HELD, _E.BEGIN: _S.SEARCH},
-    _S.RENDEZVOUS: {
-        **_LANDING, _E.NO_CONDITIONS: _S.REFUSED, _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT, _E.ARRIVED: _S.SEARCH,
-    },
-    _S.SEARCH: {
-        **_LANDING, _E.NO_CONDITIONS: _S.REFUSED, _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT, _E.VESSEL_FAR: _S.RENDEZVOUS,
-    },
-    _S.INTERCEPT: {**_TRY, _E.IN_CONE: _S.DESCEND},
-    _S.DESCEND: {**_TRY, _E.OUT_OF_CONE: _S.INTERCEPT, _E.AT_GATE: _S.GATE},
-    _S.GATE: {**_TRY, _E.CONTACT: _S.PRESS, _E.OUT_OF_CONE: _S.DESCEND, _E.GATE_OPEN: _S.COMMIT},
-    # Half a second from the deck the drone goes up without sight, it does not wait; and nothing but a limit of its own ends it.
-    _S.COMMIT: {**_LANDING, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.SIGHT_LOST: _S.GO_AROUND, _E.CONTACT: _S.PRESS},
-    _S.PRESS: {**_LANDING, **_AROUND, _E.PRESSED: _S.DOWN},
-    _S.DOWN: {**_LANDING, **_AROUND},
-    _S.HOLD_BLIND: {
-        **_LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.GO_AROUND, _E.LIMIT: _S.GO_AROUND,
-        _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT,
-    },
-    _S.GO_AROUND: {
-        **_LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.REFUSED, _E.HOPELESS: _S.GAVE_UP,
-        _E.TIMEOUT: _S.GAVE_UP, _E.CLEAR: _S.INTERCEPT,
-    },
-    _S.ANOTHER_PAD: {**_LANDING, _E.BEGIN: _S.SEARCH, _E.TIMEOUT: _S.GAVE_UP},
-    _S.LANDED: _NEXT,
-    _S.LANDED_BY_OTHERS: _NEXT,
-    _S.REFUSED: {**_NEXT, _E.BEGIN: _S.SEARCH, _E.BATTERY_ENDS: _S.SEARCH},
-    _S.GAVE_UP: {**_NEXT, _E.BEGIN: _S.SEARCH, _E.BATTERY_ENDS: _S.SEARCH},
-    _S.ABORTED: _NEXT,
-    _S.TAKEN: {**_NEXT, _E.BEGIN: _S.SEARCH},
-    _S.EMERGENCY: _NEXT,
-}  # fmt: skip
-
-
-def _without_contact(state: State) -> Row:
-    return {event: target for event, target in _CONE[state].items() if event is not _E.CONTACT}
-
-
-# The thesis' way ends at a height from which the vehicle lands by itself, still in the air.
-_THESIS: Table = {
-    **_CONE,
-    _S.GATE: {**_without_contact(_S.GATE), _E.GATE_OPEN: _S.DOWN},
-    _S.HOLD_BLIND: _without_contact(_S.HOLD_BLIND),
-    _S.DOWN: {**_CONE[_S.DOWN], _E.OTHER_PAD: _S.ANOTHER_PAD},
-    _S.GO_AROUND: _without_contact(_S.GO_AROUND),
-}
-
-
-TABLES: Mapping[str, Table] = MappingProxyType({"cone": total(_CONE, Event), "thesis": total(_THESIS, Event)})
-"""The tables by `guidance.mission`."""
-
+from companion.guidance.mission.machine import LANDING, TABLES, Table
+from estimator.contracts.total_table import next_states
 
 _HEAD = """# The mission
 
 <!-- Made by `decklander config mission`; a test compares. -->
 
-One machine flies the landing (`companion/guidance/mission.py`). In each guidance cycle it takes the first event of their list
+One machine flies the landing (`companion/guidance/mission/`). In each guidance cycle it takes the first event of their list
 that leads to another state. Each change carries a cause, the measured number and its limit, for log, MQTT, STATUSTEXT, metrics,
 recording and report.
 
@@ -170,11 +95,11 @@ def _rows(name: str, usual: Table) -> Iterator[str]:
     yield from ("| state | next state: events |", "|---|---|")
     if name == "cone":
         yield (
-            "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in _LANDING.items()) + " |"
+            "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in LANDING.items()) + " |"
         )
     for state in State:
         row = TABLES[name][state]
-        shared = _LANDING if _LANDING.items() <= row.items() else {}
+        shared = LANDING if LANDING.items() <= row.items() else {}
         named = {event: target for event, target in row.items() if event not in shared}
         if cells := [f"**{to.value}**: {', '.join(e.value for e in by)}" for to, by in next_states(named, usual[state])]:
             yield f"| {state.value} | {'; '.join(cells)} |"

@@ -8,17 +8,16 @@ from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, Event, State
 from companion.base.reason import CONDITIONS, Reason, ReasonCause
-from companion.guidance import cone, contact, heading, limits, out_of_reach, rendezvous
-from companion.guidance.attempt import Attempt
-from companion.guidance.charge import ends
-from companion.guidance.clearance import SWELL_MEAN_S
 from companion.guidance.controller import Impact
-from companion.guidance.held_course import LASTS_S, HeldCourse
-from companion.guidance.held_up import HELD_S
-from companion.guidance.out_of_reach import NEAR_SAFE_M
-from companion.guidance.progress import Progress
-from companion.guidance.response_watch import DELAY_MAX_S
-from companion.guidance.situation import GuidanceCycle, of_frames, unfit
+from companion.guidance.law.response_watch import DELAY_MAX_S
+from companion.guidance.mission import cone, contact, limits, out_of_reach, rendezvous
+from companion.guidance.mission.clearance import SWELL_MEAN_S
+from companion.guidance.mission.contact import HELD_S
+from companion.guidance.mission.cycle import GuidanceCycle, of_frames, unfit
+from companion.guidance.mission.held_course import LASTS_S, HeldCourse
+from companion.guidance.mission.limits import ends
+from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
+from companion.guidance.mission.progress import Attempt, Progress, follow_arrow
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.time import after, seconds_between
@@ -128,7 +127,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         low = estimate.height_m <= limits.no_return_m(s.knowledge, o.cone)
         p = replace(p, no_return_until=after(s.at, o.cone.no_return_s) if low else None)
     p = replace(p, course=_course(p, s, estimate))
-    turning, turned = heading.watch(p.heading, estimate)
+    turning, turned = follow_arrow(p.heading, estimate)
     return _judged(
         replace(
             p, attempt=attempt, landing_began=s.at if p.landing_began is None else p.landing_began,

@@ -7,31 +7,65 @@ nothing. A fit whose model is not the vehicle's counts for nothing, nor one whos
 stays. Two fits in a row that are sure of a longer delay than can be flown with are no response but a fault (`late_s`): the loop
 swings about the pad and never comes to the gate.
 
-Frequency and damping are of the same fits. Where two in a row are sure of other ones than are flown by, gains for these take over
-(`retuning`).
+Frequency and damping are of the same fits. Where two in a row are sure of other ones than are flown by, gains for these take
+over: as stiff as the margins allow for all that the flight leaves possible (`shape_of`).
 
 No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
 own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
 fit errs that way.
 """
 
+import dataclasses
 import math
-from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct, structs
 
 from companion.base.mission import GROUND, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState, TiltShape
-from companion.guidance import response_watch
-from companion.guidance.response_course import Track, asked_lean, course_of
-from companion.guidance.response_fit import FlightCourse, TiltFit, fit_tilt
-from companion.guidance.retuning import shape_of, shaped
+from companion.guidance.law.margins import keeps_margins
+from companion.guidance.law.response_course import Track, asked_lean, course_of
+from companion.guidance.law.response_fit import FlightCourse, TiltFit, fit_tilt
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.response import TiltResponse
+from companion.settings.response import TiltResponse, within
 from estimator.contracts.commands import Command
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+
+_SOFTER = (1.0, 1.25, 1.6, 2.0, 2.6, 10.0 / 3.0)
+"""Factors by which the place may weigh less; the last one is that of a response which is only assumed."""
+_FREQUENCY_STEP, _DAMPING_STEP = 0.05, 0.1
+"""Steps in which shapes are distinguished, as natural logarithms."""
+
+
+def shaped(given: TiltResponse, frequency: float, damping: float) -> TiltResponse:
+    """Return the response of a file with another frequency and damping, by factors."""
+    w, z = within(given.frequency_rad_s * frequency, given.damping * damping)
+    return structs.replace(given, frequency_rad_s=w, damping=z)
+
+
+def shape_of(given: TiltResponse, found: F64, cov: F64) -> TiltShape:
+    """Return the shape to fly by.
+
+    Args:
+        given: the response of the vehicle's file.
+        found: logarithms of the factors of frequency and damping, (2,).
+        cov: covariance of these, (2, 2).
+    """
+    steps = np.array([_FREQUENCY_STEP, _DAMPING_STEP])
+    frequency, damping = np.exp(steps * np.round(found / steps)).tolist()
+    shape = TiltShape(frequency, damping, sigma=max(0.01, round(math.sqrt(float(cov[0, 0])), 2)))
+    return shape._replace(softer=_softer(given, shape))
+
+
+@lru_cache(maxsize=256)
+def _softer(given: TiltResponse, shape: TiltShape) -> float:
+    """Return the least factor that keeps the margins with the vehicle as it was found and as slow as gains assume it."""
+    assumed = shaped(given, shape.slow, shape.damping)
+    believed = assumed, shaped(given, min(1.0, shape.frequency), shape.damping)
+    return next((one for one in _SOFTER[:-1] if keeps_margins(assumed, believed, one)), _SOFTER[-1])
+
 
 CONTRADICTION_S = 0.04
 """A difference of the delay up to this is ignored, s: the margins tolerate it."""
@@ -201,7 +235,8 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
     if sigma > known_s:
         return in_use
     if off <= CONTRADICTION_S:
-        return replace(in_use, state=ResponseState.KNOWN, sigma_s=sigma) if in_use.state is ResponseState.ASSUMED else in_use
+        assumed = in_use.state is ResponseState.ASSUMED
+        return dataclasses.replace(in_use, state=ResponseState.KNOWN, sigma_s=sigma) if assumed else in_use
     if off <= 3.0 * sigma:
         return in_use
     if abs(delay_s - given.delay_s) <= CONTRADICTION_S:
@@ -254,7 +289,7 @@ class ResponseIdentifier:
     """
 
     def __init__(self, given: TiltResponse, guidance: GuidanceOptions) -> None:
-        self._watch = response_watch.begun(given, guidance.follow_deck.delay_known_s)
+        self._watch = begun(given, guidance.follow_deck.delay_known_s)
         known = self._watch.in_use.state is ResponseState.KNOWN
         # That the file holds is nothing to tell; that the gains are softer is.
         self._told = self._watch.in_use if known else None
@@ -272,7 +307,7 @@ class ResponseIdentifier:
         if not self._on:
             return None
         shape, of = self._watch.shape, self._watch.in_use
-        return of if shape is AS_FILED else replace(of, shape=shape)
+        return of if shape is AS_FILED else dataclasses.replace(of, shape=shape)
 
     @property
     def late_s(self) -> float | None:
@@ -282,18 +317,18 @@ class ResponseIdentifier:
     def on_attitude(self, stamp: Stamp, lean_m_s2: tuple[float, float]) -> None:
         """Take a reported tilt, as an acceleration forward and right."""
         if self._on:
-            self._watch = response_watch.reported(self._watch, stamp, lean_m_s2)
+            self._watch = reported(self._watch, stamp, lean_m_s2)
 
     def begin(self) -> None:
         """Begin another flight, or landing, with what is known."""
-        self._watch = response_watch.landed(self._watch)
+        self._watch = landed(self._watch)
 
     def on_command(self, now: MonoNs, command: Command | None, state: State) -> ResponseInUse | None:
         """Take the command of a cycle; return the response in use when it differs from the last reported one, else None."""
         if not self._on:
             return None
         on_deck = state in _ON_DECK
-        self._watch = response_watch.asked(self._watch, now, None if on_deck else command, self._known_s)
+        self._watch = asked(self._watch, now, None if on_deck else command, self._known_s)
         if on_deck or self.in_use == self._told:
             return None
         self._told = self.in_use

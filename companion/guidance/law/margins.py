@@ -15,10 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.guidance.disturbance import ObserverNoise, chosen, observer_gains
-from companion.guidance.law_records import law_gains, law_in_use, law_params
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
-from companion.guidance.tilt_model import tilt_model
+from companion.guidance.law.gains import ObserverNoise, TiltWeights, chosen, observer_gains, tilt_gains, tilt_model
+from companion.guidance.law.records import law_gains, law_in_use, law_params
 from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE

@@ -1,0 +1,251 @@
+"""Gains of the deck-following law, solved once for a vehicle: its tilt as a discrete model, a regulator and an observer.
+
+The regulator's state on one axis is [p, w, a, a', f, u1 .. un]: place and speed of the pad against the body, tilt and its rate
+less the tilt that holds the body over the deck (the reference), the rotors' lag, and the commands that have not reached the
+vehicle. With the commands under way in the state the regulator is a Smith predictor: it acts on where the vehicle will be when
+its command arrives.
+
+The observer of one axis finds what else accelerates the body:
+    p' = w,   w' = a_deck - a_lean - d,   d' = noise,   b' = noise
+p, w: the pad against the body (the filter's, with errors of their own); a_lean: the reported tilt as an acceleration; d: wind,
+drag and the error of the reported tilt; b: the error of the levelled accelerometer. p, w and the acceleration a_lean + d + b are
+measured. The accelerometer feels a gust at once; place and speed show it a second later. That the disturbance is the measured
+acceleration less the one that was requested is the idea of incremental control; here it passes a Kalman filter.
+
+Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, sec. 2.4; Smith, A controller to overcome dead time,
+ISA J. 6(2), 1959; Mirkin & Raskin, Every stabilizing dead-time controller has an observer-predictor-based structure, Automatica
+39(10), 2003; Smeur, de Croon & Chu, Gust disturbance alleviation with incremental nonlinear dynamic inversion, IROS 2016,
+sec. III.
+"""
+
+import math
+from bisect import bisect_left
+from functools import lru_cache
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import structs
+
+from companion.settings.response import TiltResponse
+from estimator.contracts.geometry import F64
+
+
+def exponential(A: F64) -> F64:
+    """Return the matrix exponential by scaling, a Taylor series of order 12 and squaring; A is (n, n)."""
+    size = float(np.abs(A).sum(axis=1).max())
+    halvings = max(0, math.ceil(math.log2(size / 0.25))) if size > 0.25 else 0
+    X = A / 2.0**halvings
+    out = term = np.eye(A.shape[0])
+    for k in range(1, 13):
+        term = term.dot(X) / k
+        out = out + term
+    for _ in range(halvings):
+        out = out.dot(out)
+    return np.asarray(out)
+
+
+def riccati(A: F64, B: F64, Q: F64, R: F64) -> F64:
+    """Return the stabilising solution X of X = A' X A - A' X B (R + B' X B)^-1 B' X A + Q, (n, n).
+
+    Args:
+        A: (n, n), B: (n, m), Q: (n, n) positive semidefinite, R: (m, m) positive definite.
+
+    Raises:
+        ValueError: it does not converge: the model cannot be stabilised through B.
+
+    Source: Anderson, Second-order convergent algorithms for the steady-state Riccati equation, Int. J. Control 28(2), 1978.
+    """
+    n = A.shape[0]
+    unit = np.eye(n)
+    step, G, H = A, B.dot(np.linalg.solve(R, B.T)), Q
+    for _ in range(60):
+        W = unit + G.dot(H)
+        forward = np.linalg.solve(W, step)
+        G = G + step.dot(np.linalg.solve(W, G)).dot(step.T)
+        more = step.T.dot(H).dot(forward)
+        H, step = H + more, step.dot(forward)
+        if not float(np.abs(H).max()) < 1e100:
+            break
+        if float(np.abs(more).max()) <= 1e-12 * float(np.abs(H).max()):
+            return np.asarray(0.5 * (H + H.T))
+    raise ValueError("the Riccati equation does not converge: the model cannot be stabilised")
+
+
+def regulator(A: F64, B: F64, Q: F64, R: F64) -> F64:
+    """Return the gain K of u = -K x that minimises the sum of x' Q x + u' R u, (m, n).
+
+    Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, sec. 2.4.
+    """
+    X = riccati(A, B, Q, R)
+    return np.asarray(np.linalg.solve(R + B.T.dot(X).dot(B), B.T.dot(X).dot(A)))
+
+
+def observer(A: F64, C: F64, Q: F64, R: F64) -> F64:
+    """Return the steady gain L of the filter x <- x + L (z - C x) after a prediction by A, (n, m).
+
+    Source: Anderson & Moore, Optimal Filtering, 1979, sec. 4.4 (the dual of `regulator`).
+    """
+    X = riccati(A.T, C.T, Q, R)
+    return np.asarray(np.linalg.solve(C.dot(X).dot(C.T) + R, C.dot(X)).T)
+
+
+class TiltModel(msgspec.Struct, frozen=True):
+    """The tilt's course in steps of one guidance period, with the pad's place and speed against the body.
+
+    x = [p, p', a, a', f, u(k-1) .. u(k-n)], x(k+1) = A x(k) + B u(k); without a lag f is left out.
+    """
+
+    A: F64
+    B: F64
+    delays: int
+    """Number of commands under way, n."""
+    states: int
+    """Number of states before them: 4 or 5."""
+
+
+def tilt_model(tilt: TiltResponse, period_s: float) -> TiltModel:
+    """Return the exact discrete model of a response whose commands are held for a period each; the delay may be any.
+
+    Source: Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., sec. 3.2 (delay that is no multiple of the period).
+    """
+    w, z = tilt.frequency_rad_s, tilt.damping
+    m = 5 if tilt.lag_s > 1e-4 else 4
+    A = np.zeros((m, m))
+    A[0, 1], A[1, 2], A[2, 3] = 1.0, -1.0, 1.0
+    A[3, 2], A[3, 3] = -w * w, -2.0 * z * w
+    b = np.zeros(m)
+    if m == 5:
+        A[3, 4], A[4, 4], b[4] = w * w, -1.0 / tilt.lag_s, 1.0 / tilt.lag_s
+    else:
+        b[3] = w * w
+    n = max(1, math.ceil(tilt.delay_s / period_s - 1e-9))
+    part = tilt.delay_s / period_s - (n - 1)
+    whole, _ = _held(A, b, period_s)
+    after, b_new = _held(A, b, (1.0 - part) * period_s)
+    b_old = after.dot(_held(A, b, part * period_s)[1])
+    size = m + n
+    out, drive = np.zeros((size, size)), np.zeros(size)
+    out[:m, :m] = whole
+    out[:m, m + n - 1] += b_old
+    if n == 1:
+        drive[:m] = b_new
+    else:
+        out[:m, m + n - 2] += b_new
+    drive[m] = 1.0
+    for k in range(1, n):
+        out[m + k, m + k - 1] = 1.0
+    return TiltModel(out, drive, n, m)
+
+
+def _held(A: F64, b: F64, dt: float) -> tuple[F64, F64]:
+    """Return the transition over `dt` and the effect of an input that is held for it."""
+    m = b.size
+    block = np.zeros((m + 1, m + 1))
+    block[:m, :m], block[:m, m] = A * dt, b * dt
+    e = exponential(block)
+    return e[:m, :m], e[:m, m]
+
+
+class TiltWeights(NamedTuple):
+    """The regulator's weights: amounts of each quantity that cost the same."""
+
+    p_m: float = 0.006
+    w_m_s: float = 4.1
+    u_m_s2: float = 0.3
+    lean_m: float = 0.01
+    """Place that a lean of 1 m/s^2 beyond the one that holds counts as, m.
+
+    A vehicle that leans touches with the lower feet, and levels over them away from where it leaned: by 0.01 m where they are
+    0.1 m below it. It damps as well.
+    """
+
+
+class TiltGains(NamedTuple):
+    """u = reference - (p x p + w x w + a x (a - reference) + ...)."""
+
+    p: float
+    w: float
+    a: float
+    rate: float
+    lag: float
+    under_way: tuple[float, ...]
+    """Gains of the commands under way, newest first."""
+
+
+@lru_cache(maxsize=256)
+def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *, delay_line: bool = True) -> TiltGains:
+    """Return the gains for a vehicle, solved once in a process: a campaign flies the same vehicle again and again.
+
+    Args:
+        delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.
+
+    Raises:
+        ValueError: there are no gains that stabilise such a vehicle.
+    """
+    model = tilt_model(response if delay_line else structs.replace(response, delay_s=0.0), period_s)
+    n, m = model.A.shape[0], model.states
+    stands, Q = np.zeros(n), np.zeros((n, n))
+    stands[0], stands[2] = 1.0, weights.lean_m
+    Q[1, 1] = weights.w_m_s**-2
+    Q += np.outer(stands, stands) * weights.p_m**-2
+    K = regulator(model.A, model.B[:, None], Q, np.array([[weights.u_m_s2**-2]]))[0].tolist()
+    lag = K[4] if m == 5 else 0.0
+    return TiltGains(K[0], K[1], K[2], K[3], lag, tuple(K[m:]))
+
+
+SIGMAS_P_M = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
+"""Standard deviations of the place for which gains are kept, m."""
+
+
+_UP_TO_M = tuple(1.4 * sigma for sigma in SIGMAS_P_M)
+_Kept = TypeVar("_Kept")
+
+
+class ObserverNoise(NamedTuple):
+    """The noise that the observer is solved for."""
+
+    sigma_w_m_s: float = 0.08
+    """The filter's speed of the pad against the body. Its errors are 0.01 to 0.02 m/s and last for a second, so a cycle's reading
+    counts for less than if they were new every time."""
+    sigma_a_m_s2: float = 0.06
+    psd_d: float = 2.0
+    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
+    with so much more the accelerometer is trusted within some cycles, as far as the stability margins allow (`benches.law`)."""
+    psd_b: float = 0.1
+    """Growth of the variance of the accelerometer's error.
+
+    A contradiction to place and speed becomes its error within half a second.
+    """
+    psd_w: float = 0.01
+    """Growth of the variance of the speed: the deck's own acceleration is known that badly."""
+    accelerometer: bool = True
+    """True if the accelerometer is used."""
+
+
+class ObserverGains(NamedTuple):
+    """Steady gains: rows p, w, d, b; columns place, speed, acceleration."""
+
+    rows: tuple[tuple[float, float, float], ...]
+
+
+@lru_cache(maxsize=16)
+def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains, ...]:
+    """Return the steady gains for each of `SIGMAS_P_M`."""
+    T = period_s
+    A = np.eye(4)
+    A[0, 1], A[0, 2], A[1, 2] = T, -0.5 * T * T, -T
+    Q = np.diag([1e-8, noise.psd_w * T, noise.psd_d * T, noise.psd_b * T])
+    C = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+    out = []
+    for sigma in SIGMAS_P_M:
+        # An error of the filter lasts for some ten cycles: R counts it as if it were new in each.
+        R = np.diag([10.0 * sigma**2, 10.0 * noise.sigma_w_m_s**2, noise.sigma_a_m_s2**2 if noise.accelerometer else 1e6])
+        L = observer(A, C, Q, R)
+        out.append(ObserverGains(tuple((float(a), float(b), float(c)) for a, b, c in L)))
+    return tuple(out)
+
+
+def chosen(table: tuple[_Kept, ...], sigma_p_m: float) -> _Kept:
+    """Return what is kept for a standard deviation of the place; the table has one entry for each of `SIGMAS_P_M`."""
+    return table[min(bisect_left(_UP_TO_M, sigma_p_m), len(_UP_TO_M) - 1)]
