@@ -174,4 +174,3 @@ pins:
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in
 	$(PIN) -o requirements/compiler.txt requirements/compiler.in
-	$(PIN) --constraint requirements/runtime.txt -o requirements/benches.txt requirements/benches.in

@@ -6,23 +6,18 @@ often the true distances lie within "Distances are right to" (95 % is claimed), 
 """
 
 import argparse
-import sys
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from companion.tools.calibrate.assess import assess  # noqa: E402
-from companion.tools.calibrate.board import Board  # noqa: E402
-from companion.tools.calibrate.solve import Solution, distance_errors, solve  # noqa: E402
-from companion.tools.calibrate.views import BoardView, Collection  # noqa: E402
-from estimator.contracts.errors import BadInput  # noqa: E402
-from estimator.contracts.geometry import F64, Rotation  # noqa: E402
-from estimator.vision.camera import Camera  # noqa: E402
-from tests.support.calibration_images import Studio, lens  # noqa: E402
+from companion.tools.calibrate.assess import assess
+from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.solve import Solution, distance_errors, solve
+from companion.tools.calibrate.views import BoardView, Collection
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from tests.support.calibration_images import Studio, lens
 
 BENT = (-0.14, 0.07, 0.0009, -0.0006, 0.0)
 BOARD = Board()

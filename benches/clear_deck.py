@@ -12,46 +12,36 @@ deck with waves about it. `--scenarios` comes down on the ships of scenarios.
 
 import argparse
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benches.photographs import FOLDER, read_labels  # noqa: E402
-from benches.tracked import SIGMA_YAW_RAD  # noqa: E402
-from estimator.contracts.estimates import RelativeState  # noqa: E402
-from estimator.contracts.geometry import Rotation, wrap_pi  # noqa: E402
-from estimator.contracts.samples import Attitude, Frame  # noqa: E402
-from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.clear_deck import DeckMemory, checked_deck  # noqa: E402
-from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
-from estimator.vision.detection import PadCheck  # noqa: E402
-from estimator.vision.options import TrackerOptions  # noqa: E402
-from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.register.registration import register  # noqa: E402
-from estimator.vision.srgb import LUMA, linear_light  # noqa: E402
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.camera.camera import Exposure, Renderer  # noqa: E402
-from sitl.camera.light import Mast, Sensor  # noqa: E402
-from sitl.camera.picture_effects import PictureEffects  # noqa: E402
-from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings  # noqa: E402
-from sitl.faults.kinds import Bystander  # noqa: E402
-from sitl.scenario.scenario import Scenario, camera_model, pad_model  # noqa: E402
-from sitl.scenario.scenario import load as load_scenario  # noqa: E402
-from sitl.sea.sea import SEA_STATES, Waves  # noqa: E402
-from sitl.vessel.vessel import Vessel  # noqa: E402
-from sitl.world.stage import renderer as renderer_of  # noqa: E402
-from sitl.world.stage import sea_and_vessel  # noqa: E402
-from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light  # noqa: E402
+from benches.search import SIGMA_YAW_RAD
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.detection import PadCheck
+from estimator.vision.options import TrackerOptions
+from estimator.vision.srgb import LUMA, linear_light
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Mast, Sensor
+from sitl.camera.picture_effects import PictureEffects
+from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings
+from sitl.faults.kinds import Bystander
+from sitl.scenario.scenario import Scenario, camera_model, pad_model
+from sitl.scenario.scenario import load as load_scenario
+from sitl.sea.sea import SEA_STATES, Waves
+from sitl.vessel.vessel import Vessel
+from sitl.world.stage import renderer as renderer_of
+from sitl.world.stage import sea_and_vessel
+from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light
 
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
 BODIES = ("crate", "stands", "walks", "bird", "drone")
@@ -240,42 +230,18 @@ def with_bodies(runs: range, tracker: TrackerConfig) -> None:
         print(f"{kind}: {sum(each)} of {len(each)} seen", flush=True)
 
 
-def photographs() -> None:
-    """Print in which photographs of the real pad something is seen, each read as often as a standing camera would read it."""
-    camera, pad, wrong = load_camera("photos"), load_pad("printed"), 0
-    labels = read_labels()
-    for name, of in labels.items():
-        pyramid = Pyramid(np.asarray(cv2.imread(str(FOLDER / "images" / name)), np.uint8))
-        found = register(pyramid[0], camera, pad, PadPose(Rotation.from_rotvec(of.start[3:]), of.start[:3]), pyramid=pyramid)
-        if found is None:
-            print(f"  {name}: not registered")
-            continue
-        memory: DeckMemory | None = None
-        for k in range(8):
-            at = MonoNs(1_000_000_000 + 250_000_000 * k)
-            memory = checked_deck(memory, FrameView(pyramid, camera, pad), found.pose, at, found.blur_px, 0.002)
-        if memory is None or memory.check.thing is not None or memory.check.glare:
-            wrong += memory is not None
-            print(f"  {name}: {found.pose.range_m:.1f} m, {'not read' if memory is None else memory.check}", flush=True)
-    print(f"photographs: {wrong} of {len(labels)} with something seen", flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
     parser.add_argument("--clear", type=int, default=60, help="approaches without one")
     parser.add_argument("--bodies", type=int, default=0, help="approaches with a body about the pad")
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
-    parser.add_argument("--photos", action="store_true", help="read the photographs of the real pad instead, which are clear")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
     parser.add_argument("--scenarios", help="clear approaches over the ships of these scenarios, with commas")
     parser.add_argument("--light", choices=LIGHTS, help="fly in this light alone")
     args = parser.parse_args()
     lights = LIGHTS if args.light is None else (args.light,)
     cv2.setNumThreads(1)
-    if args.photos:
-        photographs()
-        return
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
     clear = range(args.first, args.first + args.clear)
     if args.scenarios:

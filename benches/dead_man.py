@@ -1,6 +1,6 @@
 """Kill the daemon in flight, at each of ten phases, and see what the drone does and whether a new daemon lands it.
 
-python -m benches.dead_man --seeds 1 [--how kill|stop] [--phase NAME ...] [--jobs 1]
+python -m benches.dead_man --seeds 1 [--how kill|stop] [--phase NAME ...]
 
 Everything is a process of its own: the simulated drone over the demo's sea, the daemon, and the sender that the daemon starts.
 The AT commands pass through this program, which so sees what is on the wire and when; it follows the drone's truth as it flies.
@@ -12,24 +12,33 @@ instead.
 
 import argparse
 import asyncio
+import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from benches.processes import Daemon, Truth, Wire, drone
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import live, make_daemon
 from companion.settings.load import load
+from drivers.ardrone import at
 
+_LOOK_S = 0.005
+_KEPT = ("at_ns", "phase", "d_body_pad_level_m", "p_body_ned_m", "contacts")
+"""Fields of a truth record that are kept."""
 ALONE_S = 3.0
 """Time for which the drone is watched before a new daemon is started, seconds."""
 LAND_S = 90.0
@@ -121,6 +130,155 @@ CASES = (
     Case("gave up", ("gave up",), after_s=0.3, place=HIGH, covered_below_m=2.7, give_up_s=3.0),
     Case("after landing", ("landed",), after_s=0.5),
 )
+
+
+@dataclass
+class Wire:
+    """Forwards AT datagrams to the drone and records the times of its move and hover commands."""
+
+    port: int
+    told: list[tuple[float, bool]] = field(default_factory=list)
+    ended: bool = False
+
+    def __post_init__(self) -> None:
+        self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._in.bind(("127.0.0.1", 0))
+        self._in.settimeout(0.2)
+        self.own_port = self._in.getsockname()[1]
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        with self._in, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            while not self.ended:
+                try:
+                    data = self._in.recv(2048)
+                except TimeoutError:
+                    continue
+                now = time.monotonic()
+                out.sendto(data, ("127.0.0.1", self.port))
+                sticks = [c[1] for c in at.decode(data) if isinstance(c, tuple) and isinstance(c[1], at.Pcmd)]
+                if sticks:
+                    self.told.append((now, bool(sticks[-1].flags) and sticks[-1].gaz < 1.0))
+
+    def hover_after(self, instant: float) -> float:
+        """Return the seconds from an instant until only hover commands were sent, within the next second; 0 if none moved it."""
+        moving = [t for t, moves in self.told if moves and instant <= t < instant + 1.0]
+        if not moving:
+            return 0.0
+        return next((t - instant for t, moves in self.told if t > moving[-1] and not moves), math.inf)
+
+
+@contextmanager
+def drone(scenario: Path | str, seed: int = 0, truth: Path | None = None) -> Iterator[dict[str, int]]:
+    """Run a simulated drone in its own process while the body runs; yield its ports."""
+    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
+    log = [] if truth is None else [f"--truth={truth}"]
+    words = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(scenario), f"--seed={seed}", *log, *ports]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            yield json.loads(child.stdout.readline())["ports"]
+        finally:
+            child.stdin.close()
+            child.wait(20)
+
+
+class Truth:
+    """Follows the truth log of a simulated drone that flies, and how punctual this process is meanwhile."""
+
+    def __init__(self, path: Path) -> None:
+        self.records: list[dict[str, Any]] = []
+        self.late: list[tuple[float, float]] = []
+        """Times at which this thread woke up more than 50 ms late, and by how many seconds."""
+        self.ended = False
+        self._path = path
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def phase(self) -> str:
+        """The drone's phase; empty before the first record."""
+        return str(self.records[-1]["phase"]) if self.records else ""
+
+    @property
+    def height_m(self) -> float:
+        """True height of the body over the pad, metres."""
+        return float(self.records[-1]["d_body_pad_level_m"][2]) if self.records else math.inf
+
+    @property
+    def contacts(self) -> list[dict[str, Any]]:
+        """Return all contacts so far."""
+        return list(self.records[-1]["contacts"]) if self.records else []
+
+    def slowest_s(self, since: float, until: float) -> float:
+        """Return the longest time between two records, seconds; the drone's host had no time for it, and it does not catch up."""
+        return _longest_s([1e-9 * r["at_ns"] for r in self.records], since, until)
+
+    def end(self) -> None:
+        """Read what is left and stop following."""
+        self.ended = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        with self._path.open(encoding="utf-8") as lines:
+            rest, before = "", time.monotonic()
+            while True:
+                last = self.ended
+                output = rest + lines.read()
+                *whole, rest = output.split("\n")
+                self.records += [{name: value for name, value in json.loads(line).items() if name in _KEPT} for line in whole]
+                if last:
+                    return
+                time.sleep(_LOOK_S)
+                before, slept = time.monotonic(), time.monotonic() - before
+                if slept - _LOOK_S > 0.05:
+                    self.late.append((before, slept - _LOOK_S))
+
+
+class Daemon:
+    """A daemon process that prints its phase in each guidance cycle, and the phase that it printed last."""
+
+    def __init__(self, words: list[str]) -> None:
+        self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1)
+        self.phase, self.since = "", time.monotonic()
+        self.cycles: list[float] = []
+        """Time at which each cycle was printed."""
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            now = time.monotonic()
+            if line.strip() != self.phase:
+                self.phase, self.since = line.strip(), now
+            self.cycles.append(now)
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def slowest_s(self, since: float, until: float) -> float:
+        """Return the longest time between two guidance cycles, seconds."""
+        return _longest_s(self.cycles, since, until)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def end(self) -> None:
+        """End the daemon as an operator does."""
+        if self.alive:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+            try:
+                self.process.wait(20)
+            except subprocess.TimeoutExpired:
+                self.kill()
+
+
+def _longest_s(instants: list[float], since: float, until: float) -> float:
+    return max((b - a for a, b in pairwise(t for t in instants if since <= t <= until)), default=0.0)
 
 
 class Teller(NullObserver):
@@ -299,8 +457,6 @@ class Count:
 
     case: Case
     flights: list[Flight] = field(default_factory=list)
-    begun: int = 0
-    under_way: int = 0
 
     @property
     def kills(self) -> list[Flight]:
@@ -322,55 +478,36 @@ class Count:
         )
 
 
-class Table:
-    """Assigns flights so that every phase reaches its number, and prints the results."""
+def fly_case(case: Case, args: argparse.Namespace) -> Count:
+    """Fly a phase until it has its number of kills that count."""
+    count, how = Count(case), signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
+    for seed in range(args.first, args.first + TRIES * args.seeds):
+        if len(count.kills) >= args.seeds:
+            break
+        try:
+            flight = run(case, seed, how)
+        except (OSError, ValueError, IndexError, subprocess.SubprocessError) as why:
+            flight = Flight(case, seed, False, outcome=f"broke: {type(why).__name__}")
+        count.flights.append(flight)
+        print(flight.line(), flush=True)
+    return count
 
-    def __init__(self, cases: list[Case], seeds: int, first: int) -> None:
-        self._counts = [Count(case) for case in cases]
-        self._seeds, self._first = seeds, first
-        self._lock = threading.Lock()
-        self.ended = False
 
-    def next(self) -> tuple[Count, int] | None:
-        """Return the next phase to fly and its seed; the phase with the fewest flights comes first."""
-        with self._lock:
-            wanting = [c for c in self._counts if len(c.kills) + c.under_way < self._seeds and c.begun < TRIES * self._seeds]
-            if not wanting or self.ended:
-                return None
-            count = min(wanting, key=lambda c: (len(c.kills) + c.under_way, c.begun))
-            seed = self._first + count.begun
-            count.begun += 1
-            count.under_way += 1
-            return count, seed
-
-    def fly(self, how: signal.Signals) -> None:
-        """Fly one flight after the other until every phase has its number."""
-        while (given := self.next()) is not None:
-            count, seed = given
-            try:
-                flight = run(count.case, seed, how)
-            except (OSError, ValueError, IndexError, subprocess.SubprocessError) as why:
-                flight = Flight(count.case, seed, False, outcome=f"broke: {type(why).__name__}")
-            with self._lock:
-                count.under_way -= 1
-                count.flights.append(flight)
-                print(flight.line(), flush=True)
-
-    def say(self) -> None:
-        """Print the table and its sums."""
-        print("\nphase                  kills  not reached  (starved)     unsafe  late  hover p50/most  drift  outcomes")
-        for count in self._counts:
-            print(count.line())
-        kills = [f for c in self._counts for f in c.kills]
-        every = [f for c in self._counts for f in c.flights]
-        missed = [f for f in every if not f.reached]
-        starved = [f for f in every if f.reached and f.starved]
-        print(
-            f"{len(kills)} kills, {_unsafe(kills)} unsafe. Hover on the wire in ms, of the flights that were moving; late is "
-            f"over {LATE_MS:.0f} ms; drift in {ALONE_S:.0f} s in m.\n{len(every)} flights: {len(missed)} did not reach their "
-            f"phase ({_unsafe(missed)} unsafe), in {len(starved)} this machine was starved ({_unsafe(starved)} unsafe).",
-            flush=True,
-        )
+def summarize(counts: list[Count]) -> None:
+    """Print the table and its sums."""
+    print("\nphase                  kills  not reached  (starved)     unsafe  late  hover p50/most  drift  outcomes")
+    for count in counts:
+        print(count.line())
+    kills = [f for c in counts for f in c.kills]
+    every = [f for c in counts for f in c.flights]
+    missed = [f for f in every if not f.reached]
+    starved = [f for f in every if f.reached and f.starved]
+    print(
+        f"{len(kills)} kills, {_unsafe(kills)} unsafe. Hover on the wire in ms, of the flights that were moving; late is "
+        f"over {LATE_MS:.0f} ms; drift in {ALONE_S:.0f} s in m.\n{len(every)} flights: {len(missed)} did not reach their "
+        f"phase ({_unsafe(missed)} unsafe), in {len(starved)} this machine was starved ({_unsafe(starved)} unsafe).",
+        flush=True,
+    )
 
 
 def _unsafe(flights: list[Flight]) -> int:
@@ -382,7 +519,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="flights for each phase")
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
-    parser.add_argument("--jobs", type=int, default=1, help="flights side by side; one takes most of a core")
     parser.add_argument("--phase", nargs="*", choices=[case.name for case in CASES], metavar="NAME")
     parser.add_argument("--fly", metavar="FILE", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -391,19 +527,12 @@ def main() -> None:
         return
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # this runs every finally block, so that no child process remains
     os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
-    how = signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
-    table = Table([case for case in CASES if not args.phase or case.name in args.phase], args.seeds, args.first)
     print(HEADER, flush=True)
-    others = [threading.Thread(target=table.fly, args=(how,)) for _ in range(args.jobs - 1)]
-    for other in others:
-        other.start()
+    counts: list[Count] = []
     try:
-        table.fly(how)
+        counts.extend(fly_case(case, args) for case in CASES if not args.phase or case.name in args.phase)
     finally:
-        table.ended = True
-        for other in others:
-            other.join()
-        table.say()
+        summarize(counts)
 
 
 if __name__ == "__main__":

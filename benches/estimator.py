@@ -1,12 +1,26 @@
-"""Measure the filter over many seeded flights, beside the two other paths.
+"""Measure the filter over seeded flights beside the two other paths, in rough seas, and on a real flight.
 
-    python -m benches.estimator [--runs 200] [--workers 2]
+    python -m benches.estimator flights [--runs 200] [--workers 2]
+    python -m benches.estimator rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
+    python -m benches.estimator real [--folder FOLDER]
 
-The flights alternate between sea states 0, 2 and 4, and between sightings at 10 and 30 Hz. Every flight has its own camera delay,
+`flights` alternate between sea states 0, 2 and 4, and between sightings at 10 and 30 Hz. Every flight has its own camera delay,
 mount error, velocity scale and biases, 2 % wrong sightings, and a velocity sensor that measures relative to the ground or (every
 other time) to the deck. Sightings have the errors of the thesis' methods: 2 mm per metre across, 5 mm per metre along, 1 mm more
 in each, and one degree of heading; they arrive 120 +- 40 ms late. The vehicle's own attitude has a constant error of 0.2 degrees
 and a wandering one of 0.3.
+
+`rough` has truth and sensors of tests/support/voyage_truth.py, which share nothing with the simulator: rough seas, a turning
+ship, and every sensor error at once. Each row is the mean of its flights: position rms, NEES over its 7 degrees of freedom, the
+fraction of it inside the central 95 % of chi-square, the fraction of true values inside the 68 / 95 % bands of the forecast
+position and vertical speed, and the rms error of the forecast vertical speed over the rms of the true one (a forecast of zero
+would give 1). The delay's columns are the rms error (estimated minus true) and the same in estimated sigmas.
+
+`real` is an AR.Drone 2.0 flight with motion capture: drift without sightings and the cost of gaps in them. Sightings of a pad on
+the floor are synthesised as a camera on the body would make them: the pad's position in the body's axes by motion capture, plus
+noise, levelled with the drone's own attitude at that instant. All other data are the drone's own telemetry. The rotation from the
+captured body to the drone's axes is not documented: the heading is the one that fits the drone's velocities best, roll and pitch
+are those that fit the accelerometer in undisturbed flight.
 """
 
 import argparse
@@ -16,8 +30,9 @@ import os
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -25,12 +40,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import ekf
-from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.ekf.state import N
+from estimator.contracts.time import MonoNs
 from estimator.paths import DeadReckoningPath, MedianMeanPath
+from tests.support import voyage_truth
 from tests.support.approach_settings import DURATION_S, OPTIONS, setting
 from tests.support.estimator_truth import TruthFlight, events, ns
+from tests.support.mocap_flight import DELAY_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
+from tests.support.voyage_score import Score
+from tests.support.voyage_score import fly as fly_voyage
+from tests.support.voyage_truth import SEAS, VoyageScene
 
 HOLD_S = (12.0, 26.0)
 """Begin and end of the hold, in which the body stays about 2 m over the pad's mean position, seconds."""
@@ -67,8 +87,6 @@ class Result:
     """Median processor time of a step by kind, of an answer and of a forecast at three horizons, seconds."""
     floor_s: float = 0.0
     """Median time of a product of two (50, 50) matrices, seconds; a sighting needs some twenty of them."""
-    bytes: int = 0
-    nodes: int = 0
     verdicts: dict[str, int] = field(default_factory=dict)
 
 
@@ -137,7 +155,6 @@ def fly(seed: int) -> Result:
         out.moving = named["probability_moving"]
     out.cost_s = {kind: float(np.median(values[len(values) // 4 :])) for kind, values in cost.items()}
     out.floor_s = floor()
-    out.bytes, out.nodes = memory_of(memory)
     out.verdicts = dict(verdicts)
     return out
 
@@ -180,14 +197,6 @@ def compare(
                 counter = covered[what, h, probability]
                 counter[0] += int(np.sum(inside[k]))
                 counter[1] += int(np.size(inside[k]))
-
-
-def memory_of(memory: ekf.Ekf) -> tuple[int, int]:
-    """Return the bytes of the history's beliefs and of their distinct covariances, and its length."""
-    nodes = memory.history.nodes
-    packed = [node.packed for node in nodes if node.packed is not None]
-    covariances = {belief.P.ctypes.data for belief in packed}
-    return sum(belief.numbers.nbytes for belief in packed) + len(covariances) * N * N * 8, len(nodes)
 
 
 def report(results: Sequence[Result]) -> None:
@@ -244,7 +253,6 @@ def report(results: Sequence[Result]) -> None:
         what = kind if kind in ("answer", "forecast") else f"step of a {kind}"
         print(f"{what:23s} {np.min(cost):6.0f} us in the quickest flight, {np.median(cost):6.0f} us in the median one")
     print(f"product of two (50, 50) matrices {1e6 * np.median([r.floor_s for r in results]):6.1f} us")
-    print(f"history: {np.median([r.bytes for r in results]) / 1e6:.1f} MB in {np.median([r.nodes for r in results]):.0f} events")
     verdicts: dict[str, int] = defaultdict(int)
     for r in results:
         for name, count in r.verdicts.items():
@@ -260,24 +268,116 @@ def share(x: NDArray[np.bool_]) -> float:
     return 100.0 * float(np.mean(x))
 
 
-def main(arguments: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description="The filter over many seeded flights.")
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--workers", type=int, default=2)
-    chosen = parser.parse_args(arguments)
-    if chosen.runs < 1 or chosen.workers < 1:
-        parser.error("--runs and --workers are 1 or more")
-    began = time.perf_counter()
-    results = []
-    with multiprocessing.get_context("spawn").Pool(chosen.workers) as pool:
-        for n, result in enumerate(pool.imap_unordered(fly, range(chosen.runs)), 1):
+def row(name: str, scores: Sequence[Score]) -> str:
+    cells = [
+        f"{name:15s} {100 * np.mean([s.rms_m for s in scores]):5.1f} cm",
+        f"NEES {np.mean([np.mean(s.nees) for s in scores]) / 7:5.2f}",
+        f"{100 * np.mean([s.inside for s in scores]):3.0f} % (worst {100 * min(s.inside for s in scores):3.0f})",
+    ]
+    for what in ("d_body_pad_level", "rise_m_s"):
+        shares = []
+        for h in HORIZONS_S:
+            inside = [100 * np.mean([np.mean(s.bands[what, h, p]) for s in scores]) for p in (0.68, 0.95)]
+            shares.append(f"{inside[0]:3.0f}/{inside[1]:3.0f}")
+        cells.append(" ".join(shares))
+    rise = np.concatenate([np.array(s.rise) for s in scores])
+    ratio = np.sqrt(np.mean(rise[:, :3] ** 2, axis=0) / np.maximum(np.mean(rise[:, 3:] ** 2, axis=0), 1e-12))
+    cells.append(" ".join(f"{x:.2f}" for x in ratio))
+    delay = np.array([s.delay_error_s / s.delay_sigma_s for s in scores])
+    cells.append(
+        f"delay off {1e3 * np.sqrt(np.mean([s.delay_error_s**2 for s in scores])):4.1f} ms"
+        f" = {np.sqrt(np.mean(delay**2)):.1f} sigma  moving {np.mean([s.moving for s in scores]):.2f}"
+    )
+    return " | ".join(cells)
+
+
+class OtherPath:
+    """One of the thesis' paths, with the same interface."""
+
+    def __init__(self, path: MedianMeanPath | DeadReckoningPath) -> None:
+        self.path = path
+
+    def step(self, event: Event) -> None:
+        self.path = self.path.step(event)[0] if isinstance(event, Sighting) else self.path.step_samples([event])[0]
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        return self.path.at(now)
+
+
+PATHS: dict[str, Callable[[], MocapFilter | OtherPath]] = {
+    "ekf": MocapFilter,
+    "dead_reckoning": lambda: OtherPath(DeadReckoningPath()),
+    "median_mean": lambda: OtherPath(MedianMeanPath()),
+}
+
+
+def gaps(flight: MocapRecording, name: str, begin_s: Sequence[float], lengths_s: Sequence[float], rate_hz: float = 10.0) -> F64:
+    """Return the error at the end of a gap, horizontal and vertical, and horizontal 0.5 s later, rms, (lengths, 3) m."""
+    rows = []
+    for length in lengths_s:
+        squares = []
+        for begin in begin_s:
+            end = begin + length
+            seen = sightings(flight, rate_hz, [(begin, end)], seed=round(begin))
+            t, e, _ = run(flight, PATHS[name](), seen, end + 1.0)
+            last = int(np.searchsorted(t, end))
+            after = int(np.searchsorted(t, end + DELAY_S + 0.5))
+            squares.append([np.sum(e[last, :2] ** 2), e[last, 2] ** 2, np.sum(e[min(after, len(e) - 1), :2] ** 2)])
+        rows.append(np.sqrt(np.mean(squares, axis=0)))
+    return np.array(rows)
+
+
+def fly_rough(args: argparse.Namespace) -> None:
+    """Print a row for each sea."""
+    print("sea | position rms | NEES/7 | inside 95 % | position bands 1, 2, 3 s 68/95 | rise bands | rise error over truth")
+    for sea in args.sea or [name for name in SEAS if name != "calm"]:
+        scores = []
+        for seed in range(args.first, args.first + (args.runs or 6)):
+            scene = VoyageScene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
+            scores.append(fly_voyage(voyage_truth.without_errors(scene) if args.ideal else scene))
+        print(row(sea, scores), flush=True)
+
+
+def fly_real(args: argparse.Namespace) -> None:
+    """Print what gaps in the sightings of a real flight cost, by path."""
+    flight, lengths = load(args.folder), (1.0, 3.0, 5.0)
+    print("real flight: horizontal / vertical error at the end of a gap without sightings, horizontal 0.5 s later; cm, rms of 6")
+    for title, begin in (("undisturbed", (17.0, 19.0, 21.0, 23.0, 25.0, 27.0)), ("pulled", (34.0, 35.0, 36.0, 37.0, 38.0, 39.0))):
+        print(f"{title}, gaps from {begin[0]:.0f}-{begin[-1]:.0f} s on")
+        for name in PATHS:
+            table = gaps(flight, name, begin, lengths) * 100
+            drift = float(np.sum(table[:, 0] * lengths) / np.sum(np.square(lengths)))
+            cells = "   ".join(f"{n:.0f} s: {r[0]:5.1f} / {r[1]:4.1f} / {r[2]:4.1f}" for n, r in zip(lengths, table, strict=True))
+            print(f"  {name:15s} {cells}   drift {drift:.1f} cm/s", flush=True)
+
+
+def fly_flights(args: argparse.Namespace) -> None:
+    """Print the report of the seeded flights."""
+    began, results, runs = time.perf_counter(), [], args.runs or 200
+    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
+        for n, result in enumerate(pool.imap_unordered(fly, range(runs)), 1):
             results.append(result)
             if sys.stderr.isatty():
-                print(f"\r{n}/{chosen.runs} flights", end="", file=sys.stderr, flush=True)
+                print(f"\r{n}/{runs} flights", end="", file=sys.stderr, flush=True)
     print(f"\r{time.perf_counter() - began:.0f} s", file=sys.stderr)
     report(results)
-    return 0
+
+
+ONLY = {"flights": fly_flights, "rough": fly_rough, "real": fly_real}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("only", nargs="?", choices=ONLY, default="flights")
+    parser.add_argument("--runs", type=int, help="number of flights (default: 200, or 6 in each rough sea)")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--first", type=int, default=0, help="first seed in rough seas")
+    parser.add_argument("--sea", choices=sorted(SEAS), action="append")
+    parser.add_argument("--ideal", action="store_true", help="white sensor noise alone")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="the real flight's recordings")
+    args = parser.parse_args()
+    ONLY[args.only](args)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

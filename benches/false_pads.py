@@ -1,4 +1,4 @@
-"""Count false pads: `python -m benches.false_pads [--frames N] [--first CHUNK] [--rings] [--workers K] [--worst DIR]`.
+"""Count false pads: `python -m benches.false_pads [--frames N] [--first CHUNK] [--rings] [--workers K]`.
 
 The pad tracker of a flight that has not found the pad yet, with all methods and their fusion, processes rendered frames of sea,
 wake, decks, orange rafts, green awnings, other helipads, an H without a ring and a ring without an H (in the pad's own colours
@@ -14,25 +14,20 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from estimator.contracts.geometry import Rotation, Transform  # noqa: E402
-from estimator.contracts.samples import Attitude, Frame  # noqa: E402
-from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.detect.acquire import acquire  # noqa: E402
-from estimator.vision.options import TrackerOptions  # noqa: E402
-from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from tests.support.hard_light import HARD, Hard  # noqa: E402
-from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad, ring_scene  # noqa: E402
+from estimator.contracts.geometry import Rotation, Transform
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.options import TrackerOptions
+from estimator.vision.pad import Pad
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from tests.support.hard_light import HARD, Hard
+from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad, ring_scene
 
 CHUNK = 100
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
@@ -100,7 +95,6 @@ def main() -> int:
         "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
     )
     parser.add_argument("--pad", default="", help="name of a shipped pad in place of the condition's")
-    parser.add_argument("--worst", type=Path, help="write the highest-scoring frames into this folder")
     args = parser.parse_args()
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
     scores: list[float] = []
@@ -131,19 +125,6 @@ def main() -> int:
             f"photographs without a pad: {len(seen)} looks, highest {top:.2f} ({name}), "
             f"{sum(s >= 0.5 for _, s in seen)} at 0.5 or more"
         )
-    if args.worst is not None:
-        from benches.acquisition import image_of, sheet
-
-        args.worst.mkdir(parents=True, exist_ok=True)
-        camera, pad = load_camera("sim"), load_pad("thesis")
-        images = []
-        for k in order:
-            scene = scene_of(chunks.start + int(k) // CHUNK, int(k) % CHUNK, args.rings)
-            best = acquire(scene.px, camera, pad, scene.R_level_body)
-            images.append(
-                image_of(scene.px, camera, pad, None, best[0] if best else None, f"{all_[k]:.2f} {scene.height_m:.1f} m")
-            )
-        sheet(images, args.worst / "worst.png")
     return int((all_ >= 0.5).any() or any(s >= 0.5 for _, s in seen))
 
 

@@ -1,12 +1,17 @@
-"""Landings a minute at each level of perception, and whether two levels agree: `python -m benches.landings fly|compare`.
+"""Landings a minute at each level of perception, whether two levels agree, and every controller in every weather.
 
     python -m benches.landings fly --perception model --scenario sea_state_4 --first 501 --flights 12 --workers 2
     python -m benches.landings fly --perception pixels --scenario moderate --flights 12 --write pixels.jsonl
     python -m benches.landings compare pixels.jsonl model.jsonl
+    python -m benches.landings controllers [--flights 12] [--first 5000] [--weathers 2,3,4,5,6] [--controllers pid,policy]
 
 `fly` prints the rate by the wall clock and the CPU time of a flight, with one thread for algebra as in a campaign; `--write`
 appends one JSON object for each flight. `compare` takes two such files and prints outcomes, touchdown errors and the NEES of the
 estimate side by side, each with the probability that a two-sample Kolmogorov-Smirnov test gives to such a difference by chance.
+
+`controllers` prints the table of docs/training.md. Each flight is a whole mission by modelled perception, with the wrong model of
+its seed; every controller flies the same seeds. With `--write` flights that the file has are not flown again: remove a file of
+other code or of another policy first.
 
 NEES: normalized estimation error squared of position, velocity and heading (7 degrees of freedom), once a second in flight
 (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2).
@@ -19,7 +24,7 @@ import statistics
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from pathlib import Path
@@ -28,11 +33,13 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 from scipy.stats import ks_2samp
 
+import examples.known_controllers  # noqa: F401 - offers lqr and mpc
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.settings.guidance import GuidanceOptions
 from companion.settings.model import Settings
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -105,7 +112,7 @@ def _loaded(name: str, method: str) -> tuple[Scenario, Settings]:
     """Return a scenario and the settings to fly it with, read once in a process as in a campaign."""
     scenario = load(name)
     settings = settings_for(scenario, None)
-    return scenario, msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method=method))
+    return scenario, replace(settings, vision=replace(settings.vision, method=method))
 
 
 def fly_all(args: argparse.Namespace) -> int:
@@ -171,6 +178,75 @@ def _side_by_side(name: str, a: Sequence[float], b: Sequence[float]) -> None:
     sys.stdout.write(f"  {name}: {figures}; p {p:.2f}\n")
 
 
+CONTROLLERS = {
+    "thesis": "PID and way points of the thesis", "pid": "PID of the thesis, mission `cone`", "lqr": "LQR with an integral",
+    "mpc": "MPC with an integral", "policy": "the policy", "follow_deck": "the law",
+}  # fmt: skip
+Row = dict[str, Any]
+
+
+def guidance_by(name: str, given: GuidanceOptions) -> GuidanceOptions:
+    if name == "thesis":
+        return replace(given, controller="pid", mission="thesis")
+    return replace(given, controller=name)
+
+
+def flown(name: str, weather: str, seed: int) -> Row:
+    scenario = load(weather)
+    settings = settings_for(scenario, None)
+    settings = replace(settings, guidance=guidance_by(name, settings.guidance))
+    ending = fly(weather, scenario, seed, settings, "model").as_json()
+    stands = ending.get("standing") or ending["touchdown"] or {}
+    return {
+        "controller": name, "weather": weather, "seed": seed, "grade": ending["grade"], "outcome": ending["outcome"],
+        "on_pad": ending["landed_on_pad"], "refused": ending["refused"], "unsafe": ending["unsafe"],
+        "standing_m": stands.get("lateral_m") if ending["landed_on_pad"] else None,
+    }  # fmt: skip
+
+
+def kept(path: Path | None) -> Iterator[Row]:
+    if path is not None and path.exists():
+        yield from map(json.loads, path.read_text().splitlines())
+
+
+def cell(rows: list[Row]) -> str:
+    """Return landed of flown, the standing error, and what else came of them."""
+    landed = [row for row in rows if row["on_pad"]]
+    refused, unsafe = sum(row["refused"] is not None for row in rows), sum(bool(row["unsafe"]) for row in rows)
+    errors_cm = sorted(100.0 * row["standing_m"] for row in landed if row["standing_m"] is not None)
+    words = [f"{len(landed)} of {len(rows)}"]
+    if errors_cm:
+        words.append(f"{statistics.median(errors_cm):.1f} / {errors_cm[-1]:.1f} cm")
+    if refused:
+        words.append(f"{refused} refused")
+    if unsafe:
+        words.append(f"**{unsafe} unsafe**")
+    return ", ".join(words)
+
+
+def fly_controllers(args: argparse.Namespace) -> int:
+    """Fly what is left and print the table."""
+    weathers, names = [f"weather_{n}" for n in args.weathers.split(",")], args.controllers.split(",")
+    rows = {(row["controller"], row["weather"], row["seed"]): row for row in kept(args.write)}
+    for seed in range(args.first, args.first + args.flights):
+        for weather in weathers:
+            for name in names:
+                if (name, weather, seed) in rows:
+                    continue
+                row = rows[name, weather, seed] = flown(name, weather, seed)
+                sys.stderr.write(f"{name} {weather} {seed}: {row['outcome']}\n")
+                if args.write is not None:
+                    with args.write.open("a") as file:
+                        file.write(json.dumps(row) + "\n")
+    sys.stdout.write(f"| | {' | '.join(weathers)} |\n|{'---|' * (len(weathers) + 1)}\n")
+    for name in names:
+        of = {weather: [row for key, row in rows.items() if key[:2] == (name, weather)] for weather in weathers}
+        sys.stdout.write(f"| {CONTROLLERS[name]} | {' | '.join(cell(of[weather]) for weather in weathers)} |\n")
+    unsafe = [(row["controller"], row["weather"], row["seed"], row["unsafe"]) for row in rows.values() if row["unsafe"]]
+    sys.stdout.write(f"unsafe: {unsafe}\n")
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     actions = parser.add_subparsers(dest="action", required=True)
@@ -185,8 +261,14 @@ def main() -> int:
     flying.add_argument("--write", type=Path)
     comparing = actions.add_parser("compare")
     comparing.add_argument("files", nargs=2, type=Path)
+    controllers = actions.add_parser("controllers")
+    controllers.add_argument("--flights", type=int, default=12)
+    controllers.add_argument("--first", type=int, default=5000)
+    controllers.add_argument("--weathers", default="2,3,4,5,6")
+    controllers.add_argument("--controllers", default=",".join(CONTROLLERS))
+    controllers.add_argument("--write", type=Path)
     args = parser.parse_args()
-    return fly_all(args) if args.action == "fly" else compare(args)
+    return {"fly": fly_all, "compare": compare, "controllers": fly_controllers}[args.action](args)
 
 
 if __name__ == "__main__":

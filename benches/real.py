@@ -11,7 +11,6 @@ import argparse
 import csv
 import itertools
 import math
-import sys
 import tempfile
 import tomllib
 from collections.abc import Callable
@@ -23,31 +22,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benches.estimator_flight import PULLED_S  # noqa: E402
-from companion.cli.main import main as decklander  # noqa: E402
-from drivers.nmea.sentences import NmeaReader  # noqa: E402
-from estimator.contracts.estimates import Sighting  # noqa: E402
-from estimator.contracts.geometry import F64, Rotation, Transform  # noqa: E402
-from estimator.contracts.samples import Attitude, Frame  # noqa: E402
-from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.sea.sea import SEA_STATES  # noqa: E402
-from tests.support.mocap_flight import FLYING_S, MocapFilter, load, run, sightings  # noqa: E402
-from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene  # noqa: E402
+from companion.cli.main import main as decklander
+from drivers.nmea.sentences import NmeaReader
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from sitl.sea.sea import SEA_STATES
+from tests.support.mocap_flight import FLYING_S, MocapFilter, load, run, sightings
+from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene
 
 U8 = NDArray[np.uint8]
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DOWN = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
 BINS = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01)
 SURE, RIGHT_RANGE, RIGHT_PLACE, RIGHT_SIZE = 0.5, 0.08, 0.25, 0.25
-USERS = ROOT / "tests" / "pads_of_users"
+USERS = Path(__file__).parents[1] / "tests" / "pads_of_users"
 SHIPPED = ("thesis", "printed", "icao", "helideck", "hospital", "faa_triangle", "apriltag_nest", "aruco_board")
 MARKER_M = 0.18
+PULLED_S = 34.0
+"""Time from which something pulls the drone aside, seconds: accelerometer and motion capture agree on up to 9 degrees of roll,
+while the drone's own attitude shows none."""
 LETTERED = 0.005
 """Share of an octagon that is light. A chair's caster of 11 px has none, and was once the only one beside a pad that is cut."""
 OCTAGON = Camera(640, 480, 597.05, 596.62, 306.02, 221.99, np.array([0.107, 0.0548, -0.00735, 0.00446, 1.309]), DOWN)

@@ -20,24 +20,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from estimator.contracts.samples import Attitude  # noqa: E402
-from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.by_paint import WORTH_A_TRY  # noqa: E402
-from estimator.vision.detect.acquire import acquire, search  # noqa: E402
-from estimator.vision.detect.pyramid import FrameView, Pyramid  # noqa: E402
-from estimator.vision.detect.verification import FEATURES  # noqa: E402
-from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHED, support_log_odds  # noqa: E402
-from estimator.vision.register.look import look  # noqa: E402
-from estimator.vision.register.registration import RegistrationOptions  # noqa: E402
-from estimator.vision.tracker_config import FRAME_WORK  # noqa: E402
-from estimator.vision.verified import verified  # noqa: E402
-from tests.support.pad_claims import keeps_claim  # noqa: E402
-from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene  # noqa: E402
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.by_paint import WORTH_A_TRY
+from estimator.vision.detect.acquire import acquire, search
+from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.verification import FEATURES
+from estimator.vision.pad import Pad
+from estimator.vision.pose import Orientation
+from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHED, support_log_odds
+from estimator.vision.register.look import look
+from estimator.vision.register.registration import RegistrationOptions
+from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.verified import verified
+from tests.support.pad_claims import keeps_claim
+from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
 F64 = NDArray[np.float64]
 _CHUNK = 50

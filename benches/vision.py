@@ -29,7 +29,6 @@ import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
-from benches.registration import bound, milliseconds_of_floor  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
@@ -37,9 +36,12 @@ from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.registration import Registration, RegistrationOptions, register  # noqa: E402
+from estimator.vision.srgb import LINEAR_LIGHT  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
+from sitl.camera.camera import Exposure  # noqa: E402
 from sitl.camera.light import Sensor  # noqa: E402
+from tests.support.bound import information, sigmas  # noqa: E402
 from tests.support.pad_images import STAMP  # noqa: E402
 from tests.support.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
 from tests.support.plain_light import FLAT  # noqa: E402
@@ -164,6 +166,51 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
     began = time.process_time_ns()
     found = work()
     return found, (time.process_time_ns() - began) * 1e-6
+
+
+def bound(stage: Stage, height_m: float) -> F64:
+    """Return the least standard deviations with the camera over the centre: (4,) x, y, range in m and heading in rad."""
+    h, mount, sensor = height_m, stage.camera.T_body_cam, stage.sensor
+    renderer = stage.renderer
+    p_pad = np.array([0.0, 0.0, -2.0])
+
+    def light(delta: F64) -> F64:
+        R = Rotation.from_rpy(0.0, 0.0, 0.4)
+        R_ned_pad = Rotation.from_rpy(0.0, 0.0, float(delta[3]))
+        at = p_pad + np.array([0.0, 0.0, -1.0]) * h - R.matrix @ mount.t
+        shot = Exposure(0.0, R, at, R_ned_pad, p_pad + delta[:3])
+        return renderer.radiance(shot).astype(float)
+
+    step_m = 0.05 * h / stage.camera.fx
+    steps = [step_m, step_m, step_m * max(1.0, h / stage.pad.disc_radius_m), step_m / stage.pad.disc_radius_m]
+    moves = np.diag(steps)
+    mean = light(np.zeros(4))
+    table = LINEAR_LIGHT
+    code = np.searchsorted(table, np.clip(mean, 0.0, 1.0)).clip(1, 255)
+    rounding = (table[code] - table[code - 1]) ** 2 / 12.0
+    # The floor moves with the pad but is no part of it.
+    view = stage.view(h, tilt_rad=0.0, lateral=0.0, yaw_rad=0.4)
+    rim = camera_mask(stage, view.pose, 1.0 + 4.0 * h / stage.camera.fx / stage.pad.disc_radius_m)
+    var = np.maximum(mean, 0.0) / sensor.full_well_e + (sensor.read_noise_e / sensor.full_well_e) ** 2 + rounding
+    before, after = [light(-m)[rim] for m in moves], [light(m)[rim] for m in moves]
+    return sigmas(information(before, after, steps, var[rim]))
+
+
+def camera_mask(stage: Stage, pose: PadPose, times: float) -> np.ndarray:
+    """Return (H, W) whether a pixel sees a point within this many times the disc's radius."""
+    mask = np.zeros((stage.camera.height, stage.camera.width), np.uint8)
+    uv = stage.camera.project(pose.points(stage.pad.circle(times * stage.pad.disc_radius_m, 180)))
+    cv2.fillPoly(mask, [np.round(uv).astype(np.int32)], 1)
+    return mask.astype(bool)
+
+
+def milliseconds_of_floor(px: np.ndarray) -> float:
+    took = []
+    for _ in range(40):
+        began = time.process_time_ns()
+        cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
+        took.append((time.process_time_ns() - began) * 1e-6)
+    return min(took)
 
 
 def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally], float, F64]:

@@ -1,6 +1,6 @@
 """Ask a small trained network whether a candidate is the pad, as a second opinion beside the verification.
 
-The network comes as ONNX from `python -m benches.train_verifier` and is run by OpenCV. It can only lower a confidence.
+The network is an ONNX file (docs/vision.md says what made it) and is run by OpenCV. It can only lower a confidence.
 
 Its input is the frame in the pad's plane beside the drawing that the pad's file gives. Both are sampled on the same grid around
 the pad's centre, so that one network serves any pad: it compares two images and knows no pad by itself. The light is taken out
@@ -156,7 +156,7 @@ def _drawn(pad: Pad, blur: int) -> U8:
 
 WORTH_ASKING = 0.1
 """Confidence of the verification below which the second opinion is not used: no pad is seen there anyway."""
-_CURE = "name one that benches.train_verifier wrote, or none for the shipped one"
+_CURE = "name one with the inputs of the shipped one, or none for the shipped one"
 
 
 class SecondOpinion:

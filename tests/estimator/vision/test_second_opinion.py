@@ -131,7 +131,7 @@ def test_a_missing_damaged_or_wrong_file_is_refused_by_name(tmp_path: Path) -> N
     for name, cure in (
         ("missing.onnx", "name a file that is there, or leave vision.learned_file empty"),
         ("half.onnx", "damaged, or not an ONNX network that takes a patch of 12 x 48 x 48 numbers"),
-        ("text.onnx", "name one that benches.train_verifier wrote"),
+        ("text.onnx", "name one with the inputs of the shipped one"),
         ("large.onnx", "at most 2000000"),
     ):
         with pytest.raises(BadInput) as why:
