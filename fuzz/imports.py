@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.cli import detect
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog, video
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog
 from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
@@ -34,17 +33,6 @@ def reader(name: str, *reads: Callable[[Path], Iterable[object]]) -> Callable[[b
                 assert received_at == sorted(received_at)
 
     return run
-
-
-def _tilts(path: Path) -> Iterable[object]:
-    return detect._attitudes(path, [Path("a.png")])
-
-
-def csv_seeds() -> Iterator[bytes]:
-    """Yield both kinds of table."""
-    yield b"time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n"
-    yield b"time_s,roll_deg,pitch_deg\n0,0,0\n0.1,1e3,-1e3\n"
-    yield b"source,roll_deg,pitch_deg\na.png,1,2\n"
 
 
 _FORMATS = {
@@ -151,7 +139,6 @@ def tlog_seeds() -> Iterator[bytes]:
 
 
 TARGETS = {
-    "attitude_csv": Target(reader("a.csv", video.attitudes, _tilts), csv_seeds, 1024),
     "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
     "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
     "tlog": Target(reader("x.tlog", tlog.read, lambda path: [tlog.read_history(path)]), tlog_seeds),

@@ -1,6 +1,7 @@
 """Contents of a server's log: errors of ours, and nothing that a client did to its own connection."""
 
 import asyncio
+import base64
 import logging
 
 import pytest
@@ -8,8 +9,14 @@ from aiohttp import web
 
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.server_log import make_runner
-from fuzz.connections import upgrade
 from tests.support.waiting import PATIENCE_S
+
+
+def upgrade(address: bytes, *headers: bytes) -> bytes:
+    """Return a browser's request for a websocket at an address (RFC 6455, section 4.1)."""
+    key = b"Sec-WebSocket-Key: " + base64.b64encode(b"sixteen bytes of")
+    asked = (b"Host: 127.0.0.1", b"Connection: Upgrade", b"Upgrade: websocket", b"Sec-WebSocket-Version: 13", key, *headers)
+    return b"GET " + address + b" HTTP/1.1\r\n" + b"\r\n".join(asked) + b"\r\n\r\n"
 
 
 async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) -> list[bytes]:
