@@ -211,7 +211,7 @@ class ObserverNoise(NamedTuple):
     sigma_a_m_s2: float = 0.06
     psd_d: float = 2.0
     """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
-    with so much more the accelerometer is trusted within some cycles, as far as the stability margins allow (`benches.law`)."""
+    with so much more the accelerometer is trusted within some cycles, as far as the stability margins allow."""
     psd_b: float = 0.1
     """Growth of the variance of the accelerometer's error.
 
