@@ -30,6 +30,7 @@ PRODUCT = ("companion/", "drivers/", "estimator/", "sitl/")
 AROUND = ("benches/", "fuzz/", "mutants/", "supply/")
 CODE = (".py", ".c", ".h", ".js", ".css")
 PARAMETERS_MAX = 8
+HELPERS_MAX = 3
 EXPERT = "## Expert keys"
 """The heading of docs/configuration.md below which the keys of experts stand."""
 
@@ -221,6 +222,16 @@ def lines(tree: Tree, *places: str) -> int:
     return sum(text.count("\n") for text in tree.under(*(places or ("",))).values())
 
 
+def repeated_helpers(tree: Tree) -> list[str]:
+    """Return the names of functions, not tests, that more than three files of tests define at their top level."""
+    files: dict[str, set[str]] = defaultdict(set)
+    for path, text in tree.under("tests/", "qualification/", ending=(".py",)).items():
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("test_"):
+                files[node.name].add(path)
+    return sorted(name for name, where in files.items() if len(where) > HELPERS_MAX)
+
+
 def contracts(tree: Tree) -> int:
     """Return the number of contracts that lint-imports holds."""
     return tree.texts.get("pyproject.toml", "").count("[[tool.importlinter.contracts]]")
@@ -286,6 +297,7 @@ FIGURES = (
     Figure("lines of Python that run reaches", 52_000, lines_of_run),
     Figure("lines of the product", 118_000, lambda t: lines(t, *PRODUCT)),
     Figure("lines of tests", 60_000, lambda t: lines(t, "tests/", "qualification/")),
+    counted("test helpers of one name in 4 files", 0, repeated_helpers),
     Figure("lines of benches, fuzz, mutants, supply", 8_000, lambda t: lines(t, *AROUND)),
     Figure("lines of all code", 186_000, lines),
 )

@@ -14,7 +14,7 @@ import pytest
 from companion.cli.main import main
 from examples import make_data
 from examples.known_controllers import Lateral, Lqr, Mpc, integrators
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "configs/examples"

@@ -11,7 +11,7 @@ from companion.settings.load import camera_model
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
-from tests.support.recorded_flight import sim_settings
+from tests.fly import sim_settings
 
 CAMERA = camera_model(sim_settings())
 ABOUT = About({"flight": {"kind": "test"}})

@@ -10,7 +10,7 @@ from companion.cli import main as cli
 from companion.recording import rewriting
 from companion.recording.reading import open_recording
 from estimator.contracts.errors import BadInput
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 
 ROOT = Path(__file__).parents[2]
 _WITHOUT = """

@@ -13,7 +13,7 @@ from companion.cli import main as cli
 from companion.recording.frame_encoder import FrameEncoder, is_key_frame
 from companion.recording.frame_video import KEY_EACH, RECORDED, FrameSequence
 from companion.recording.reading import RecordedFrame, Recording, open_recording
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 
 def moving(n: int) -> list[np.ndarray]:

@@ -39,7 +39,7 @@ from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from tests.companion.recorder_parts import ABOUT, CAMERA
 from tests.companion.test_report import PAD
-from tests.support.recorded_flight import sim_settings
+from tests.fly import sim_settings
 
 T = 5_000_000_000
 

@@ -33,7 +33,7 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.vehicle.airframe import load
-from tests.support.recorded_flight import sim_settings
+from tests.fly import sim_settings
 
 GIVEN = shipped_response("ardrone2")
 SECONDS = 12.0

@@ -17,7 +17,7 @@ from companion.recording.reading import open_recording
 from companion.settings.load import camera_model
 from companion.tools.replay.recorded_log import log_of
 from drivers.clock import SystemClock
-from tests.support.recorded_flight import sim_settings
+from tests.fly import sim_settings
 
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=300), st.floats(0.01, 1.0))

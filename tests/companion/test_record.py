@@ -11,7 +11,7 @@ from companion.cli import main as cli
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.recording.records import TruthRecord
 from estimator.contracts.samples import Attitude, Imu
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 

@@ -27,7 +27,7 @@ from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of
-from tests.support.recorded_flight import ObservedCalls, record_to, sim_settings
+from tests.fly import ObservedCalls, record_to, sim_settings
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]

@@ -28,8 +28,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.sitl.near import NEAR
-from tests.support.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
+from tests.fly import NEAR, ObservedCalls, record_to, sim_settings
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +130,7 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     pilot, reported, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
     options = RecorderOptions(frames="none")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
-        flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[reported, recorder])
+        flight = Flight(load_scenario("demo"), 2, settings, pilot, observers=[reported, recorder])
         for step in range(240):
             if step == 100:
                 pilot.begin()

@@ -15,7 +15,7 @@ from companion.tools.report.page import landing_began_s
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import seconds_between
 from tests.companion.test_report import column, parts_of
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
 from estimator.vision.regions import PaintedDisc, PaintedRing, outlines_of
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 from tests.support.shipped import shipped_pad
 
 

@@ -12,7 +12,7 @@ from companion.cli import main as cli
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Contact, Ending, FlightGrade
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 
 STRIKE = Contact(MonoNs(9_500_000_000), "deck", 0.48, 0.5, 0.56, 0.05, "flying", True, "descend")
 LANDING = Contact(MonoNs(15_000_000_000), "pad", 0.081, 0.5, 0.41, 0.02, "landing", True, "land")

@@ -8,12 +8,8 @@ from hypothesis import strategies as st
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs, Stamp
-
-
-def stamp(t_s: float) -> Stamp:
-    t = MonoNs(round(t_s * 1e9))
-    return Stamp(t, t, 0.001, "sim")
+from estimator.contracts.time import MonoNs
+from tests.make import ns, stamp
 
 
 def turning(t_s: float, rate_rad_s: float = 0.5) -> Attitude:
@@ -32,7 +28,7 @@ def filled(until_s: float = 1.0, step_s: float = 0.005) -> AttitudeHistory:
 @settings(max_examples=50)
 @given(t_s=st.floats(0.51, 1.03))
 def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_s: float) -> None:
-    found = filled().at(MonoNs(round(t_s * 1e9)), stamp(t_s))
+    found = filled().at(ns(t_s), stamp(t_s))
     assert found is not None
     assert found.R_ned_body.angle_to(turning(t_s).R_ned_body) < 1e-6
 
@@ -40,10 +36,10 @@ def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_
 def test_it_says_none_rather_than_guess() -> None:
     history = filled()
     assert AttitudeHistory().at(MonoNs(0), stamp(0)) is None
-    assert history.at(MonoNs(round(0.2e9)), stamp(0.2)) is None
-    assert history.at(MonoNs(round(1.2e9)), stamp(1.2)) is None
+    assert history.at(ns(0.2), stamp(0.2)) is None
+    assert history.at(ns(1.2), stamp(1.2)) is None
     holed = history.add(turning(1.4))
-    assert holed.at(MonoNs(round(1.2e9)), stamp(1.2)) is None
+    assert holed.at(ns(1.2), stamp(1.2)) is None
 
 
 @settings(max_examples=50)
@@ -64,7 +60,7 @@ def test_it_is_bounded_and_ignores_what_is_not_newer() -> None:
 
 
 def test_carrying_on_costs_certainty() -> None:
-    found = filled().at(MonoNs(round(1.04e9)), stamp(1.04))
+    found = filled().at(ns(1.04), stamp(1.04))
     assert found is not None
     assert found.cov_body[0, 0] > 1e-4
     assert math.isclose(found.cov_body[1, 1], 1e-4, rel_tol=1e-3)

@@ -17,17 +17,14 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import EstimatorOptions
+from tests.make import ns, stamp
 
 if TYPE_CHECKING:
     from estimator.constant_velocity import ConstantVelocityPath
 
 COV = np.diag([4e-4, 4e-4, 9e-4, 1e-4])
-
-
-def stamp(t_s: float, delay_s: float = 0.1) -> Stamp:
-    return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
 
 
 def new() -> ConstantVelocityPath:
@@ -39,15 +36,15 @@ def new() -> ConstantVelocityPath:
 def sighted(path: ConstantVelocityPath, t_s: float, d_ned: F64, heading_rad: float = 0.0) -> tuple[ConstantVelocityPath, Verdict]:
     """Give the path an attitude and a sighting of a pad whose arrow points north; return it with the sighting's verdict."""
     R_ned_level = Rotation.from_rpy(0.0, 0.0, heading_rad)
-    path, _ = path.step_samples([Attitude(stamp(t_s, 0.0), R_ned_level, 1e-6 * np.eye(3))])
+    path, _ = path.step_samples([Attitude(stamp(t_s), R_ned_level, 1e-6 * np.eye(3))])
     path, result = path.step(
-        Sighting(stamp(t_s), round(t_s * 30), "selected", R_ned_level.inv @ d_ned, heading_rad, False, COV, 0.9)
+        Sighting(stamp(t_s, 0.1), round(t_s * 30), "selected", R_ned_level.inv @ d_ned, heading_rad, False, COV, 0.9)
     )
     return path, result.verdict
 
 
 def after(path: ConstantVelocityPath, t_s: float) -> RelativeState:
-    state = path.at(MonoNs(round(t_s * 1e9)))
+    state = path.at(ns(t_s))
     assert state is not None
     return state
 
@@ -107,9 +104,9 @@ def test_the_gate_refuses_what_jumps_and_a_second_of_it_begins_again() -> None:
 
 def test_the_result_of_a_sighting_holds_its_innovation_in_the_bodys_axes() -> None:
     path, _ = sighted(new(), 0.0, np.array([0.0, 0.0, 3.0]), 1.2)
-    path, _ = path.step_samples([Attitude(stamp(0.1, 0.0), Rotation.from_rpy(0.0, 0.0, 1.2), 1e-6 * np.eye(3))])
+    path, _ = path.step_samples([Attitude(stamp(0.1), Rotation.from_rpy(0.0, 0.0, 1.2), 1e-6 * np.eye(3))])
     seen = Rotation.from_rpy(0.0, 0.0, 1.2).inv @ np.array([0.0, 0.0, 3.0]) + np.array([0.02, 0.0, 0.0])
-    _, result = path.step(Sighting(stamp(0.1), 3, "selected", seen, None, False, COV, 0.9))
+    _, result = path.step(Sighting(stamp(0.1, 0.1), 3, "selected", seen, None, False, COV, 0.9))
     assert result.components == ("x_m", "y_m", "z_m")
     assert result.innovation is not None
     assert np.allclose(result.innovation, [0.02, 0.0, 0.0], atol=1e-9)
@@ -133,16 +130,16 @@ def test_a_late_frame_is_carried_on_to_the_instant_requested_and_widens_the_cova
 def test_a_frame_exposed_before_the_newest_fused_one_is_refused() -> None:
     path, _ = sighted(new(), 0.0, np.array([0.0, 0.0, 3.0]))
     path, _ = sighted(path, 0.1, np.array([0.0, 0.0, 3.0]))
-    after_it, result = path.step(Sighting(stamp(0.05), 9, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9))
+    after_it, result = path.step(Sighting(stamp(0.05, 0.1), 9, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9))
     assert result.verdict is Verdict.TOO_OLD
     assert after_it is path
 
 
 def test_without_an_attitude_a_sighting_is_refused_and_without_a_heading_the_yaw_is_unknown() -> None:
-    seen = Sighting(stamp(0.0), 0, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9)
+    seen = Sighting(stamp(0.0, 0.1), 0, "selected", np.array([0.0, 0.0, 3.0]), None, False, COV, 0.9)
     path, result = new().step(seen)
     assert (result.verdict, path.at(MonoNs(0))) == (Verdict.NO_ATTITUDE, None)
-    path, _ = path.step_samples([Attitude(stamp(0.0), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-6 * np.eye(3))])
+    path, _ = path.step_samples([Attitude(stamp(0.0, 0.1), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-6 * np.eye(3))])
     path, _ = path.step(seen)
     state = after(path, 0.0)
     assert (state.yaw_rad, state.cov[6, 6]) == (None, UNKNOWN_YAW_VAR)

@@ -12,26 +12,22 @@ from estimator import pipeline
 from estimator.contracts.estimates import PathName, Pose6, Sighting, Verdict
 from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, source_of
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 from estimator.ekf import gate
 from estimator.ekf.options import EkfOptions
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
+from tests.make import attitude, baro, range_down, sighting, stamp, velocity, vessel
 
 D = np.array([0.1, -0.05, 2.0])
 EVERY_PATH = EstimatorOptions(path="ekf")
 SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
 
 
-def stamp(t_s: float, delay_s: float = 0.0) -> Stamp:
-    return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
-
-
-def sighting(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, pose6: Pose6 | None = None) -> Sighting:
-    cov = np.diag([1e-4, 1e-4, 4e-4, 1e-4])
+def pad_seen(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, pose6: Pose6 | None = None) -> Sighting:
     d = D + np.array([0.0, aside_m, 0.0])
-    return Sighting(stamp(t_s, 0.05), round(t_s * 30), "selected", d, yaw_rad, False, cov, 0.9, pose6)
+    at = stamp(t_s, 0.05)
+    return sighting(at, d, yaw_rad, var=(1e-4, 1e-4, 4e-4), yaw_var=1e-4, seq=round(t_s * 30), pose6=pose6)
 
 
 def sensed(i: int) -> list[Event]:
@@ -52,7 +48,7 @@ def hovering() -> tuple[pipeline.Memory, list[FusionResult]]:
     for i in range(101):
         events = sensed(i)
         if i % 5 == 4:
-            events.append(sighting(i / 100 - 0.05))
+            events.append(pad_seen(i / 100 - 0.05))
         for event in events:
             memory, made = pipeline.step(memory, event)
             results += made
@@ -84,7 +80,7 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(hovering):
 
 
 def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(hovering):
-    good, bad = (ekf_result(hovering[0], sighting(1.0, aside_m=aside)) for aside in (0.01, 0.18))
+    good, bad = (ekf_result(hovering[0], pad_seen(1.0, aside_m=aside)) for aside in (0.01, 0.18))
     assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
     assert good.innovation is not None
     assert bad.innovation is not None
@@ -97,16 +93,16 @@ def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_re
 @pytest.mark.parametrize(
     ("event", "components"),
     [
-        (BodyVelocity(stamp(1.01), np.zeros(3), 0.01 * np.eye(3)), COMPONENTS["velocity"]),
-        (BodyVelocity(stamp(1.01), np.zeros(3), np.diag([0.01, 0.01, UNKNOWN_VAR])), ("forward_m_s", "right_m_s")),
-        (BodyVelocity(stamp(1.01), np.zeros(3), np.diag([UNKNOWN_VAR, UNKNOWN_VAR, 0.01])), ("down_m_s",)),
-        (Attitude(stamp(1.01), Rotation.identity(), 1e-4 * np.eye(3)), COMPONENTS["attitude"]),
-        (Range(stamp(1.01), 2.0, 0.05), COMPONENTS["range"]),
-        (Baro(stamp(1.01), 2.0, 0.3), COMPONENTS["baro"]),
-        (VesselReport(stamp(1.01), np.zeros(3), 0.01 * np.eye(3), 0.0, 0.1), COMPONENTS["vessel"]),
-        (VesselReport(stamp(1.01), None, None, -0.3, 0.1), ("heading_rad",)),
-        (sighting(1.01, yaw_rad=None), ("x_m", "y_m", "z_m")),
-        (sighting(1.01, pose6=Pose6(D, Rotation.from_rpy(0.0, 0.0, -0.3), 1e-4 * np.eye(6))), POSE_COMPONENTS),
+        (velocity(1.01, var=0.01), COMPONENTS["velocity"]),
+        (velocity(1.01, var=(0.01, 0.01, UNKNOWN_VAR)), ("forward_m_s", "right_m_s")),
+        (velocity(1.01, var=(UNKNOWN_VAR, UNKNOWN_VAR, 0.01)), ("down_m_s",)),
+        (attitude(1.01), COMPONENTS["attitude"]),
+        (range_down(1.01, 2.0, 0.05), COMPONENTS["range"]),
+        (baro(1.01, 2.0, 0.3), COMPONENTS["baro"]),
+        (vessel(1.01, np.zeros(3), 0.0, sigma_rad=0.1), COMPONENTS["vessel"]),
+        (vessel(1.01, None, -0.3, sigma_rad=0.1), ("heading_rad",)),
+        (pad_seen(1.01, yaw_rad=None), ("x_m", "y_m", "z_m")),
+        (pad_seen(1.01, pose6=Pose6(D, Rotation.from_rpy(0.0, 0.0, -0.3), 1e-4 * np.eye(6))), POSE_COMPONENTS),
     ],
 )
 def test_each_source_names_what_it_compared(hovering, event, components):
@@ -120,9 +116,9 @@ def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[pipel
     memory, results = hovering
     imu = [r for r in results if r.source == "imu"]
     other = [r for r in results if r.path in ("median_mean", "dead_reckoning")]
-    early = ekf_result(pipeline.start(EVERY_PATH, shadows=SHADOWS), Range(stamp(1.0), 2.0, 0.05))
-    refused = pipeline.step(memory, Imu(stamp(1.01), np.zeros(3), np.array([0.0, 0.0, -1e4])))[1]
-    late = pipeline.step(memory, sighting(-1.0))[1]
+    early = ekf_result(pipeline.start(EVERY_PATH, shadows=SHADOWS), range_down(1.0, 2.0, 0.05))
+    refused = pipeline.step(memory, imu(1.01, f=(0.0, 0.0, -1e4)))[1]
+    late = pipeline.step(memory, pad_seen(-1.0))[1]
     assert {(r.path, r.verdict) for r in refused} == {
         (path, Verdict.IMPOSSIBLE) for path in ("ekf", "median_mean", "dead_reckoning")
     }

@@ -9,27 +9,19 @@ import pytest
 from estimator import pipeline
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation, Transform
-from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from estimator.contracts.samples import GimbalAttitude, GimbalFrame
 from estimator.gimbal_history import DOWN, GimbalHistory
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
+from tests.make import attitude, gimbal, stamp
 
-R_NED_BODY = Rotation.from_rpy(0.12, -0.07, 1.9)
+RPY = (0.12, -0.07, 1.9)
+R_NED_BODY = Rotation.from_rpy(*RPY)
 ON_GIMBAL = Rotation.from_rpy(math.pi / 2, 0.0, math.pi / 2)
 
 
-def stamp(seconds: float, sigma_s: float = 0.0) -> Stamp:
-    at = MonoNs(round(seconds * NS_PER_S))
-    return Stamp(at, at, sigma_s, "sim")
-
-
-def report(seconds: float, rotation: Rotation, frame: GimbalFrame = "level", sigma_s: float = 0.0) -> GimbalAttitude:
-    return GimbalAttitude(stamp(seconds, sigma_s), frame, rotation, 1e-6 * np.eye(3))
-
-
-def attitude(seconds: float) -> Attitude:
-    return Attitude(stamp(seconds), R_NED_BODY, 1e-6 * np.eye(3))
+def pointing(seconds: float, rotation: Rotation, frame: GimbalFrame = "level", sigma_s: float = 0.0) -> GimbalAttitude:
+    return gimbal(stamp(seconds, sigma_s=sigma_s), rotation, frame)
 
 
 def swinging(t: float) -> Rotation:
@@ -41,7 +33,9 @@ def test_the_same_pose_in_each_frame_is_the_same_camera_on_the_body(frame: Gimba
     R_body_gimbal = Rotation.from_rpy(0.05, -1.4, 0.2)
     R_level_body = R_NED_BODY.without_heading()
     reported = {"ned": R_NED_BODY @ R_body_gimbal, "level": R_level_body @ R_body_gimbal, "body": R_body_gimbal}[frame]
-    held = GimbalHistory().add(report(1.0, reported, frame), report(1.1, reported, frame)).at(stamp(1.05), attitude(1.05))
+    held = (
+        GimbalHistory().add(pointing(1.0, reported, frame), pointing(1.1, reported, frame)).at(stamp(1.05), attitude(1.05, *RPY))
+    )
     assert held is not None
     assert held.R_body_gimbal.angle_to(R_body_gimbal) < 1e-9
 
@@ -55,8 +49,8 @@ def test_a_gimbal_that_points_down_holds_a_straight_camera_with_the_nose_at_the_
 
 
 def test_a_swinging_gimbal_is_interpolated_within_its_claimed_error() -> None:
-    history = GimbalHistory().add(*[report(t, swinging(t)) for t in np.arange(0.0, 1.0, 0.05)])
-    level = Attitude(stamp(0.5), Rotation.identity(), 1e-6 * np.eye(3))
+    history = GimbalHistory().add(*[pointing(t, swinging(t)) for t in np.arange(0.0, 1.0, 0.05)])
+    level = attitude(0.5, var=1e-6)
     for t in np.arange(0.3, 0.9, 0.013):
         held = history.at(stamp(t), level)
         assert held is not None
@@ -66,9 +60,11 @@ def test_a_swinging_gimbal_is_interpolated_within_its_claimed_error() -> None:
 
 
 def test_what_it_turns_within_the_uncertainty_of_the_times_is_in_the_covariance() -> None:
-    level = Attitude(stamp(0.5), Rotation.identity(), 1e-6 * np.eye(3))
-    sure = GimbalHistory().add(*[report(t, swinging(t)) for t in (0.58, 0.60, 0.62, 0.64)]).at(stamp(0.63), level)
-    unsure = GimbalHistory().add(*[report(t, swinging(t), sigma_s=0.02) for t in (0.58, 0.60, 0.62, 0.64)]).at(stamp(0.63), level)
+    level = attitude(0.5, var=1e-6)
+    sure = GimbalHistory().add(*[pointing(t, swinging(t)) for t in (0.58, 0.60, 0.62, 0.64)]).at(stamp(0.63), level)
+    unsure = (
+        GimbalHistory().add(*[pointing(t, swinging(t), sigma_s=0.02) for t in (0.58, 0.60, 0.62, 0.64)]).at(stamp(0.63), level)
+    )
     assert sure is not None
     assert unsure is not None
     rate = 0.2 * 5.0 * abs(math.cos(5.0 * 0.63))
@@ -77,20 +73,20 @@ def test_what_it_turns_within_the_uncertainty_of_the_times_is_in_the_covariance(
 
 @pytest.mark.parametrize("exposed_s", [0.4, 1.1, 2.2, 3.0])
 def test_reports_that_do_not_cover_the_exposure_give_nothing(exposed_s: float) -> None:
-    history = GimbalHistory().add(*[report(t, DOWN) for t in (0.5, 0.6, 1.4, 1.5, 2.1)])
-    assert history.at(stamp(exposed_s), attitude(exposed_s)) is None
-    assert GimbalHistory().at(stamp(exposed_s), attitude(exposed_s)) is None
+    history = GimbalHistory().add(*[pointing(t, DOWN) for t in (0.5, 0.6, 1.4, 1.5, 2.1)])
+    assert history.at(stamp(exposed_s), attitude(exposed_s, *RPY)) is None
+    assert GimbalHistory().at(stamp(exposed_s), attitude(exposed_s, *RPY)) is None
 
 
 def test_a_change_of_frame_begins_again() -> None:
-    history = GimbalHistory().add(report(1.0, DOWN, "level"), report(1.1, DOWN, "ned"))
-    assert history.at(stamp(1.05), attitude(1.05)) is None
+    history = GimbalHistory().add(pointing(1.0, DOWN, "level"), pointing(1.1, DOWN, "ned"))
+    assert history.at(stamp(1.05), attitude(1.05, *RPY)) is None
     assert history.frame == "ned"
 
 
 def test_the_next_report_is_awaited_only_while_reports_come() -> None:
     times = (1.0, 1.1)
-    history = GimbalHistory().add(*[report(t, DOWN) for t in times])
+    history = GimbalHistory().add(*[pointing(t, DOWN) for t in times])
     assert all(b > a for a, b in pairwise(times))
     assert history.reports(stamp(1.2))
     assert not history.reports(stamp(1.5))
@@ -100,7 +96,9 @@ def test_the_next_report_is_awaited_only_while_reports_come() -> None:
 @pytest.mark.parametrize("shadows", [(), ("dead_reckoning",)])
 def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows: tuple[PathName, ...]) -> None:
     memory = pipeline.start(EstimatorOptions(), shadows)
-    memory, _ = pipeline.step_samples(memory, [attitude(1.0), report(1.0, DOWN), attitude(1.1), report(1.1, DOWN)])
-    held = pipeline.held_at(memory, stamp(1.05), attitude(1.05))
+    memory, _ = pipeline.step_samples(
+        memory, [attitude(1.0, *RPY), pointing(1.0, DOWN), attitude(1.1, *RPY), pointing(1.1, DOWN)]
+    )
+    held = pipeline.held_at(memory, stamp(1.05), attitude(1.05, *RPY))
     assert held is not None
     assert held.R_body_gimbal.angle_to(R_NED_BODY.without_heading().inv @ DOWN) < 1e-9

@@ -11,31 +11,21 @@ from estimator import pipeline
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Range
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import DeadReckoningOptions, EstimatorOptions
 from estimator.paths import Event
+from tests.make import attitude, imu, sighting, stamp, velocity
 
 STEERING = EstimatorOptions(path="dead_reckoning")
 
 
-def stamp(t_s: float, delay_s: float = 0.0) -> Stamp:
-    return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
-
-
-def sighting(t_s: float, d: tuple[float, float, float], *, delay_s: float = 0.1, confidence: float = 0.9) -> Sighting:
-    return Sighting(
-        stamp(t_s, delay_s), round(t_s * 30), "selected", np.array(d), 0.3, False, np.diag([1e-4, 1e-4, 4e-4, 1e-4]), confidence
-    )
+def seen_at(t_s: float, d: tuple[float, float, float], *, delay_s: float = 0.1, confidence: float = 0.9) -> Sighting:
+    return sighting(stamp(t_s, delay_s), d, 0.3, var=(1e-4, 1e-4, 4e-4), yaw_var=1e-4, seq=round(t_s * 30), confidence=confidence)
 
 
 def at_rest(t_s: float) -> list[Event]:
-    level = Rotation.from_rpy(0.0, 0.0, 1.0)
-    return [
-        Attitude(stamp(t_s), level, 1e-5 * np.eye(3)),
-        Imu(stamp(t_s), np.zeros(3), np.array([0.0, 0.0, -9.80665])),
-        BodyVelocity(stamp(t_s), np.zeros(3), np.diag([0.01, 0.01, UNKNOWN_VAR])),
-    ]
+    return [attitude(t_s, yaw=1.0, var=1e-5), imu(t_s), velocity(t_s)]
 
 
 def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory, list[FusionResult]]:
@@ -51,11 +41,11 @@ def hovering(until_s: float = 1.0) -> pipeline.Memory:
     for i in range(round(until_s * 200)):
         memory, _ = feed(memory, at_rest(i / 200))
         if i % 7 == 0 and i > 20:
-            memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.5, -0.2, 2.0)))
+            memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0)))
     return memory
 
 
-def same(a: RelativeState, b: RelativeState) -> bool:
+def equal(a: RelativeState, b: RelativeState) -> bool:
     return bool(np.array_equal(a.d_body_pad_level, b.d_body_pad_level) and np.array_equal(a.cov, b.cov))
 
 
@@ -79,21 +69,21 @@ def test_every_path_estimates_the_pad_where_it_was_seen() -> None:
 def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_nothing(delay_s: float, confidence: float) -> None:
     memory = hovering()
     before = pipeline.beliefs(memory, MonoNs(10**9))
-    after, outcomes = pipeline.step(memory, sighting(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence))
+    after, outcomes = pipeline.step(memory, seen_at(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence))
     assert sorted(o.path for o in outcomes) == ["dead_reckoning", "median_mean"]
     if delay_s > STEERING.max_delay_s + 1e-6:
         assert {o.verdict for o in outcomes} == {Verdict.TOO_OLD}
     elif confidence < STEERING.min_confidence:
         assert {o.verdict for o in outcomes} == {Verdict.LOW_CONFIDENCE}
     if all(o.verdict is not Verdict.FUSED for o in outcomes):
-        assert all(same(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))
+        assert all(equal(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))
 
 
 def test_the_same_events_give_the_same_belief_to_the_bit() -> None:
     for a, b in zip(
         pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), strict=True
     ):
-        assert same(a, b)
+        assert equal(a, b)
 
 
 def test_an_old_sighting_is_a_wide_one_on_every_path() -> None:
@@ -110,27 +100,27 @@ def test_another_path_steers_on_with_what_it_knows_and_one_that_did_not_run_begi
     first, second = pipeline.beliefs(memory, NOW)
     steering = pipeline.belief(memory, NOW)
     assert steering is not None
-    assert (steering.path, same(steering, first)) == ("dead_reckoning", True)
+    assert (steering.path, equal(steering, first)) == ("dead_reckoning", True)
     assert {"range_agrees", "heading_off_rad"} <= dict(steering.details).keys()
     turned = pipeline.steer_by(memory, "median_mean")
     assert (turned.options.path, [path.name for path in turned.paths]) == ("median_mean", ["median_mean", "dead_reckoning"])
     after = pipeline.belief(turned, NOW)
     assert after is not None
-    assert (after.path, same(after, second)) == ("median_mean", True)
+    assert (after.path, equal(after, second)) == ("median_mean", True)
     anew = pipeline.steer_by(memory, "ekf")
     assert [path.name for path in anew.paths] == ["ekf", "dead_reckoning", "median_mean"]
     assert pipeline.belief(anew, NOW) is None
-    assert same(pipeline.beliefs(anew, NOW)[0], first)
+    assert equal(pipeline.beliefs(anew, NOW)[0], first)
 
 
 def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_was_fused() -> None:
-    elsewhere = sighting(0.95, (9.0, 0.0, 2.0))
+    elsewhere = seen_at(0.95, (9.0, 0.0, 2.0))
     memory = hovering()
     after, outcomes = pipeline.step(memory, elsewhere)
     assert [o.verdict for o in outcomes] == [Verdict.ELSEWHERE] * 2
     assert after.paths == memory.paths
     fresh, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), [e for i in range(200) for e in at_rest(i / 200)])
-    refused, outcomes = pipeline.step(fresh, sighting(0.9, (0.5, -0.2, 2.0), confidence=0.0))
+    refused, outcomes = pipeline.step(fresh, seen_at(0.9, (0.5, -0.2, 2.0), confidence=0.0))
     assert Verdict.FUSED not in {o.verdict for o in outcomes}
     _, outcomes = pipeline.step(refused, elsewhere)
     assert outcomes[0].verdict is Verdict.FUSED, "what was refused is no place of the pad"
@@ -140,7 +130,7 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
     memory, here, there = hovering(), (0.5, -0.2, 2.0), (0.5, 0.9, 2.0)
     for i in range(4):
         t_s = 0.91 + 0.01 * i
-        memory, results = pipeline.step_seen(memory, sighting(t_s, here, confidence=0.4), sighting(t_s, there))
+        memory, results = pipeline.step_seen(memory, seen_at(t_s, here, confidence=0.4), seen_at(t_s, there))
         assert [r.verdict for r in results] == [Verdict.FUSED] * 2
     (candidate,) = memory.guard.tracks.candidates
     assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
@@ -154,15 +144,15 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
 
 def test_a_tracked_pad_that_is_unsure_does_not_count_beside_a_clearer_one() -> None:
     memory = hovering()
-    after, results = pipeline.step_seen(memory, sighting(0.95, (0.5, -0.2, 2.0), confidence=0.1), sighting(0.95, (0.5, 0.9, 2.0)))
+    after, results = pipeline.step_seen(memory, seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.1), seen_at(0.95, (0.5, 0.9, 2.0)))
     assert results[0].verdict is Verdict.ELSEWHERE
     assert after.paths == memory.paths
-    near = sighting(0.95, (0.5, -0.17, 2.0))
-    after, results = pipeline.step_seen(memory, sighting(0.95, (0.5, -0.2, 2.0), confidence=0.4), near)
+    near = seen_at(0.95, (0.5, -0.17, 2.0))
+    after, results = pipeline.step_seen(memory, seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.4), near)
     assert results[0].verdict is Verdict.FUSED
     expected, _ = pipeline.step(memory, near)
     assert str(after.paths) == str(expected.paths), "what the guard does not call another pad counts, as it is the clearer one"
-    assert str(after.paths) != str(pipeline.step(memory, sighting(0.95, (0.5, -0.2, 2.0)))[0].paths)
+    assert str(after.paths) != str(pipeline.step(memory, seen_at(0.95, (0.5, -0.2, 2.0)))[0].paths)
 
 
 def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> None:
@@ -171,7 +161,7 @@ def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> Non
         for i in range(240):
             memory, _ = feed(memory, [*at_rest(i / 200), Range(stamp(i / 200), range_m + 1e-3 * (i % 3), 0.02)])
             if i % 7 == 0 and i > 20:
-                memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.05, 0.0, 2.0)))
+                memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.05, 0.0, 2.0)))
         state = pipeline.belief(memory, MonoNs(1_195_000_000))
         assert state is not None
         return dict(state.details)["range_agrees"]
@@ -180,7 +170,7 @@ def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> Non
 
 
 def test_what_the_steering_path_refuses_is_no_place_of_the_pad_to_the_guard() -> None:
-    memory, outcomes = pipeline.step(pipeline.start(EstimatorOptions(path="ekf")), sighting(0.5, (0.5, -0.2, 2.0)))
+    memory, outcomes = pipeline.step(pipeline.start(EstimatorOptions(path="ekf")), seen_at(0.5, (0.5, -0.2, 2.0)))
     assert [o.verdict for o in outcomes] == [Verdict.NO_ATTITUDE]
     assert memory.guard.tracks.n == 0
 
@@ -190,7 +180,7 @@ def test_motion_and_forecast_are_those_of_the_path_that_steers() -> None:
     for i in range(200):
         memory, _ = feed(memory, at_rest(i / 200))
         if i % 7 == 0 and i > 20:
-            memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.5, -0.2, 2.0)))
+            memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0)))
     _, deck = pipeline.motion(memory, NOW)
     assert deck is not None
     assert pipeline.forecast(memory, NOW, [1.0]) is not None
@@ -202,7 +192,7 @@ def test_motion_and_forecast_are_those_of_the_path_that_steers() -> None:
 def test_the_largest_delay_and_the_least_confidence_are_allowed_themselves() -> None:
     at_bounds = Stamp(MonoNs(900_000_000), MonoNs(1_400_000_000), 0.001, "sim")
     assert at_bounds.delay_s == STEERING.max_delay_s
-    seen = structs.replace(sighting(0.9, (0.5, -0.2, 2.0), confidence=STEERING.min_confidence), stamp=at_bounds)
+    seen = structs.replace(seen_at(0.9, (0.5, -0.2, 2.0), confidence=STEERING.min_confidence), stamp=at_bounds)
     memory, _ = feed(pipeline.start(STEERING), [event for i in range(200) for event in at_rest(i / 200)])
     assert pipeline.step(memory, seen)[1][0].verdict is Verdict.FUSED
     late = structs.replace(at_bounds, received_at=MonoNs(1_400_000_001))
@@ -217,7 +207,7 @@ def test_dead_reckoning_remembers_its_way_for_as_long_as_a_frame_may_be_late() -
         t = stamp(i / 200)
         velocity = BodyVelocity(t, np.array([1.0, 1e-3 * (i % 3), 0.0]), np.diag([0.01, 0.01, UNKNOWN_VAR]))
         memory, _ = feed(memory, [Attitude(t, Rotation.from_rpy(0.0, 1e-4 * (i % 3), 1.0), 1e-5 * np.eye(3)), velocity])
-    memory, outcomes = pipeline.step(memory, sighting(0.8, (3.0, 0.0, 2.0), delay_s=1.2))
+    memory, outcomes = pipeline.step(memory, seen_at(0.8, (3.0, 0.0, 2.0), delay_s=1.2))
     assert outcomes[0].verdict is Verdict.FUSED
     state = pipeline.belief(memory, MonoNs(2 * 10**9))
     assert state is not None

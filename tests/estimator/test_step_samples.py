@@ -1,16 +1,14 @@
 """Samples that are handed over together give what the same samples give one after the other: memory, verdicts and innovations."""
 
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgspec import Struct
 
 from estimator import pipeline
-from estimator.contracts.estimates import PathName, Sighting, Verdict
+from estimator.contracts.estimates import PathName, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
@@ -29,6 +27,7 @@ from estimator.contracts.samples import (
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
+from tests.make import same_bits, sighting, stamp, stamp_at
 
 MS = 1_000_000
 PATHS: tuple[PathName, ...] = ("ekf", "dead_reckoning", "median_mean")
@@ -36,53 +35,31 @@ LATE_MS, LEAP_MS = (0, 0, 0, 0, 4, 30, 400), (0, 0, 0, 0, 0, 0, 1500, -1500)
 SPIKE = (1.0, 1.0, 1.0, 1.0, 1.0, 90.0)
 
 
-def made(kind: str, stamp: Stamp, scale: float, rng: np.random.Generator) -> Sample:
+def made(kind: str, at: Stamp, scale: float, rng: np.random.Generator) -> Sample:
     """Return a reading as of a vehicle that hovers, `scale` times as large as it should be."""
     noise = rng.normal(0.0, 0.01, 3)
     match kind:
         case "imu":
-            return Imu(stamp, noise, scale * (np.array([0.0, 0.0, -9.8]) + noise))
+            return Imu(at, noise, scale * (np.array([0.0, 0.0, -9.8]) + noise))
         case "attitude":
-            return Attitude(stamp, Rotation.from_rpy(scale * noise[0], noise[1], 0.4 * scale + noise[2]), 1e-5 * np.eye(3))
+            return Attitude(at, Rotation.from_rpy(scale * noise[0], noise[1], 0.4 * scale + noise[2]), 1e-5 * np.eye(3))
         case "velocity":
-            return BodyVelocity(stamp, scale * noise, np.diag([0.01, 0.01, UNKNOWN_VAR]))
+            return BodyVelocity(at, scale * noise, np.diag([0.01, 0.01, UNKNOWN_VAR]))
         case "range":
-            return Range(stamp, scale * (2.0 + abs(noise[0])), 0.02)
+            return Range(at, scale * (2.0 + abs(noise[0])), 0.02)
         case "baro":
-            return Baro(stamp, 30.0 * scale + noise[0], 0.5)
+            return Baro(at, 30.0 * scale + noise[0], 0.5)
         case "report":
-            return VesselReport(stamp, scale * noise, 0.01 * np.eye(3), 0.4, 0.05)
+            return VesselReport(at, scale * noise, 0.01 * np.eye(3), 0.4, 0.05)
         case "fix":
-            return GeoFix(stamp, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0)
-    return VehicleStatus(stamp, scale == 1.0, "flying", 0.9, False, True)
+            return GeoFix(at, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0)
+    return VehicleStatus(at, scale == 1.0, "flying", 0.9, False, True)
 
 
 KINDS = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status")
 DATAGRAM = st.lists(
     st.tuples(st.sampled_from(KINDS), st.sampled_from(LATE_MS), st.sampled_from(LEAP_MS), st.sampled_from(SPIKE)), max_size=7
 )
-
-
-def same(a: Any, b: Any) -> bool:
-    """Return whether two values are equal down to the bits of their arrays."""
-    if isinstance(a, np.ndarray):
-        return type(a) is type(b) and a.tobytes() == b.tobytes()
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, Sequence) and not isinstance(a, str):
-        return len(a) == len(b) and all(map(same, a, b))
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, Struct):
-        return all(same(getattr(a, name), getattr(b, name)) for name in a.__struct_fields__)
-    if is_dataclass(a):
-        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
-    return a is b or a == b or (a != a and b != b)
-
-
-def sighting(t_ms: int) -> Sighting:
-    stamp = Stamp(MonoNs((t_ms - 60) * MS), MonoNs(t_ms * MS), 0.001, "sim")
-    return Sighting(stamp, t_ms, "selected", np.array([0.3, -0.2, 2.0]), 0.3, False, np.diag([1e-4, 1e-4, 4e-4, 1e-4]), 0.9)
 
 
 def flown(datagrams: Sequence[Sequence[Sample]], seen: Sequence[int], *, together: bool) -> tuple[Any, list[FusionResult]]:
@@ -98,7 +75,7 @@ def flown(datagrams: Sequence[Sequence[Sample]], seen: Sequence[int], *, togethe
                 memory, of_one = pipeline.step(memory, sample)
                 results += of_one
         if n % 8 == 7:
-            event: Event = sighting(seen[n])
+            event: Event = sighting(stamp_at((seen[n] - 60) * MS, seen[n] * MS), (0.3, -0.2, 2.0), 0.3, yaw_var=1e-4, seq=seen[n])
             memory, of_one = pipeline.step(memory, event)
             results += of_one
     newest = MonoNs(seen[-1] * MS)
@@ -115,19 +92,19 @@ def test_samples_together_are_samples_one_by_one(drawn: list[list[tuple[str, int
     for t_ms, readings in zip(times, [*hover, *drawn], strict=True):
         datagram = []
         for kind, late_ms, leap_ms, scale in readings:
-            stamp = Stamp(MonoNs((t_ms + leap_ms - late_ms) * MS), MonoNs((t_ms + leap_ms) * MS), 0.001, "sim")
-            datagram.append(made(kind, stamp, scale, rng))
+            at = stamp_at((t_ms + leap_ms - late_ms) * MS, (t_ms + leap_ms) * MS)
+            datagram.append(made(kind, at, scale, rng))
         datagrams.append(datagram)
     together, one_by_one = (flown(datagrams, times, together=how) for how in (True, False))
     assert [r.verdict for r in together[1]] == [r.verdict for r in one_by_one[1]]
-    assert same(together, one_by_one)
+    assert same_bits(together, one_by_one)
 
 
 def test_every_sample_of_a_hand_over_has_its_own_results() -> None:
     rng = np.random.default_rng(1)
-    stamp = Stamp(MonoNs(10**9), MonoNs(10**9), 0.001, "sim")
     memory = pipeline.start(EstimatorOptions(path="ekf"), shadows=("median_mean",))
-    samples = [made(kind, stamp, scale, rng) for kind, scale in (("attitude", 1.0), ("status", 1.0), ("imu", 90.0), ("imu", 1.0))]
+    kinds = (("attitude", 1.0), ("status", 1.0), ("imu", 90.0), ("imu", 1.0))
+    samples = [made(kind, stamp(1.0), scale, rng) for kind, scale in kinds]
     memory, results = pipeline.step_samples(memory, samples)
     assert [[(r.path, r.verdict) for r in of_one] for of_one in results] == [
         [("ekf", Verdict.FUSED)],

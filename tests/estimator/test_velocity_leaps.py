@@ -5,33 +5,26 @@ import math
 import numpy as np
 import pytest
 
-from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, BodyVelocity, Imu
-from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, start, step
 from estimator.ekf.state import ACCEL_BIAS, VEL, VESSEL_VEL
+from tests.make import attitude, imu, sighting, stamp, velocity
 
-MS, T = 1_000_000, 100_000_000_000
-AT_REST, PAD = np.array([0.0, 0.0, -9.80665]), np.array([0.0, 0.0, 3.0])
-
-
-def stamp(ms: int) -> Stamp:
-    return Stamp(MonoNs(T + ms * MS), MonoNs(T + ms * MS), 0.001, "sim")
+BEGIN_S = 100.0
+PAD = (0.0, 0.0, 3.0)
 
 
 def after_leap(leap_ms: int, by_m_s: float, *, sighted: bool) -> Ekf:
     """Return the filter 2 s after the velocity of a body at rest over a deck leapt, which its accelerometer did not feel."""
     ekf = start(EkfOptions(velocity_is_over="ground"))
     for ms in range(0, leap_ms + 2000, 20):
-        now = stamp(ms)
-        ekf, _ = step(ekf, Imu(now, np.zeros(3), AT_REST))
+        now = stamp(BEGIN_S + 1e-3 * ms)
+        ekf, _ = step(ekf, imu(now))
         if ms % 100 == 0:
-            v = np.array([by_m_s if ms >= leap_ms else 0.0, 0.0, 0.0])
-            ekf, _ = step(ekf, Attitude(now, Rotation.identity(), math.radians(0.5) ** 2 * np.eye(3)))
-            ekf, _ = step(ekf, BodyVelocity(now, v, 0.1**2 * np.eye(3)))
+            v = (by_m_s if ms >= leap_ms else 0.0, 0.0, 0.0)
+            ekf, _ = step(ekf, attitude(now, var=math.radians(0.5) ** 2))
+            ekf, _ = step(ekf, velocity(now, v, var=0.1**2))
         if sighted and ms % 40 == 0:
-            ekf, _ = step(ekf, Sighting(now, ms, "fused", PAD, 0.0, False, np.diag([4e-4, 4e-4, 4e-4, 1e-4]), 1.0))
+            ekf, _ = step(ekf, sighting(now, PAD, var=4e-4, yaw_var=1e-4, seq=ms, confidence=1.0))
     return ekf
 
 

@@ -10,12 +10,12 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import State
-from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.samples import Imu, Sample
+from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import (
@@ -54,6 +54,8 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.vessel.air import WindSettings
 from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
+from tests.fly import ObservedCalls, fly_for
+from tests.make import change
 
 CALM = Scenario(
     title="bench",
@@ -273,71 +275,54 @@ def test_a_share_of_the_frames_is_shifted_and_the_seed_says_which() -> None:
     assert 70 <= sum(drawn(1)) <= 130
 
 
-class Seen(NullObserver):
-    def __init__(self) -> None:
-        self.frames: list[ProcessedFrame] = []
-        self.samples: list[Sample] = []
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self.frames.append(processed)
-
-    def on_sample(self, sample: Sample) -> None:
-        self.samples.append(sample)
-
-
-def flown(fault: Fault, seconds: float = 1.2, renew: bool = False) -> tuple[Flight, Seen]:
-    processed = Seen()
-    scenario = msgspec.structs.replace(CALM, faults=(fault,))
-    again = (lambda: make_pilot(SIM)) if renew else None
-    flight = Flight(scenario, 1, SIM, make_pilot(SIM), observers=[processed], renew=again)
-    for _ in range(round(seconds / 0.005)):
-        flight.step()
-    return flight, processed
+def fly_calm(fault: Fault, seconds: float = 1.2) -> tuple[Flight, ObservedCalls]:
+    calls = ObservedCalls()
+    return fly_for(seconds, CALM, observers=[calls], faults=(fault,)), calls
 
 
 def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_with_wrong_stamps() -> None:
-    _, late = flown(FrameStream(at_s=0.5, delay_s=0.3))
+    _, late = fly_calm(FrameStream(at_s=0.5, delay_s=0.3))
     delays = [f.frame.stamp.delay_s for f in late.frames]
     assert delays[0] == pytest.approx(0.09, abs=0.005)
     assert delays[-1] == pytest.approx(0.39, abs=0.005)
-    _, wrong = flown(FramesMisstamped(at_s=0.5, by_s=-0.3))
+    _, wrong = fly_calm(FramesMisstamped(at_s=0.5, by_s=-0.3))
     assert wrong.frames[-1].frame.stamp.delay_s == pytest.approx(0.39, abs=0.005)
     assert len(wrong.frames) > len(late.frames) + 5
-    _, ahead = flown(FramesMisstamped(at_s=0.5, by_s=2.0))
+    _, ahead = fly_calm(FramesMisstamped(at_s=0.5, by_s=2.0))
     assert max(f.frame.stamp.measured_at for f in ahead.frames) > 2_900_000_000
 
 
 @pytest.mark.parametrize("by_s", [-2.0, 2.0, 3600.0])
 def test_misstamped_samples_reach_the_service_with_the_wrong_stamp(by_s: float) -> None:
-    _, processed = flown(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
+    _, processed = fly_calm(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
     stamps = [s.stamp.measured_at for s in processed.samples if isinstance(s, Imu)]
     steps = np.diff(np.array(stamps)) / 1e9
     assert steps[np.abs(steps) > 0.1] == pytest.approx([by_s], abs=0.02)
 
 
 def test_a_lost_link_carries_nothing_either_way() -> None:
-    flight, processed = flown(LinkLost(at_s=0.3), 3.0)
+    flight, processed = fly_calm(LinkLost(at_s=0.3), 3.0)
     assert max(s.stamp.received_at for s in processed.samples) < 320_000_000
     assert max(f.frame.stamp.measured_at for f in processed.frames) < 320_000_000
     assert flight._drone.state.silent, "the drone misses its client"
 
 
 def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None:
-    flight, processed = flown(ServiceKilled(at_s=0.5), 3.0)
+    flight, processed = fly_calm(ServiceKilled(at_s=0.5), 3.0)
     assert max(s.stamp.received_at for s in processed.samples) < 510_000_000
     assert not flight._drone.state.silent, "its sender is another process and holds the drone"
     assert flight.world.phase is VehiclePhase.HOVERING
     first = flight._pilot
-    again, processed = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
+    again, processed = fly_calm(ServiceKilled(at_s=0.5, for_s=0.5), 1.2)
     assert again._pilot is not first
     received_at = np.array([s.stamp.received_at for s in processed.samples]) / 1e9
     assert np.diff(received_at).max() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(BadInput, match="service_killed comes back after for_s"):
-        flown(ServiceKilled(at_s=0.5, for_s=0.5))
+        Flight(change(CALM, faults=(ServiceKilled(at_s=0.5, for_s=0.5),)), 1, SIM, make_pilot(SIM))
 
 
 def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    flight, _ = flown(LensCovered(at_s=0.0), 0.2)
+    flight, _ = fly_calm(LensCovered(at_s=0.0), 0.2)
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
@@ -355,7 +340,7 @@ def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(mon
 
 
 def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:
-    flight, _ = flown(FlowBlind(at_s=9.0), 0.02)
+    flight, _ = fly_calm(FlowBlind(at_s=9.0), 0.02)
     assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.euler_angle_max_deg), abs=1e-5)  # type: ignore[union-attr]
     assert flight._drone.state.counters["config_set"] == 11
     vehicle = msgspec.structs.replace(SIM.vehicle)

@@ -1,15 +1,13 @@
 """A long hover teaches the filter nothing that it cannot see."""
 
-import msgspec
 import numpy as np
 
 from companion.base.observer import Decision, NullObserver
 from companion.settings.load import load
 from sitl.flight.flight import Flight
-from sitl.perception.levels import perceive
-from sitl.scenario.scenario import load as load_scenario
+from tests.fly import new_flight
+from tests.make import change
 
-SIM = load("sim")
 SETTLED_S = 20.0
 
 
@@ -29,12 +27,11 @@ class Errors(NullObserver):
 
 def test_a_tilted_body_is_not_distinguished_from_a_biased_accelerometer_by_standing_still() -> None:
     """Two seeds whose accelerometers are off by two sigma; a filter that learns from its own corrections is at 10, not at 3."""
-    scenario = msgspec.structs.replace(load_scenario("calm"), duration_limit_s=30.0)
-    settings = msgspec.structs.replace(SIM, guidance=msgspec.structs.replace(SIM.guidance, start="signal"))
+    settings = change(load("sim"), guidance={"start": "signal"})
     means = []
     for seed in (1, 7):
-        errors, perception = Errors(), perceive("model")
-        errors.flight = Flight(scenario, seed, settings, perception.pilot(settings), observers=[errors], perception=perception)
+        errors = Errors()
+        errors.flight = new_flight("calm", seed, level="model", settings=settings, observers=[errors], duration_limit_s=30.0)
         errors.flight.run()
         assert len(errors.nees) > 300
         means.append(np.mean(errors.nees))

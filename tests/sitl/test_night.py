@@ -3,8 +3,7 @@
 from collections import Counter
 
 from companion.base.observer import NullObserver, ProcessedFrame
-from sitl.flight.one_flight import fly, perception_level, settings_for
-from sitl.scenario.scenario import load
+from tests.fly import land
 
 
 class Chosen(NullObserver):
@@ -19,9 +18,9 @@ class Chosen(NullObserver):
 
 
 def test_a_vehicle_lands_at_night_by_the_lamps_of_the_pad():
-    scenario, chosen = load("night"), Chosen()
+    chosen = Chosen()
 
-    ending = fly("night", scenario, 300, settings_for(scenario, None), perception_level("pixels"), observers=[chosen]).as_json()
+    ending = land("night", 300, level="pixels", observers=[chosen]).as_json()
 
     assert ending["landed_on_pad"], ending
     assert ending["touchdown"]["lateral_m"] < 0.1

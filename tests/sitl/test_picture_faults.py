@@ -5,21 +5,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import after
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import Bystander, FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
-from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
 from sitl.scenario.scenario import from_mapping, load, pad_model, shipped_scenarios
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
+from tests.fly import fly_for, new_flight
 from tests.sitl.test_faults import CALM, at
-
-SIM = load_settings("sim")
 
 
 def frame(*faults: Fault, seconds: float = 0.3) -> RenderedFrame:
@@ -91,24 +88,15 @@ def test_less_light_is_darker_and_noisier_and_a_lens_blurs_and_zooms() -> None:
     assert green(frame(FocalLength(at_s=0.1, scale=1.2)).px).sum() == pytest.approx(1.44 * green(frame().px).sum(), rel=0.03)
 
 
-def flown(level: str, *faults: Fault, seconds: float = 1.6) -> Flight:
-    perception = perceive(level)  # type: ignore[arg-type]
-    scenario = msgspec.structs.replace(CALM, faults=faults)
-    flight = Flight(scenario, 1, SIM, perception.pilot(SIM), perception=perception)
-    for _ in range(round(seconds / 0.005)):
-        flight.step()
-    return flight
-
-
 def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
-    clear, covered = flown("truth"), flown("truth", PadCovered(at_s=0.4, fraction=1.0))
+    clear, covered = (fly_for(1.6, CALM, level="truth", faults=f) for f in ((), (PadCovered(at_s=0.4, fraction=1.0),)))
     assert clear.health.frames[Verdict.NO_PAD] < 5 < covered.health.frames[Verdict.NO_PAD]
-    dark = flown("truth", LightFalls(at_s=0.0, fraction=0.0005))
+    dark = fly_for(1.6, CALM, level="truth", faults=(LightFalls(at_s=0.0, fraction=0.0005),))
     scene = next(reversed(dark._perception.scenes._scenes.values()))  # type: ignore[attr-defined]
     assert scene.light_stops == pytest.approx(np.log2(0.0005))
     heights = []
     for faults in ((), (FocalLength(at_s=0.0, scale=1.1),)):
-        flight = flown("model", *faults)
+        flight = fly_for(1.6, CALM, level="model", faults=faults)
         belief = flight._pilot.believed(flight._clock.t)
         assert belief is not None
         heights.append(belief.height_m / float(flight.world.truth().d_body_pad_level[2]))
@@ -152,7 +140,7 @@ def test_each_shipped_fault_of_the_picture_changes_it() -> None:
 def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, right_m: float, unsafe: int) -> None:
     lies = {"kind": "object_on_pad", "at_s": 0.0, "thing": thing, "size_m": 0.3, "right_m": right_m}
     scenario = from_mapping({"title": "x", "start": {"height_m": 0.6}, "faults": [lies]}, "mine.toml")
-    flight = Flight(scenario, 1, SIM, perceive("pixels").pilot(SIM))
+    flight = new_flight(scenario, level="pixels")
     flight.world.land()
     while flight.world.truth().touchdown is None:
         flight.world.advance(after(flight.world.now, 0.05))
@@ -165,7 +153,7 @@ def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, 
 def test_to_fly_into_a_person_is_unsafe_and_to_fly_beside_or_above_is_not(right_m: float, height_m: float, unsafe: int) -> None:
     stands = {"kind": "bystander", "at_s": 0.0, "right_m": right_m, "height_m": height_m}
     scenario = from_mapping({"title": "x", "start": {"height_m": 1.0, "pad_right_m": 0.0}, "faults": [stands]}, "mine.toml")
-    flight = Flight(scenario, 1, SIM, perceive("model").pilot(SIM))
+    flight = new_flight(scenario, level="model")
     flight.world.advance(after(flight.world.now, 0.05))
     for _ in range(2):
         flight._grader.step()

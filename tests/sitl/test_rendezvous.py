@@ -1,21 +1,12 @@
 """Flights from 60 m away to a ship that reports her place, through navdata, and what her wrong reports lead to."""
 
-import json
-
 import pytest
 
-from companion.cli.main import main
-
-
-def flown(
-    capsys: pytest.CaptureFixture[str], scenario: str, *more: str, perception: str = "truth"
-) -> tuple[int, dict[str, object]]:
-    code = main(["simulate", scenario, "--perception", perception, "--json", *more])
-    return code, json.loads(capsys.readouterr().out)
+from tests.fly import simulate
 
 
 def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixture[str]) -> None:
-    code, ending = flown(capsys, "rendezvous")
+    code, ending = simulate(capsys, "rendezvous")
     assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
     assert ending["contacts_outside_commit"] == 0
     assert ending["duration_s"] < 90.0
@@ -23,7 +14,7 @@ def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixtur
 
 def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocity(capsys: pytest.CaptureFixture[str]) -> None:
     """The flow measures against the deck, which goes on at 1.5 m/s, for a second before the first sighting."""
-    code, ending = flown(capsys, "rendezvous", "--seed", "3014", perception="model")
+    code, ending = simulate(capsys, "rendezvous", "--seed", "3014", level="model")
     assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
 
 
@@ -36,12 +27,12 @@ def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocit
     ],
 )
 def test_wrong_places_are_refused_with_their_reason(capsys: pytest.CaptureFixture[str], scenario: str, words: str) -> None:
-    code, ending = flown(capsys, scenario)
+    code, ending = simulate(capsys, scenario)
     assert (code, ending["outcome"], ending["contacts"]) == (0, "refused", [])
     assert words in str(ending["refused"])
 
 
 def test_a_drone_without_a_receiver_refuses_and_gives_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
-    code, ending = flown(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
+    code, ending = simulate(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
     assert (code, ending["outcome"]) == (1, "refused")
     assert "the drone does not know its own place (no GNSS)" in str(ending["refused"])

@@ -13,11 +13,10 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import KINDS, STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
-from sitl.flight.flight import Flight
 from sitl.flight.grade import AtEnd, Grade, grade
-from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World
+from tests.fly import fly_for
 from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0
@@ -78,14 +77,6 @@ def test_a_shipped_fault_acts_and_not_before_it_begins(name: str) -> None:
     assert own or any(isinstance(fault, ELSEWHERE) for fault in scenario.faults)
 
 
-def flown(*faults: Fault, until_s: float) -> Flight:
-    level = perceive("truth")
-    flight = Flight(msgspec.structs.replace(CALM, faults=faults), 1, SIM, level.pilot(SIM), perception=level)
-    for _ in range(round(until_s / 0.005)):
-        flight.step()
-    return flight
-
-
 @pytest.mark.parametrize(
     ("fault", "situation"),
     [
@@ -98,26 +89,37 @@ def flown(*faults: Fault, until_s: float) -> Flight:
     ],
 )
 def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: ControlSituation) -> None:
-    flight = flown(fault, until_s=1.2)
+    flight = fly_for(1.2, CALM, level="truth", faults=(fault,))
     assert flight._pilot.operator.situation(flight._clock.t) is situation
-    early = flown(fault, until_s=0.45)
+    early = fly_for(0.45, CALM, level="truth", faults=(fault,))
     assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
 
 
 def test_a_person_says_that_the_pad_is_clear_and_guidance_flies_on() -> None:
-    flight = flown(OperatorActs(at_s=0.5, order="clear"), until_s=1.2)
+    flight = fly_for(1.2, CALM, level="truth", faults=(OperatorActs(at_s=0.5, order="clear"),))
     assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED
     assert flight._pilot.landing._overruled
-    assert not flown(OperatorActs(at_s=0.5, order="clear"), until_s=0.45)._pilot.landing._overruled
+    assert not fly_for(0.45, CALM, level="truth", faults=(OperatorActs(at_s=0.5, order="clear"),))._pilot.landing._overruled
 
 
 def test_a_person_who_lets_guidance_begin_has_given_the_drone_back() -> None:
-    flight = flown(OperatorActs(at_s=0.2, order="manual"), OperatorActs(at_s=0.5, order="begin"), until_s=1.2)
+    flight = fly_for(
+        1.2,
+        CALM,
+        level="truth",
+        faults=(
+            OperatorActs(at_s=0.2, order="manual"),
+            OperatorActs(at_s=0.5, order="begin"),
+        ),
+    )
     assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED
 
 
 def test_sticks_of_a_person_fly_the_drone() -> None:
-    up, held = (flown(OperatorActs(at_s=0.2, order="manual", climb=c), until_s=2.0).world.truth() for c in (1.0, 0.0))
+    up, held = (
+        fly_for(2.0, CALM, level="truth", faults=(OperatorActs(at_s=0.2, order="manual", climb=c),)).world.truth()
+        for c in (1.0, 0.0)
+    )
     assert held.p_body_ned[2] - up.p_body_ned[2] > 0.4
 
 

@@ -15,7 +15,7 @@ from estimator.contracts.time import MonoNs
 from sitl.faults.faulty_streams import FaultyStream, InTransit
 from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, CommandStream, FrameStream, LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
-from tests.sitl.test_faults import at, flown, world
+from tests.sitl.test_faults import at, fly_calm, world
 
 TICK_NS = 10_000_000
 
@@ -98,7 +98,7 @@ def test_a_lost_link_and_a_lost_stream_are_silent(stream: str) -> None:
 
 
 def test_late_samples_arrive_late_and_keep_their_stamps() -> None:
-    _, seen = flown(NavdataStream(at_s=0.5, delay_s=0.3))
+    _, seen = fly_calm(NavdataStream(at_s=0.5, delay_s=0.3))
     delays = np.array([s.stamp.delay_s for s in seen.samples if isinstance(s, Imu)])
     assert delays[0] == pytest.approx(0.004, abs=0.001)
     assert delays[-1] == pytest.approx(0.304, abs=0.006)
@@ -107,9 +107,9 @@ def test_late_samples_arrive_late_and_keep_their_stamps() -> None:
 
 
 def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order() -> None:
-    _, all_of_them = flown(NavdataStream(at_s=9.0, delay_s=0.1), 0.6)
+    _, all_of_them = fly_calm(NavdataStream(at_s=9.0, delay_s=0.1), 0.6)
     for effect in ("duplicated_fraction", "reordered_fraction"):
-        _, seen = flown(NavdataStream(at_s=0.1, **{effect: 0.4}), 0.6)
+        _, seen = fly_calm(NavdataStream(at_s=0.1, **{effect: 0.4}), 0.6)
         stamps = [s.stamp.measured_at for s in seen.samples if isinstance(s, Imu)]
         assert stamps == sorted(set(stamps))
         expected = len([s for s in all_of_them.samples if isinstance(s, Imu)])
@@ -117,11 +117,11 @@ def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order() -> 
 
 
 def test_doubled_frames_come_twice_and_overtaken_ones_with_older_stamps() -> None:
-    _, twice = flown(FrameStream(at_s=0.0, duplicated_fraction=1.0), 0.6)
+    _, twice = fly_calm(FrameStream(at_s=0.0, duplicated_fraction=1.0), 0.6)
     verdicts = [f.verdict for f in twice.frames]
     assert verdicts[1::2] == [Verdict.REPEATED] * len(verdicts[1::2])
     assert len(verdicts) > 20
-    _, swapped = flown(FrameStream(at_s=0.0, reordered_fraction=0.5), 1.0)
+    _, swapped = fly_calm(FrameStream(at_s=0.0, reordered_fraction=0.5), 1.0)
     steps = np.diff([f.frame.stamp.measured_at for f in swapped.frames])
     assert (steps < 0).sum() >= 3
 
@@ -129,10 +129,10 @@ def test_doubled_frames_come_twice_and_overtaken_ones_with_older_stamps() -> Non
 def test_late_commands_move_the_drone_later_and_lost_ones_let_it_go_on() -> None:
     taken = []
     for fault in (CommandStream(at_s=9.0, delay_s=0.1), CommandStream(at_s=0.2, delay_s=0.1)):
-        flight, _ = flown(fault, 0.25)
+        flight, _ = fly_calm(fault, 0.25)
         taken.append(flight._drone.state.counters["at_taken"])
     assert taken[1] < taken[0]
-    flight, _ = flown(CommandStream(at_s=0.3, dropped_fraction=1.0), 3.0)
+    flight, _ = fly_calm(CommandStream(at_s=0.3, dropped_fraction=1.0), 3.0)
     assert flight._drone.state.silent, "the drone misses its client"
 
 

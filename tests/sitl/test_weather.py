@@ -16,9 +16,9 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
-from sitl.flight.one_flight import FlyOptions, fly, settings_for
+from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
-from sitl.scenario.scenario import Scenario, from_mapping, load, sea_of, wind_of
+from sitl.scenario.scenario import load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
 from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
@@ -28,7 +28,7 @@ from sitl.vessel.logged_motion import read_log
 from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
-from tests.sitl.near import NEAR
+from tests.fly import land, near
 from tests.sitl.test_world import CALM, run, with_
 
 UNKIND: dict[str, Any] = {
@@ -149,15 +149,9 @@ def test_a_wrong_model_is_drawn_by_the_seed_and_leaves_the_service_s_model() -> 
     assert math.degrees(math.acos((np.trace(apart) - 1.0) / 2.0)) == pytest.approx(2.0)
 
 
-def near(**over: Any) -> Scenario:
-    import tomllib
-
-    return from_mapping({**tomllib.loads(NEAR), **over}, "near")
-
-
 def test_a_landing_says_where_the_vehicle_stands_and_in_what_it_differs() -> None:
     scenario = near(wrong_model={"sigma": 1.0})
-    ending = fly("near", scenario, 3, settings_for(scenario, None), "truth").as_json()
+    ending = land(scenario, 3).as_json()
     stands, touch = ending["standing"], ending["touchdown"]
     assert stands["after_s"] == pytest.approx(STANDS_AFTER_S, abs=0.01)
     moved = math.dist(stands["p_pad_m"], touch["p_pad_m"])
@@ -175,7 +169,7 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = settings_for(scenario, None)
     # A slow climb, which still goes on after the refusal.
     slow = msgspec.structs.replace(chosen, vehicle=msgspec.structs.replace(chosen.vehicle, vz_max_m_s=0.5))
-    ending = fly("near", scenario, 1, slow, "truth", options=options).as_json()
+    ending = land(scenario, settings=slow, options=options).as_json()
     assert ending["refused"]
     later = ending["afterwards"]
     assert later["watched_s"] == pytest.approx(2.0, abs=0.01)
@@ -195,7 +189,7 @@ def referee_of(highest_m: float) -> Referee:
 
 def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
     scenario = near()
-    ending = fly("near", scenario, 1, settings_for(scenario, None), "truth")
+    ending = land(scenario, 1)
     assert ending.judged is not None
     assert (ending.judged.grade, ending.aftermath) == ("on pad", None)
     world = World(CALM, seed=1)

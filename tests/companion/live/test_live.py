@@ -36,7 +36,7 @@ from companion.settings.load import from_mapping
 from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.support.recorded_flight import SCENARIO, sim_settings
+from tests.fly import sim_settings
 from tests.support.waiting import PATIENCE_S, listening, until
 
 TOKEN = "a-token-of-more-than-sixteen"
@@ -59,7 +59,7 @@ class Service:
             limits,
         )
         observers: list[Observer] = [self.endpoint] if recorder is None else [recorder, self.endpoint]
-        self.flight = Flight(load_scenario(SCENARIO), 1, whole, pilot, observers=observers)
+        self.flight = Flight(load_scenario("demo"), 1, whole, pilot, observers=observers)
 
     async def fly(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.005)):

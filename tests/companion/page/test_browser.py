@@ -16,9 +16,9 @@ from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
+from tests.fly import record_to
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, serving
-from tests.support.recorded_flight import record_to
 from tests.support.waiting import until
 
 CHROMIUM = shutil.which("chromium")

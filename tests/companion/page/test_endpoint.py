@@ -27,10 +27,10 @@ from companion.settings.page import PageSettings
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
+from tests.fly import record_to
 from tests.support import processed_frames
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, browsing, serving
-from tests.support.recorded_flight import record_to
 from tests.support.waiting import PATIENCE_S, until
 
 

@@ -19,7 +19,7 @@ from companion.tools.ros2.messages import RosMessages
 from companion.tools.ros2.typestore import typestore
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu, Range
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 rosbags = pytest.importorskip("rosbags", reason="needs the extra ros2")
 Bag = dict[str, list[tuple[int, Any]]]

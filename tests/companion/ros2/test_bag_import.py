@@ -12,7 +12,7 @@ from companion.tools.ros2 import bag_import
 from drivers.imports.kinds import FileKind, kind_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range
-from tests.support.recorded_flight import record_to
+from tests.fly import record_to
 
 rosbags = pytest.importorskip("rosbags", reason="needs the extra ros2")
 BEGAN_NS = 1_700_000_000_000_000_000

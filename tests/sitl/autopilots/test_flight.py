@@ -13,7 +13,7 @@ import pytest
 from companion.cli.main import main
 from companion.recording.reading import open_recording
 from companion.recording.records import TruthRecord
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 from tests.support.processes import gone, started
 from tests.support.waiting import wait_until
 

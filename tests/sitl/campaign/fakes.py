@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import time
-import tomllib
 from contextlib import closing
 from pathlib import Path
 
@@ -15,15 +14,11 @@ from sitl.campaign.store import FolderStore, Session
 from sitl.campaign.task import Flight
 from sitl.campaign.workers import LocalWorkers
 from sitl.flight.one_flight import Perception, settings_for
-from sitl.scenario.scenario import Scenario, from_mapping
-from tests.sitl.near import NEAR
+from sitl.scenario.scenario import Scenario
+from tests.fly import near
 
 RAISES, KILLS = 13, 66
 """Seeds of a flight that raises an error, and of one that kills its process."""
-
-
-def near(**over: object) -> Scenario:
-    return from_mapping({**tomllib.loads(NEAR), **over}, "near")
 
 
 def plan(name: str = "near", **over: object) -> CampaignPlan:

@@ -21,8 +21,8 @@ from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, Session, flights
 from sitl.campaign.summary import tally, wilson
 from sitl.campaign.task import Flight, Order, OtherCode, fly_order
 from sitl.campaign.workers import LocalWorkers
+from tests.fly import NEAR
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan
-from tests.sitl.near import NEAR
 
 
 def flown(job: Job) -> Flight:

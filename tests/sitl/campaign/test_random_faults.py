@@ -19,7 +19,7 @@ from sitl.faults.drawn import SHARES, Drawable, draw, simpler
 from sitl.faults.kinds import AnyFault, CommandStream, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.with_fault import as_toml, with_random_faults
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 
 GYRO = Corrupted(signal="gyro", error="biased", size=40.0, at_s=3.0)
 RANGE = Corrupted(signal="range", error="scaled", size=3.0, at_s=2.0, for_s=8.0)

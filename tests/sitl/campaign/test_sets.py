@@ -17,8 +17,8 @@ from sitl.campaign.tables import by_scenario, in_columns
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load as load_scenario
+from tests.fly import NEAR
 from tests.sitl.campaign.fakes import fake_fly, plan
-from tests.sitl.near import NEAR
 
 TWO = 'title = "two"\nperception = "truth"\n[[scenario]]\nname = "near.toml"\n[[scenario]]\nname = "held.toml"\n'
 

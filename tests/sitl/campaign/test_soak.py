@@ -14,7 +14,7 @@ from sitl.campaign.growth import Reading, findings, give_back, read
 from sitl.campaign.soak import OPERATOR_WAIT_S, flown_settings, warm_up_s
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 from tests.support.processes import started
 from tests.support.waiting import wait_until
 

@@ -16,7 +16,7 @@ from sitl.campaign.soak_flights import Class, Flown, Outcomes, by_fault, real
 from sitl.flight.ending import Load
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
-from tests.sitl.near import NEAR
+from tests.fly import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})
 SAID: dict[str, Any] = {
