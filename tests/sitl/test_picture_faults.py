@@ -140,7 +140,7 @@ def test_each_shipped_fault_of_the_picture_changes_it() -> None:
 def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, right_m: float, unsafe: int) -> None:
     lies = {"kind": "object_on_pad", "at_s": 0.0, "thing": thing, "size_m": 0.3, "right_m": right_m}
     scenario = from_mapping({"title": "x", "start": {"height_m": 0.6}, "faults": [lies]}, "mine.toml")
-    flight = new_flight(scenario, level="pixels")
+    flight = new_flight(scenario)
     flight.world.land()
     while flight.world.truth().touchdown is None:
         flight.world.advance(after(flight.world.now, 0.05))
@@ -153,7 +153,7 @@ def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, 
 def test_to_fly_into_a_person_is_unsafe_and_to_fly_beside_or_above_is_not(right_m: float, height_m: float, unsafe: int) -> None:
     stands = {"kind": "bystander", "at_s": 0.0, "right_m": right_m, "height_m": height_m}
     scenario = from_mapping({"title": "x", "start": {"height_m": 1.0, "pad_right_m": 0.0}, "faults": [stands]}, "mine.toml")
-    flight = new_flight(scenario, level="model")
+    flight = new_flight(scenario)
     flight.world.advance(after(flight.world.now, 0.05))
     for _ in range(2):
         flight._grader.step()
