@@ -25,7 +25,8 @@ from sitl.campaign.summary import RULES, cause_of, in_words, severity, tally
 from sitl.campaign.tables import as_json, by_value, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.flight.one_flight import settings_for
-from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan
+from tests.fly import near
+from tests.sitl.campaign.fakes import RAISES, fake_fly, plan
 
 AT = "--vary"
 
