@@ -10,7 +10,7 @@ BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 
-.PHONY: core demo check test test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
+.PHONY: core demo check test qualify test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
 
 demo: $(VENV)/.report $(VENV)/.compare $(VENV)/.video $(CORE)
 	$(BIN)/decklander demo
@@ -22,6 +22,10 @@ check: lint
 
 test: lint
 	$(BIN)/pytest $(WORKERS)
+
+# Slow proofs that a change of Python rarely breaks: real devices of the kernel, installations, the learned detector.
+qualify: $(VENV)/.dev $(CORE)
+	$(BIN)/pytest qualification
 
 # The native libraries (estimator/core, sitl/core), with cc where there is one, else with zig's compiler. Only what changed is compiled.
 core: $(CORE)
@@ -40,7 +44,7 @@ wheels: $(VENV)/.dev $(VENV)/.compiler
 
 # The package on a booted Debian 12: install, update, return, remove. As root, with debootstrap and a Debian mirror in reach.
 test-install: deb
-	$(BIN)/python -m tests.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
+	$(BIN)/python -m qualification.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
 
 # A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
 deb: $(VENV)/.supply $(VENV)/.compiler
@@ -56,12 +60,12 @@ release: wheels deb sbom docs
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)
-	@$(BIN)/python -c 'import sys; from tests.v4l2_vm.machine import missing; sys.exit(missing())'
-	$(BIN)/pytest tests/v4l2_vm
+	@$(BIN)/python -c 'import sys; from qualification.v4l2_vm.machine import missing; sys.exit(missing())'
+	$(BIN)/pytest qualification/v4l2_vm
 
 # The images' own steps without an engine, up to a landing in them. As root, with debootstrap and a Debian mirror in reach.
 test-image: $(VENV)/.dev $(CORE)
-	$(BIN)/python -m tests.packaging.image
+	$(BIN)/python -m qualification.packaging.image
 
 lint: $(VENV)/.dev $(CORE)
 	$(BIN)/ruff check .

@@ -33,8 +33,6 @@ if sys.dont_write_bytecode and not sys.pycache_prefix:
 
 ROOT = Path(__file__).parents[1]
 SLOW = (
-    "tests/packaging/",
-    "tests/v4l2_vm/",
     "tests/sitl/autopilots/test_stand_in_landings.py",
     "tests/sitl/autopilots/test_flight_px4.py",
     "tests/sitl/campaign/",
@@ -162,9 +160,7 @@ SLOW = (
 )
 """Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first.
 Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
-TOGETHER = ("tests/v4l2_vm/",)
-"""Folders whose files share what is dear to make: one virtual machine is started for all of them."""
-APART = ("tests/packaging/test_installation.py", "tests/sitl/autopilots/test_stand_in_landings.py")
+APART = ("tests/sitl/autopilots/test_stand_in_landings.py",)
 """Files of long tests that share nothing, so that one worker need not run them all."""
 
 
@@ -184,11 +180,9 @@ def out_of_the_collectors_sight() -> None:
 
 
 def share(nodeid: str) -> str:
-    """Return the name of the tests that one worker runs in a row: a file, a folder of files, or a single test."""
+    """Return the name of the tests that one worker runs in a row: a file or a single test."""
     file = nodeid.partition("::")[0]
-    if file in APART:
-        return nodeid
-    return next((folder for folder in TOGETHER if file.startswith(folder)), file)
+    return nodeid if file in APART else file
 
 
 @cache

@@ -21,7 +21,7 @@ PAGES = [
     *sorted(ROOT.glob("docs/**/*.md")),
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CHANGELOG")),
 ]
-PACKAGES = "companion|drivers|estimator|sitl|configs|tests|benches|fuzz|mutants|supply|requirements"
+PACKAGES = "companion|drivers|estimator|sitl|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
 FOREIGN_OPTIONS = {"--scale", "--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
 """Options of systemctl, systemd-analyze, docker, pip, v4l2-ctl and mosquitto_pub."""
 ENDINGS = {"toml", "py", "md", "txt", "json", "csv", "png", "svg", "html"}
@@ -176,7 +176,7 @@ def test_named_values_and_parameters_in_the_pages_are_sent_or_types_of_the_core(
 
 
 def test_modules_and_names_in_the_pages_exist() -> None:
-    first = "companion|drivers|estimator|sitl|tests|benches|fuzz|mutants|supply"
+    first = "companion|drivers|estimator|sitl|tests|benches|fuzz|mutants|supply|qualification"
     named = {(p, text.split("(")[0]) for p, text in in_backticks() if re.match(rf"({first})(\.[A-Za-z_]\w*)+(\(|$)", text)}
     named |= {
         (str(page.relative_to(ROOT)), name)
@@ -236,33 +236,8 @@ def test_files_in_the_commands_exist() -> None:
     assert sorted((page, path) for page, path in named if not (ROOT / path).exists()) == []
 
 
-def test_topics_of_recordings_in_the_page_are_written() -> None:
-    source = (ROOT / "companion/recording/channels.py").read_text()
-    first = set(re.findall(r'"/(\w+)', source))
-    short = set(re.findall(r'"/sample/(\w+)"', source)) | {"imu"}
-    named = set(re.findall(r"`/(\w+)", (ROOT / "docs/recordings.md").read_text()))
-    assert sorted(named - first - short) == []
-    assert len(named) > 10
-
-
 def test_topics_of_bags_in_the_page_are_those_that_are_written() -> None:
     source = (ROOT / "companion/tools/ros2/messages.py").read_text()
     written = set(re.findall(r'"(/[a-z][\w/]*)"', source)) | {"/vehicle/fix", "/vessel/fix", "/PATH/pad_pose", "/PATH/odometry"}
     named = set(re.findall(r"`(/[\w/]+)`", (ROOT / "docs/ros2.md").read_text()))
     assert named == written
-
-
-def test_modules_listed_beside_a_folder_exist() -> None:
-    """A listing is a block whose lines begin with a folder, then names of its modules, then what they are for."""
-    wrong, seen = [], 0
-    block = (ROOT / "docs/mavlink.md").read_text().split("## In the code\n\n")[1].split("\n\n")[0]
-    folder = ""
-    for line in block.splitlines():
-        found = re.match(r" {4}([\w/]+/)? +(\w[\w*, ]*?),?(?: {2,}.*)?$", line)
-        assert found is not None, line
-        folder = found[1] or folder
-        for name in found[2].split(", "):
-            seen += 1
-            wrong += [] if any(ROOT.glob(f"{folder}{name}.py")) else [f"{folder}{name}"]
-    assert wrong == []
-    assert seen > 20

@@ -122,26 +122,6 @@ def test_settings_in_the_docs_are_good(snippet: Snippet) -> None:
         from_mapping(data, str(snippet))
 
 
-def test_links_lead_somewhere() -> None:
-    broken = [
-        f"{page.name}: {target}"
-        for page in PAGES
-        for target in re.findall(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
-        if not (page.parent / target).exists()
-    ]
-    assert broken == []
-
-
-def test_paths_named_in_the_pages_exist() -> None:
-    """Files of ours in backticks, where they are named from the top."""
-    named = {
-        (page.name, path)
-        for page in PAGES
-        for path in re.findall(r"`((?:companion|configs|drivers|estimator|sitl|tests|benches)/[\w./-]+)`", page.read_text())
-    }
-    assert sorted(f"{page}: {path}" for page, path in named if not (ROOT / path).exists()) == []
-
-
 def test_there_is_something_to_run() -> None:
     assert len(of_kind("sh run")) >= 2
     assert len(of_kind("python run")) >= 1

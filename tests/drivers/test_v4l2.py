@@ -1,6 +1,6 @@
 """The V4L2 driver above its device: stamps, gaps, decoding, unplugging, on a device that a socket pair makes readable.
 
-The same driver on a real kernel device: tests/v4l2_vm.
+The same driver on a real kernel device: qualification/v4l2_vm.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-"""Taking over the exposure of a V4L2 device, on controls in memory. On real kernel devices: tests/v4l2_vm."""
+"""Taking over the exposure of a V4L2 device, on controls in memory. On real kernel devices: qualification/v4l2_vm."""
 
 import errno
 from types import SimpleNamespace

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.v4l2_vm.usbip import Plug
+from qualification.v4l2_vm.usbip import Plug
 
 CARD = "Decklander Webcam"
 INTERVAL = 333_333

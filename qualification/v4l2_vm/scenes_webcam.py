@@ -22,8 +22,8 @@ from drivers.camera.source import VideoSource
 from drivers.camera.v4l2 import cameras
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
-from tests.v4l2_vm.webcam import CARD, Format, Webcam
+from qualification.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
+from qualification.v4l2_vm.webcam import CARD, Format, Webcam
 
 SMALL = (320, 240)
 FORMATS = (Format("YUYV", (SMALL,)), Format("MJPG", (SMALL, (640, 480))), Format("H264", (SMALL,)))

@@ -31,7 +31,7 @@ mount -t tmpfs scratch /host/mnt
 cd /host
 chroot /host /usr/bin/env -i PATH=/usr/bin:/bin HOME=/mnt TMPDIR=/mnt PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 \\
   PYTHONPYCACHEPREFIX='{bytecode}' \\
-  sh -c "cd '{root}' && exec '{python}' -m tests.v4l2_vm.guest" > /dev/ttyS0 2>&1
+  sh -c "cd '{root}' && exec '{python}' -m qualification.v4l2_vm.guest" > /dev/ttyS0 2>&1
 poweroff -f
 """
 
@@ -57,7 +57,7 @@ def missing() -> str | None:
 
 
 def run(timeout_s: float, echo: bool = False) -> list[dict[str, Any]]:
-    """Boot, run `tests.v4l2_vm.guest` inside, power off; what it reported.
+    """Boot, run `qualification.v4l2_vm.guest` inside, power off; what it reported.
 
     Raises:
         RuntimeError: the guest did not end by itself, or said nothing; with the end of its console.
@@ -65,7 +65,7 @@ def run(timeout_s: float, echo: bool = False) -> list[dict[str, Any]]:
     image = kernel()
     assert image is not None
     # The bytecode of what the guest imports: emulated, compiling would take ten times as long.
-    subprocess.run([sys.executable, "-c", "import tests.v4l2_vm.guest"], cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-c", "import qualification.v4l2_vm.guest"], cwd=ROOT, check=True)
     with tempfile.TemporaryDirectory(prefix="decklander-vm-") as folder:
         initramfs = Path(folder) / "initramfs.cpio"
         initramfs.write_bytes(_initramfs(image))

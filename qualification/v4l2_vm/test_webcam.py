@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from drivers.camera.exposure import TARGET
-from tests.v4l2_vm.capture import Seen, accounted
-from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
-from tests.v4l2_vm.scenes_webcam import BARS
-from tests.v4l2_vm.webcam import CARD
+from qualification.v4l2_vm.capture import Seen, accounted
+from qualification.v4l2_vm.conftest import NEEDS_A_MACHINE
+from qualification.v4l2_vm.scenes_webcam import BARS
+from qualification.v4l2_vm.webcam import CARD
 
 pytestmark = NEEDS_A_MACHINE
 

@@ -12,9 +12,9 @@ import traceback
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from tests.v4l2_vm import scenes_vivid, scenes_webcam
-from tests.v4l2_vm.capture import Seen
-from tests.v4l2_vm.machine import MARK
+from qualification.v4l2_vm import scenes_vivid, scenes_webcam
+from qualification.v4l2_vm.capture import Seen
+from qualification.v4l2_vm.machine import MARK
 
 
 async def scenes() -> None:

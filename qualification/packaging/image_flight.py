@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tests.packaging.image import ROOT, Image, chroot
+from qualification.packaging.image import ROOT, Image, chroot
 
 LANDED_S = 400.0
 CONFIG = ROOT / "configs/compose/decklander.toml"
@@ -33,7 +33,7 @@ def fly(work: Path, service: Image, broker: Image, config: Path = CONFIG) -> Non
         for name, image in (("service", service), ("broker", broker))
     }
     (work / "plan.json").write_text(json.dumps(plan))
-    inside = f"ip link set lo up && exec {sys.executable} -m tests.packaging.image_flight {work} {config.resolve()}"
+    inside = f"ip link set lo up && exec {sys.executable} -m qualification.packaging.image_flight {work} {config.resolve()}"
     subprocess.run(["unshare", "--net", "sh", "-c", inside], cwd=ROOT, check=True)
 
 

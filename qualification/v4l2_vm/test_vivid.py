@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.v4l2_vm.capture import Seen, accounted
-from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
+from qualification.v4l2_vm.capture import Seen, accounted
+from qualification.v4l2_vm.conftest import NEEDS_A_MACHINE
 
 pytestmark = NEEDS_A_MACHINE
 BARS = [(190, 190, 190), (0, 190, 190), (190, 190, 0), (0, 190, 0), (190, 0, 190), (0, 0, 190), (190, 0, 0), (0, 0, 0)]

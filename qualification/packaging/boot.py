@@ -1,6 +1,6 @@
 """The Debian package and the commands of installation on a booted Debian 12: systemd as the first process of a container.
 
-    python -m tests.packaging.boot --deb FILE [--work DIR] [--keep]
+    python -m qualification.packaging.boot --deb FILE [--work DIR] [--keep]
 
 Needs root, debootstrap and a Debian mirror. systemd starts in namespaces of its own, in a bare root; there dpkg installs the
 package, the service comes up under its unit, updates to a good and to a bad version, returns, refuses to be touched while a

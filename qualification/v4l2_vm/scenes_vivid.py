@@ -14,7 +14,7 @@ from drivers.camera.v4l2 import cameras
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
+from qualification.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
 
 BY_ID = Path("/dev/v4l/by-id/usb-Decklander_test_camera_0001-video-index0")
 DRIVER = Path("/sys/bus/platform/drivers/vivid")

@@ -18,7 +18,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import Source
-from tests.packaging.image import stages
+from qualification.packaging.image import stages
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "configs/compose"

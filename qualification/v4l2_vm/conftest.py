@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from tests.v4l2_vm import machine
-from tests.v4l2_vm.capture import Seen
+from qualification.v4l2_vm import machine
+from qualification.v4l2_vm.capture import Seen
 
 LACKING = machine.missing()
 NEEDS_A_MACHINE = [

@@ -1,6 +1,6 @@
 """The images without an engine: their Dockerfiles' own steps, in roots made by debootstrap, up to a landing in them.
 
-    python -m tests.packaging.image [--work DIR] [--config FILE] [--keep]
+    python -m qualification.packaging.image [--work DIR] [--config FILE] [--keep]
 
 Needs root, debootstrap and whatever this machine uses to reach Debian's and Python's packages. Each step is read from the
 Dockerfiles, so that the two cannot drift. Then compose.yaml's broker, sim and daemon run from those roots as its user, the roots
@@ -224,7 +224,7 @@ def main() -> int:
     if os.geteuid() != 0 or shutil.which("debootstrap") is None:
         print("this needs root and debootstrap (apt install debootstrap)", file=sys.stderr)
         return 2
-    from tests.packaging.image_flight import CONFIG, fly
+    from qualification.packaging.image_flight import CONFIG, fly
 
     work = asked.work or Path(tempfile.mkdtemp(prefix="decklander-image-"))
     work.mkdir(parents=True, exist_ok=True)
