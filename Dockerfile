@@ -43,6 +43,6 @@ WORKDIR /var/lib/decklander
 USER decklander
 # Asks the metrics endpoint of the settings, which must be on, at its usual port.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
-  CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:9464/health', timeout=2)"]
+  CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8480/health', timeout=2)"]
 ENTRYPOINT ["decklander"]
 CMD ["--help"]

@@ -51,7 +51,8 @@ GAP_S, LINES = 0.2, 300
 """The required limits: of a gap that is not the link's own, s, and of the lines in the log."""
 HOST = "127.0.0.1"
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
-_WATCHED = (("page", "/live"), ("foxglove", "/"), ("metrics", "/metrics"))
+_TOKEN = "0123456789abcdef" * 4
+_WATCHED = ("/operator", f"/live?token={_TOKEN}", f"/metrics?token={_TOKEN}")
 _SETPOINT, _HEARTBEAT = 84, 0
 _SO_TIMESTAMPNS = 35
 """Socket option of <asm-generic/socket.h>, which Python does not name."""
@@ -194,7 +195,7 @@ class Around:
         self.folder, self.seen, self.stack = folder, seen, stack
         self.reader = Reader(seen)
         self.relays: list[Relay] = []
-        self.ports = {name: free_port() for name in ("metrics", "page", "foxglove", "broker")}
+        self.ports = {name: free_port() for name in ("http", "broker")}
         self.service: subprocess.Popen[str] | None = None
         self.broker: subprocess.Popen[str] | None = None
         self._sockets: list[socket.socket] = []
@@ -211,14 +212,12 @@ class Around:
 
     def start_service(self, rig: str) -> None:
         """Start the real service with everything on."""
-        (self.folder / "token").write_text("0123456789abcdef" * 4)
+        (self.folder / "token").write_text(_TOKEN)
         (self.folder / "token").chmod(0o600)
         disk = self.folder / "disk"
         disk.mkdir()
         rig += (
-            f'[metrics]\nendpoint = "http"\nport = {self.ports["metrics"]}\n'
-            f'[page]\nendpoint = "http"\nport = {self.ports["page"]}\ntoken_file = "{self.folder}/token"\n'
-            f'[foxglove]\nendpoint = "websocket"\nport = {self.ports["foxglove"]}\n'
+            f'[http]\nendpoint = "http"\nport = {self.ports["http"]}\ntoken_file = "{self.folder}/token"\nfoxglove = true\n'
             f'[recorder]\nenabled = true\nfolder = "{disk}/recordings"\nmin_free_mb = 1.0\n'
             f'[mqtt]\ntransport = "tcp"\nhost = "{HOST}"\nport = {self.ports["broker"]}\nspool = "{disk}/spool"\n'
         )
@@ -236,7 +235,7 @@ class Around:
 
     def metric(self, pattern: str) -> str:
         """Return what a pattern finds in the metrics."""
-        address = f"http://{HOST}:{self.ports['metrics']}/metrics"
+        address = f"http://{HOST}:{self.ports['http']}/metrics?token={_TOKEN}"
         with suppress(OSError), urllib.request.urlopen(address, timeout=2) as answer:
             found = re.search(pattern, answer.read().decode())
             return found[1] if found else ""
@@ -263,8 +262,8 @@ class Around:
             watcher.close()
 
     def _stare_at_all(self) -> None:
-        for name, path in _WATCHED:
-            self._stare(self.ports[name], path)
+        for path in _WATCHED:
+            self._stare(self.ports["http"], path)
 
     def _stare(self, port: int, path: str) -> None:
         """Open a connection, ask, and read none of the answer."""

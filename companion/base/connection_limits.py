@@ -46,12 +46,9 @@ class ConnectionLimits:
 
 
 async def listen(
-    runner: web.AppRunner, limits: ConnectionLimits, host: str, port: int, what: str, tls: ssl.SSLContext | None = None
+    runner: web.AppRunner, limits: ConnectionLimits, host: str, port: int, tls: ssl.SSLContext | None = None
 ) -> asyncio.Server:
     """Serve an application on a port by bounded connections.
-
-    Args:
-        what: is named where the port cannot be used.
 
     Raises:
         Recoverable: the port is taken, or the address is none of this machine's.
@@ -63,7 +60,7 @@ async def listen(
             lambda: _Bounded(server(), limits), host, port, backlog=limits.connections, ssl=tls
         )
     except OSError as why:
-        raise Recoverable(f"{what} cannot be served on {host}:{port}: {why.strerror or why}") from why
+        raise Recoverable(f"HTTP cannot be served on {host}:{port}: {why.strerror or why}") from why
 
 
 class _Bounded(asyncio.Protocol):

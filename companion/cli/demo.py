@@ -34,10 +34,9 @@ from companion.guidance.make_pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
 from companion.settings import whole_file
-from companion.settings.live import FoxgloveSettings
+from companion.settings.http import HttpSettings
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
-from companion.settings.page import PageSettings
 from companion.settings.video import VideoStreamOptions
 from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
@@ -128,10 +127,9 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
         async with AsyncExitStack() as drone:
             child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
-            if args.page is not None:
-                settings = _with_page(settings, args.page, Path(folder))
-            if args.foxglove is not None:
-                settings = _with_foxglove(settings, args.foxglove)
+            token = make_token()
+            if args.page is not None or args.foxglove is not None:
+                settings = _with_http(settings, args, Path(folder), token)
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
@@ -151,7 +149,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                         asyncio.timeout(None if args.page is not None else scenario.duration_limit_s),
                         asyncio.TaskGroup() as group,
                     ):
-                        announced = group.create_task(_announce_page(settings.page))
+                        announced = group.create_task(_announce(settings.http, token))
                         outcome = await live(daemon, pilot)
                         announced.cancel()
                 except TimeoutError:
@@ -294,65 +292,63 @@ def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, trut
 
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:
-    page_port, foxglove_port = PageSettings().port, FoxgloveSettings().port
+    port = HttpSettings().port
     parser.add_argument(
         "--page",
         type=int,
         nargs="?",
-        const=page_port,
+        const=port,
         metavar="PORT",
         help="serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
-        f"goes on until Ctrl-C (default port: {page_port})",
+        f"goes on until Ctrl-C (default port: {port})",
     )
     parser.add_argument(
         "--foxglove",
         type=int,
         nargs="?",
-        const=foxglove_port,
+        const=port,
         metavar="PORT",
-        help=f"serve the flight live to Foxglove or Lichtblick on loopback and print the address (default port: {foxglove_port})",
+        help="serve the flight live to Foxglove or Lichtblick on loopback and print the address; with --page on the page's port "
+        f"(default port: {port})",
     )
 
 
-def _with_page(settings: Settings, port: int, folder: Path) -> Settings:
-    """Return the settings with the page on this port, and a token made for this run.
+def _with_http(settings: Settings, args: argparse.Namespace, folder: Path, token: str) -> Settings:
+    """Return the settings with the page, live data or both on a port.
 
-    The approach waits for the operator: whoever opens the page sees it from its beginning.
+    With a page the token is needed, and the approach waits for the operator: whoever opens the page sees it from its
+    beginning.
 
     Args:
         folder: where the token is written; its user's alone.
     """
-    _refuse_port("--page", PageSettings().host, port)
-    page = PageSettings(endpoint="http", port=port, token_file=str(folder / "page.token"))
-    token = make_token()
-    Path(page.token_file).write_text(token)
-    Path(page.token_file).chmod(0o600)
-    return replace(settings, page=page, guidance=replace(settings.guidance, start="signal"))
+    option, port = ("--page", args.page) if args.page is not None else ("--foxglove", args.foxglove)
+    token_file = folder / "page.token"
+    token_file.touch(0o600)
+    token_file.write_text(token)
+    page, foxglove = args.page is not None, args.foxglove is not None
+    given = str(token_file) if page else ""
+    http = HttpSettings(endpoint="http", port=port, token_file=given, page=page, foxglove=foxglove)
+    _refuse_port(option, http.host, port)
+    return replace(settings, http=http, guidance=replace(settings.guidance, start="signal") if page else settings.guidance)
 
 
-async def _announce_page(page: PageSettings) -> None:
-    """Print the page's address, with its token, as soon as it answers; print nothing without a page."""
-    if page.endpoint == "off":
+async def _announce(http: HttpSettings, token: str) -> None:
+    """Print the addresses of the page and of live data as soon as they answer."""
+    if http.endpoint == "off":
         return
     while True:
         with suppress(OSError):
-            _, writer = await asyncio.open_connection(page.host, page.port)
+            _, writer = await asyncio.open_connection(http.host, http.port)
             writer.close()
             break
         await asyncio.sleep(_PROBE_S)
-    sys.stderr.write(f"operator page: {_address(page)}\n")
-
-
-def _address(page: PageSettings) -> str:
-    return f"http://{page.host}:{page.port}/#token={Path(page.token_file).read_text()}"
-
-
-def _with_foxglove(settings: Settings, port: int) -> Settings:
-    """Return the settings with live data on this port, and print its address."""
-    _refuse_port("--foxglove", FoxgloveSettings().host, port)
-    live = FoxgloveSettings(endpoint="websocket", port=port)
-    sys.stderr.write(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{live.host}:{port}\n")
-    return replace(settings, foxglove=live)
+    address = f"{http.host}:{http.port}"
+    if http.page:
+        sys.stderr.write(f"operator page: http://{address}/#token={token}\n")
+    if http.foxglove:
+        query = f"?token={token}" if http.page else ""
+        sys.stderr.write(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{address}/live{query}\n")
 
 
 def _refuse_port(option: str, host: str, port: int) -> None:

@@ -84,7 +84,7 @@ def _make(path: Path) -> int:
 def _make_token(path: Path) -> int:
     _write(path, make_token().encode() + b"\n")
     sys.stdout.write(
-        f'{path}: a new token\nnext: endpoint = "http" and token_file = "{path}" under [page]; enter the token on the page\n'
+        f'{path}: a new token\nnext: endpoint = "http" and token_file = "{path}" under [http]; enter the token on the page\n'
     )
     return 0
 

@@ -18,11 +18,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "ros2",
         help="publish a flight in ROS 2 while it is flown",
-        description="Publish what the service's live port ([foxglove]) tells as standard messages of ROS 2, the same topics as "
+        description="Publish the service's live data ([http] foxglove) as standard messages of ROS 2, the same topics as "
         "'record export --format ros2' (docs/ros2.md), until interrupted. Needs the extra ros2, and ROS 2 for this Python. Exit "
         "code 1 if --seconds pass without a connection to the service.",
     )
-    parser.add_argument("url", nargs="?", default="ws://127.0.0.1:8765", help="address of the live port (default: %(default)s)")
+    parser.add_argument("url", nargs="?", default="ws://127.0.0.1:8480/live", help="address (default: %(default)s)")
     parser.add_argument("--token-file", default="", metavar="FILE", help="read the port's token from this file")
     parser.add_argument(
         "--config",

@@ -82,8 +82,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"start of the approach: {settings.guidance.start}\n"
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
-            f"metrics: {settings.metrics.endpoint}\n"
-            f"foxglove: {settings.foxglove.endpoint}\n"
+            f"http: {settings.http.endpoint}\n"
             f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0

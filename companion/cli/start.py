@@ -259,7 +259,7 @@ def settings_text(answers: Answers, out: Path) -> str:
     sections.append(["[recorder]", "enabled = true    # every flight, in the folder recordings"])
     if answers.page:
         secure = answers.page != "127.0.0.1"
-        page = ["[page]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{out.stem}.token"']
+        page = ["[http]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{out.stem}.token"']
         if secure:
             page += [f'host = "{answers.page}"', f'certificate_file = "{out.stem}.crt"', f'key_file = "{out.stem}.key"']
         sections.append(page)

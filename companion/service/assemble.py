@@ -195,25 +195,26 @@ def make_daemon(
         gamepad = GamepadPart(mapping_of(settings.operator.gamepad), settings.operator.gamepad_device, pilot, ticking)
         extras["gamepad"] = gamepad.run
         health.counters("gamepad", gamepad.counted)
-    if settings.metrics.endpoint != "off":
+    if settings.http.endpoint != "off":
+        from companion.base.http_server import HttpServer
         from companion.parts.metrics.endpoint import MetricsEndpoint
 
-        extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
-    if settings.foxglove.endpoint != "off":
-        from companion.parts.live.part import FoxgloveEndpoint
-        from companion.parts.recorder.setup import wall_offset_ns
+        server = HttpServer(settings.http, health)
+        extras["http"] = server.run
+        MetricsEndpoint(server, health)
+        if settings.http.foxglove:
+            from companion.parts.live.part import FoxgloveEndpoint
+            from companion.parts.recorder.setup import wall_offset_ns
 
-        data = FoxgloveEndpoint(settings.foxglove, pilot, health, ticking, vehicle_name(settings), wall_offset_ns(ticking))
-        watching.append(data)
-        extras["foxglove"] = data.run
-        health.counters("foxglove", data.counted)
-    if settings.page.endpoint != "off":
-        from companion.parts.page.make import make_page
+            data = FoxgloveEndpoint(server, pilot, health, ticking, vehicle_name(settings), wall_offset_ns(ticking))
+            watching.append(data.feed)
+            extras["foxglove"] = data.run
+        if settings.http.page:
+            from companion.parts.page.make import make_page
 
-        page = make_page(settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot, settings_file)
-        watching.append(page)
-        extras["page"] = page.run
-        health.counters("page", page.counted)
+            page = make_page(server, settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot, settings_file)
+            watching.append(page)
+            extras["page"] = page.run
     if (pulse := _pulse(pilot, health, ticking)) is not None:
         watching.append(pulse)
         extras["manager"] = pulse.run

@@ -35,6 +35,9 @@ MOVED = {
 }
 """Keys that have another name now. A settings file with the old name is refused; a recording is read with the new one."""
 
+_INTO_HTTP = ("page", "metrics", "foxglove")
+"""Tables that are one table [http] now. A settings file with them is refused; a recording is read without them."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
@@ -52,22 +55,12 @@ _RULES = (
     _Rule("mqtt.", lambda s: s.mqtt.transport == "off", 'mqtt.transport is "off"', "mqtt.transport"),
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
-    _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
-    _Rule("page.", lambda s: s.page.endpoint == "off", 'page.endpoint is "off"', "page.endpoint"),
-    _Rule("foxglove.", lambda s: s.foxglove.endpoint == "off", 'foxglove.endpoint is "off"', "foxglove.endpoint"),
+    _Rule("http.", lambda s: s.http.endpoint == "off", 'http.endpoint is "off"', "http.endpoint"),
     _Rule("video_stream.", lambda s: not s.video_stream.to, "video_stream.to is empty", "video_stream.to"),
-    _Rule("foxglove.origins", lambda s: bool(s.foxglove.token_file), "foxglove.token_file is set"),
-    _Rule(
-        "foxglove.jpeg_quality",
-        lambda s: s.foxglove.endpoint != "off" and s.foxglove.frames != "jpeg",
-        'foxglove.frames is not "jpeg"',
-    ),
-    _Rule(
-        "foxglove.frame_rate_hz",
-        lambda s: s.foxglove.endpoint != "off" and s.foxglove.frames == "none",
-        'foxglove.frames is "none"',
-    ),
-    _Rule("page.certificate_file,page.key_file", lambda s: s.page.endpoint == "http", 'page.endpoint is "http"'),
+    _Rule("http.certificate_file,http.key_file", lambda s: s.http.endpoint == "http", 'http.endpoint is "http"'),
+    _Rule("http.hosts,http.picture_codec,http.bitrate_kbit_s", lambda s: not s.http.page, "http.page is false"),
+    _Rule("http.origins,http.foxglove_frames", lambda s: not s.http.foxglove, "http.foxglove is false"),
+    _Rule("http.origins", lambda s: bool(s.http.token_file), "http.token_file is set"),
     _Rule(
         "limits.fence_radius_m,limits.fence_polygon,limits.fence_brake_s,limits.fence_ends_s",
         lambda s: s.limits.fence == "off",
@@ -199,10 +192,14 @@ def refuse_moved(data: Mapping[str, Any]) -> None:
     for old, new in MOVED.items():
         if _found(data, old) is not None:
             raise BadInput(f"{old} is now {in_file(new)}")
+    for table in _INTO_HTTP:
+        if table in data:
+            raise BadInput(f"{table} is now a part of the table [http] (docs/page.md)")
 
 
 def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the settings of a recording with moved keys under their new names; if a key has both names, the new one counts."""
+    data = {name: table for name, table in data.items() if name not in _INTO_HTTP}
     for old, new in MOVED.items():
         value = _found(data, old)
         if value is None:

@@ -280,9 +280,7 @@ def complete(settings: Settings, path: Path) -> Settings:
         bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
         vision=_anchored(settings.vision, path.parent, ["learned_file"]),
         guidance=_anchored(settings.guidance, path.parent, ["policy_file"]),
-        metrics=_anchored(settings.metrics, path.parent, ["token_file"]),
-        foxglove=_anchored(settings.foxglove, path.parent, ["token_file"]),
-        page=_anchored(settings.page, path.parent, ["token_file", "certificate_file", "key_file"]),
+        http=_anchored(settings.http, path.parent, ["token_file", "certificate_file", "key_file"]),
         mqtt=_anchored(
             settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
         ),

@@ -10,13 +10,11 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.settings.guidance import GuidanceOptions
+from companion.settings.http import HttpSettings
 from companion.settings.limits import LimitOptions
-from companion.settings.live import FoxgloveSettings
 from companion.settings.mavlink import BridgeOptions, OutputOptions
-from companion.settings.metrics import MetricsSettings
 from companion.settings.mqtt import MqttSettings
 from companion.settings.operator import OperatorOptions
-from companion.settings.page import PageSettings
 from companion.settings.recorder import RecorderOptions
 from companion.settings.restart import RestartOptions
 from companion.settings.vessel import VesselOptions
@@ -89,9 +87,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     service: ServiceSettings = ServiceSettings()
     recorder: RecorderOptions = RecorderOptions()
     mqtt: MqttSettings = MqttSettings()
-    metrics: MetricsSettings = MetricsSettings()
-    page: PageSettings = PageSettings()
-    foxglove: FoxgloveSettings = FoxgloveSettings()
+    http: HttpSettings = HttpSettings()
     video_stream: VideoStreamOptions = VideoStreamOptions()
     landing_target: OutputOptions = OutputOptions()
     bridge: BridgeOptions = BridgeOptions()

@@ -60,24 +60,16 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
             lambda: secret_files.key(m.command_key_file, "mqtt", "command_key_file"),
         )
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
-    if settings.metrics.endpoint != "off" and settings.metrics.token_file:
-        yield _token("metrics", settings.metrics.token_file)
-    if settings.foxglove.endpoint != "off" and settings.foxglove.token_file:
-        yield _token("foxglove", settings.foxglove.token_file)
-    if settings.page.endpoint != "off":
+    if settings.http.endpoint != "off":
         from companion.settings.tls import server_context
 
-        page = settings.page
-        yield _token("page", page.token_file)
-        yield "page.certificate_file", (page.certificate_file, page.key_file), lambda: server_context(page)
+        http = settings.http
+        yield "http.token_file", (http.token_file,), lambda: secret_files.token(http.token_file, "http", "token_file")
+        yield "http.certificate_file", (http.certificate_file, http.key_file), lambda: server_context(http)
     if settings.operator.gamepad != "off":
         from companion.settings.gamepad import mapping_of
 
         yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
-
-
-def _token(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
-    return f"{section}.token_file", (reference,), lambda: secret_files.token(reference, section, "token_file")
 
 
 def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:

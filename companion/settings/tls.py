@@ -1,10 +1,10 @@
-"""Make the TLS contexts of the settings: the one that checks a broker, and the one that serves the operator page."""
+"""Make the TLS contexts of the settings: the one that checks a broker, and the one of our own HTTP port."""
 
 import ssl
 
 from companion.settings import secret_files
+from companion.settings.http import HttpSettings
 from companion.settings.mqtt import MqttSettings
-from companion.settings.page import PageSettings
 from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput
 
@@ -36,26 +36,26 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
     return context
 
 
-def server_context(settings: PageSettings) -> ssl.SSLContext | None:
-    """Return the TLS context of the page; None where it is served in clear.
+def server_context(settings: HttpSettings) -> ssl.SSLContext | None:
+    """Return the TLS context of the HTTP port; None where it is served in clear.
 
     Raises:
         BadInput: the certificate or its key cannot be read or used.
     """
     if settings.endpoint != "https":
         return None
-    certificate = secret_files.find(settings.certificate_file, "page.certificate_file")
-    key = secret_files.find(settings.key_file, "page.key_file")
+    certificate = secret_files.find(settings.certificate_file, "http.certificate_file")
+    key = secret_files.find(settings.key_file, "http.key_file")
     assert certificate is not None
     assert key is not None
-    refuse_special(certificate, f"page.certificate_file: {certificate}")
-    refuse_special(key, f"page.key_file: {key}")
+    refuse_special(certificate, f"http.certificate_file: {certificate}")
+    refuse_special(key, f"http.key_file: {key}")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
         context.load_cert_chain(certificate, key, password=_no_passphrase)
     except (OSError, ValueError) as why:  # ssl.SSLError is an OSError
-        raise BadInput(f"page.certificate_file: {certificate} with page.key_file {key}: {why}") from why
+        raise BadInput(f"http.certificate_file: {certificate} with http.key_file {key}: {why}") from why
     return context
 
 

@@ -119,7 +119,7 @@ def main(work: Path, config: Path) -> None:
             children,
         )
         token = (folders["scrape"] / "metrics.token").read_text().strip()
-        scraping = urllib.request.Request("http://127.0.0.1:9464/metrics", headers={"Authorization": f"Bearer {token}"})
+        scraping = urllib.request.Request("http://127.0.0.1:8480/metrics", headers={"Authorization": f"Bearer {token}"})
         text = urllib.request.urlopen(scraping, timeout=5).read().decode()
         wanted = set(re.findall(r"decklander_\w+", DASHBOARD.read_text()))
         missing = sorted(name for name in wanted if not re.search(rf"^# TYPE {name} ", text, re.MULTILINE))

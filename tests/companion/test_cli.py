@@ -161,7 +161,7 @@ SECRETS = {
     "mqtt.password_file": '[mqtt]\ntransport = "tls"\nuser = "deck"\npassword_file = "absent"\n',
     "mqtt.command_key_file": '[mqtt]\ntransport = "tls"\ncommands = "signed"\ncommand_key_file = "absent"\n',
     "mqtt.ca_file": '[mqtt]\ntransport = "tls"\nca_file = "absent"\n',
-    "metrics.token_file": '[metrics]\nendpoint = "http"\ntoken_file = "absent"\n',
+    "http.token_file": '[http]\nendpoint = "http"\ntoken_file = "absent"\n',
     "bridge.signing_key_file": '[bridge]\nlinks = "udpin://127.0.0.1:14550"\nsigning_key_file = "absent"\n',
 }
 

@@ -31,7 +31,7 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
         (ARDRONE | {"mqtt": {"host": "127.0.0.1"}}, ()),
         (ARDRONE | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
         (ARDRONE | {"video_stream": {"drawn": False}}, ("video_stream.drawn: without effect, as video_stream.to is empty",)),
-        (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
+        (ARDRONE | {"http": {"port": 1}}, ('http.port: without effect, as http.endpoint is "off"',)),
         (
             ARDRONE | {"vessel": {"jump_m": 20.0}},
             ("expert.vessel.jump_m: without effect, as no source of the ship's place is set",),

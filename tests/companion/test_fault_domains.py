@@ -13,19 +13,20 @@ from hypothesis import strategies as st
 
 from companion.base import event_loop
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.liveness import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.parts.live.part import LiveFeed
 from companion.parts.mavlink.bridge import BridgePart
-from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.service import assemble as service
 from companion.service.daemon import Daemon, DaemonSetup
+from companion.settings.http import HttpSettings
 from companion.settings.load import load
 from companion.settings.model import Settings
-from companion.settings.page import PageSettings
 from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult
@@ -260,8 +261,7 @@ def settings_with_everything(folder: Path) -> Settings:
         sim,
         recorder=msgspec.structs.replace(sim.recorder, enabled=True, folder=str(folder / "recordings"), frames="none"),
         mqtt=msgspec.structs.replace(sim.mqtt, transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")),
-        metrics=msgspec.structs.replace(sim.metrics, endpoint="http", port=0),
-        page=PageSettings(endpoint="http", port=0, token_file=str(token)),
+        http=HttpSettings(endpoint="http", port=0, token_file=str(token), foxglove=True),
         bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
     )
 
@@ -269,7 +269,8 @@ def settings_with_everything(folder: Path) -> Settings:
 PARTS: dict[str, tuple[type, str]] = {
     **{f"recorder {m}": (Recorder, m) for m in (*METHODS, "run", "__init__")},
     **{f"mqtt {m}": (MqttPart, m) for m in (*METHODS, "run", "__init__", "counts", "tell")},
-    **{f"metrics {m}": (MetricsEndpoint, m) for m in ("run",)},
+    "http run": (HttpServer, "run"),
+    **{f"foxglove {m}": (LiveFeed, m) for m in (*METHODS, "run")},
     **{f"page {m}": (PageEndpoint, m) for m in ("on_sample", "on_frame", "on_decision", "on_order", "run")},
     **{f"pulse {m}": (Pulse, m) for m in ("on_decision", "run")},
     **{f"face {m}": (BridgePart, m) for m in ("on_sample", "run")},

@@ -11,13 +11,14 @@ import aiohttp
 import pytest
 
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.liveness import LivenessLimits, Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.metrics import MetricsSettings
+from companion.settings.http import HttpSettings
 from companion.settings.restart import RestartOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
@@ -215,8 +216,9 @@ def test_the_environment_is_read_as_systemd_writes_it() -> None:
 async def test_the_health_check_of_a_container_sees_what_the_watchdog_sees() -> None:
     health = Health(CLOCK)
     health.up("guidance")
-    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0), health)
-    async with listening(endpoint) as port, aiohttp.ClientSession() as session:
+    server = HttpServer(HttpSettings(endpoint="http", port=0, page=False), health)
+    MetricsEndpoint(server, health)
+    async with listening(server) as port, aiohttp.ClientSession() as session:
         for age_s, status in ((0.0, 200), (30.0, 503), (0.0, 200)):
             at_age(health, "Decision", age_s)
             async with session.get(f"http://127.0.0.1:{port}/health") as answer:

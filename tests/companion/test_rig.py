@@ -27,7 +27,7 @@ READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
 }  # fmt: skip
 TAKEN_WHOLE = (
-    "mqtt.", "metrics.", "page.", "foxglove.", "video_stream.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.",
+    "mqtt.", "http.", "video_stream.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.",
     "bridge.", "operator.", "limits.", "vessel.",
 )  # fmt: skip
 """Sections that a part takes as they are."""

@@ -8,7 +8,7 @@ import pytest
 from aiohttp import web
 
 from companion.base.connection_limits import ConnectionLimits, listen
-from companion.base.server_log import make_runner
+from companion.base.http_server import make_runner
 from tests.support.waiting import PATIENCE_S
 
 
@@ -33,7 +33,7 @@ async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) ->
     runner, answers = make_runner(app), []
     await runner.setup()
     try:
-        server = await listen(runner, ConnectionLimits(), "127.0.0.1", 0, "a test")
+        server = await listen(runner, ConnectionLimits(), "127.0.0.1", 0)
         for piece in pieces:
             reader, writer = await asyncio.open_connection("127.0.0.1", server.sockets[0].getsockname()[1])
             writer.write(piece)
@@ -51,7 +51,7 @@ async def _answers(handler_fails: bool, *pieces: bytes, hang_up: bool = True) ->
 
 async def test_unknown_peers_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
     """A request with a broken header, bytes that are no HTTP, and a client that hangs up."""
-    with caplog.at_level(logging.DEBUG, "companion.base.server_log"):
+    with caplog.at_level(logging.DEBUG, "companion.base.http_server"):
         await _answers(False, b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"\x16\x03\x01\x02\x00\r\n\r\n", upgrade(b"/"))
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING], caplog.text
     assert "BadHttpMessage" in caplog.text or "InvalidHeader" in caplog.text

@@ -100,7 +100,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, page, foxglove, video_stream, landing_target, bridge, operator, limits, vessel",
+            "mqtt, http, video_stream, landing_target, bridge, operator, limits, vessel",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -196,9 +196,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0, retry_s=0.1, retry_cap_s=1.0)
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
     data["mqtt"].update(commands="off", command_key_file="")
-    data.setdefault("metrics", {}).update(endpoint="off")
-    data.setdefault("page", {}).update(endpoint="off")
-    data.setdefault("foxglove", {}).update(endpoint="off")
+    data.setdefault("http", {}).update(endpoint="off")
     data.setdefault("video_stream", {}).update(to="")
     data["vehicle"].pop("vessel_id", None)
     for table in (data["vehicle"], data.setdefault("bridge", {})):
@@ -418,7 +416,7 @@ def test_a_pad_is_read_once_and_again_when_its_file_has_changed(tmp_path: Path) 
     ("text", "said"),
     [
         (MINIMAL.replace('"sim"', '"/dev/zero"'), "a device or a pipe"),
-        (MINIMAL + '[page]\nendpoint = "http"\ntoken_file = "/dev/zero"\n', "a device or a pipe"),
+        (MINIMAL + '[http]\nendpoint = "http"\ntoken_file = "/dev/zero"\n', "a device or a pipe"),
         ("a" + ".a" * 50_000 + " = 1\n", "a key of more than 50 parts"),
         ("a" + ".'a'" * 200 + " = 1\n", "a key of more than 50 parts"),
         ("# " + "x" * 1_000_000, "such a file has at most 1000000"),

@@ -57,7 +57,7 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
         assert emulator.stdout is not None
         ports = json.loads(emulator.stdout.readline())["ports"]
         text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
-        text = text.replace("192.168.1.1", "127.0.0.1").replace("[page]\n", f"[page]\nport = {free_port()}\n")
+        text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
         text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
         (tmp_path / "rig.toml").write_text(text)
         todo = commands()

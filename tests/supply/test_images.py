@@ -12,8 +12,8 @@ import pytest
 from companion.base.health import Health
 from companion.base.mission import ENDED, State
 from companion.parts.metrics.endpoint import families
+from companion.settings.http import HttpSettings
 from companion.settings.load import load
-from companion.settings.metrics import MetricsSettings
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
@@ -83,11 +83,11 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     (bridge,) = rig.bridge.endpoints()
     assert f":{bridge.port}/udp" in text
     assert {rig.vehicle.host, rig.mqtt.host} <= services
-    assert rig.metrics.port == MetricsSettings().port
-    assert f"daemon:{rig.metrics.port}" in (COMPOSE / "prometheus.yml").read_text()
-    assert f"127.0.0.1:{rig.metrics.port}/health" in (ROOT / "Dockerfile").read_text()
-    assert f"credentials_file: {rig.metrics.token_file}" in (COMPOSE / "prometheus.yml").read_text()
-    assert rig.metrics.token_file in (COMPOSE / "broker.sh").read_text()
+    assert rig.http.port == HttpSettings().port
+    assert f"daemon:{rig.http.port}" in (COMPOSE / "prometheus.yml").read_text()
+    assert f"127.0.0.1:{rig.http.port}/health" in (ROOT / "Dockerfile").read_text()
+    assert f"credentials_file: {rig.http.token_file}" in (COMPOSE / "prometheus.yml").read_text()
+    assert rig.http.token_file in (COMPOSE / "broker.sh").read_text()
     assert rig.mqtt.drone == rig.mqtt.user, "the access list gives a user the subtree of its name"
     assert rig.mqtt.user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
 

@@ -14,14 +14,15 @@ from msgspec import structs
 
 from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.parts.page import endpoint
 from companion.parts.page.make import make_page
+from companion.settings.http import HttpSettings
 from companion.settings.load import load
-from companion.settings.page import PageSettings
 from companion.settings.recorder import RecorderOptions
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
@@ -51,16 +52,16 @@ class PageService:
         file.chmod(0o600)
         given = {"endpoint": "http", "port": 0, "token_file": str(file)} | settings
         self.settings = structs.replace(
-            load("sim"), page=PageSettings(**given), recorder=RecorderOptions(folder=str(folder / "recordings"))
+            load("sim"), http=HttpSettings(**given), recorder=RecorderOptions(folder=str(folder / "recordings"))
         )
         if autopilot is not None:
             self.settings = structs.replace(self.settings, vehicle=AutopilotOptions("udpin://127.0.0.1:0"))
         self.pilot: Pilot = make_pilot(self.settings)
         self.clock = PatientClock()
         self.health = Health(self.clock)
-        args = self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, settings_file, limits
-        self.page = make_page(*args)
-        self.health.counters("page", self.page.counted)
+        self.server = HttpServer(self.settings.http, self.health, limits)
+        args = self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, settings_file
+        self.page = make_page(self.server, *args)
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order
         self.command: object = None
@@ -94,6 +95,10 @@ class PageService:
                 self.page.on_frame(self.frame(now))
             await asyncio.sleep(0.02)
 
+    def counted(self, part: str, name: str) -> float:
+        """Return a counter of a part; 0 before it counts."""
+        return self.health.snapshot().counters[part].get(name, 0)
+
     async def lands(self) -> None:
         """Let the vehicle stand, and wait until the pilot knows it."""
         self.flying = False
@@ -106,7 +111,7 @@ class PageService:
 
     @property
     def address(self) -> str:
-        return f"{self.settings.page.endpoint}://127.0.0.1:{self.page.port}"
+        return f"{self.settings.http.endpoint}://127.0.0.1:{self.server.port}"
 
 
 @asynccontextmanager
@@ -115,7 +120,7 @@ async def serving(folder: Path, limits: ConnectionLimits | None = None, **settin
     service = PageService(folder, limits, **settings)
     # A browser of a test answers pings when the test reads, which may be seconds apart on a busy machine.
     with patch.object(endpoint, "_ALIVE_S", PATIENCE_S):
-        async with listening(service.page), asyncio.TaskGroup() as group:
+        async with listening(service.server, service.page.run), asyncio.TaskGroup() as group:
             flying = group.create_task(service.live())
             yield service
             flying.cancel()
@@ -163,7 +168,7 @@ async def browsing(service: PageService, token: str = TOKEN, origin: str | None 
     """Connect as the page does."""
     async with (
         aiohttp.ClientSession() as session,
-        session.ws_connect(f"{service.address}/live", origin=service.address if origin is None else origin) as socket,
+        session.ws_connect(f"{service.address}/operator", origin=service.address if origin is None else origin) as socket,
     ):
         browser = Browser(socket)
         await browser.send(kind="login", token=token)

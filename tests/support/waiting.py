@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import ExitStack, asynccontextmanager
 from typing import Protocol
 
@@ -65,13 +65,14 @@ class Serving(Protocol):
 
 
 @asynccontextmanager
-async def listening(part: Serving) -> AsyncIterator[int]:
-    """Run a part, and yield its port once it listens. Its errors are raised here, before it listens and afterwards."""
+async def listening(part: Serving, *beside: Callable[[], Coroutine[None, None, None]]) -> AsyncIterator[int]:
+    """Run a part with others, and yield its port once it listens. Errors are raised here, before it listens and afterwards."""
     async with asyncio.TaskGroup() as group:
-        running = group.create_task(part.run())
+        running = [group.create_task(run()) for run in (part.run, *beside)]
         await until(lambda: part.port is not None)
         assert part.port is not None
         try:
             yield part.port
         finally:
-            running.cancel()
+            for task in running:
+                task.cancel()

@@ -1,31 +1,29 @@
-"""The server of live data, as an observer of the flight and a supervised part beside it.
+"""The live data of a flight for Foxglove and Lichtblick, by a websocket at /live.
 
 Whoever connects only watches: nothing of the flight can be changed here. A connection is bounded in bytes and time until it is
 let in; then its subscriptions, its requests and what waits for it are bounded.
 """
 
+from __future__ import annotations
+
 import asyncio
-import logging
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.base.server_log import make_runner
 from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
 from companion.recording import channels, encode
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
 from companion.recording.message_encoder import MessageEncoder
-from companion.settings import secret_files
-from companion.settings.live import FoxgloveSettings
+from companion.settings.http import HttpSettings
 from drivers.mailbox import Line
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
@@ -70,9 +68,9 @@ _SAMPLE_TOPICS: dict[type, frozenset[str]] = {
 }
 
 
-def topics(settings: FoxgloveSettings) -> tuple[str, ...]:
+def topics(settings: HttpSettings) -> tuple[str, ...]:
     """Return the topics that are offered."""
-    image = {"jpeg": {channels.IMAGE}, "h264": {channels.VIDEO}, "none": set[str]()}[settings.frames]
+    image = {"jpeg": {channels.IMAGE}, "h264": {channels.VIDEO}, "none": set[str]()}[settings.foxglove_frames]
     return tuple(t for t in channels.TOPICS if t not in _NEVER_LIVE and (t not in (channels.IMAGE, channels.VIDEO) or t in image))
 
 
@@ -86,7 +84,7 @@ class LiveFeed(NullObserver):
 
     def __init__(
         self,
-        settings: FoxgloveSettings,
+        settings: HttpSettings,
         camera: Camera,
         pad: Pad,
         offset_ns: int,
@@ -96,7 +94,7 @@ class LiveFeed(NullObserver):
         self._settings = settings
         self._health = health
         self._send = send
-        self._encoder = MessageEncoder(camera, offset_ns, settings.frames, settings.jpeg_quality, pad)
+        self._encoder = MessageEncoder(camera, offset_ns, settings.foxglove_frames, settings.jpeg_quality, pad)
         self._json = msgspec.json.Encoder()
         self._events: Line[tuple[MonoNs, object]] = Line(_EVENTS)
         self._wanted: frozenset[str] = frozenset()
@@ -165,7 +163,7 @@ class LiveFeed(NullObserver):
             worker.close()
 
     def _due(self, at: MonoNs) -> bool:
-        due = self._shown is None or seconds_between(self._shown, at) >= 0.9 / self._settings.frame_rate_hz
+        due = self._shown is None or seconds_between(self._shown, at) >= 0.9 / self._settings.picture_rate_hz
         if due:
             self._shown = at
         return due
@@ -189,23 +187,10 @@ _REFUSALS_MAX = 20
 """Requests that are refused before the connection is closed."""
 
 
-class LiveServer(Protocol):
-    """Interface of the endpoint that a viewer needs."""
-
-    clock: Clock
-    topics: tuple[str, ...]
-
-    def count(self, what: str) -> None: ...
-
-    def changed(self, *, new: bool) -> None:
-        """Take note that a viewer's subscriptions changed."""
-        ...
-
-
 class LiveViewer:
     """One viewer that is connected: what it requested, and what is sent to it without ever waiting for it."""
 
-    def __init__(self, served: LiveServer, socket: web.WebSocketResponse) -> None:
+    def __init__(self, served: FoxgloveEndpoint, socket: web.WebSocketResponse) -> None:
         self._served = served
         self._socket = socket
         self._subscriptions: dict[int, str] = {}
@@ -307,8 +292,6 @@ class LiveViewer:
         return None
 
 
-log = logging.getLogger(__name__)
-
 _ALIVE_S = 4.0
 """Interval of pings to a viewer, s; half of it without an answer ends the connection."""
 
@@ -319,37 +302,24 @@ class FoxgloveEndpoint:
     Args:
         name: the vehicle's name for the viewer.
         offset_ns: the offset from the clock's instants to Unix time, ns.
-
-    Raises:
-        BadInput: the token cannot be read or is too short.
     """
 
-    def __init__(
-        self,
-        settings: FoxgloveSettings,
-        pilot: Pilot,
-        health: Health,
-        clock: Clock,
-        name: str,
-        offset_ns: int,
-        limits: ConnectionLimits | None = None,
-    ) -> None:
-        self._settings = settings
+    def __init__(self, server: HttpServer, pilot: Pilot, health: Health, clock: Clock, name: str, offset_ns: int) -> None:
+        self._server = server
         self.clock = clock
-        self.topics = topics(settings)
-        self._limits = limits or ConnectionLimits()
-        self._token = secret_files.token(settings.token_file, "foxglove", "token_file")
-        self._origins = {origin.strip().lower() for origin in settings.origins.split(",")}
+        self.topics = topics(server.settings)
+        self._origins = {origin.strip().lower() for origin in server.settings.origins.split(",")}
         self._viewers: list[LiveViewer] = []
         self._counts: Counter[str] = Counter()
         self._greetings = protocol.server_info(name, str(clock.now() + offset_ns)), protocol.advertise(self.topics)
-        self._feed = LiveFeed(settings, pilot.camera, pilot.pad, offset_ns, health, self._show)
-        self.port: int | None = None
-        """The port that the endpoint listens on; None while it does not listen."""
+        self.feed = LiveFeed(server.settings, pilot.camera, pilot.pad, offset_ns, health, self._show)
+        """The observer of the flight."""
+        health.counters("foxglove", self.counted)
+        server.serve("/live", self._live)
 
     def counted(self) -> dict[str, float]:
         """Return the counters for health."""
-        return {**self._feed.counted(), **self._counts, "viewers": len(self._viewers), **self._limits.counts()}
+        return {**self.feed.counted(), **self._counts}
 
     def count(self, what: str) -> None:
         """Count something for health."""
@@ -357,90 +327,52 @@ class FoxgloveEndpoint:
 
     def changed(self, *, new: bool) -> None:
         """Take note that a viewer's subscriptions changed."""
-        self._feed.want(frozenset().union(*(viewer.wanted for viewer in self._viewers)), new=new)
-
-    def on_sample(self, sample: Sample) -> None:
-        self._feed.on_sample(sample)
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self._feed.on_fusion(at, result)
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self._feed.on_frame(processed)
-
-    def on_decision(self, decision: Decision) -> None:
-        self._feed.on_decision(decision)
-
-    def on_order(self, handled: HandledOrder) -> None:
-        self._feed.on_order(handled)
+        self.feed.want(frozenset().union(*(viewer.wanted for viewer in self._viewers)), new=new)
 
     async def run(self) -> None:
-        """Serve until cancelled.
-
-        Raises:
-            Recoverable: the port is taken, or the address is none of this machine's.
-        """
-        app = web.Application(client_max_size=1024)
-        app.router.add_get("/", self._live)
-        runner = make_runner(app)
-        await runner.setup()
+        """Encode and send until cancelled."""
         try:
-            server = await listen(runner, self._limits, self._settings.host, self._settings.port, "Foxglove's data")
-            try:
-                self.port = server.sockets[0].getsockname()[1]
-                log.info("live data for Foxglove on ws://%s:%d", self._settings.host, self.port)
-                await self._feed.run()
-            finally:
-                server.close()
-                for viewer in tuple(self._viewers):
-                    await viewer.close()
+            await self.feed.run()
         finally:
-            self.port = None
-            await runner.cleanup()
+            for viewer in tuple(self._viewers):
+                await viewer.close()
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if (refusal := self._refusal(request)) is not None:
-            refusal.force_close()
             return refusal
         socket = web.WebSocketResponse(
             protocols=protocol.SUBPROTOCOLS, max_msg_size=protocol.TEXT_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0
         )
         if not socket.can_prepare(request).ok or socket.can_prepare(request).protocol is None:
             why = f"this address is for a websocket of {' or '.join(protocol.SUBPROTOCOLS)}\n"
-            answer = web.Response(status=426, text=why, headers={"Upgrade": "websocket"})
-            answer.force_close()
-            return answer
+            return web.Response(status=426, text=why, headers={"Upgrade": "websocket"})
         await socket.prepare(request)
-        if len(self._viewers) >= self._settings.viewers_max:
+        if self._server.full:
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER)
             return socket
-        self._limits.lift(request.transport)
-        viewer = LiveViewer(self, socket)
-        for text in self._greetings:
-            viewer.tell(text)
-        self.count("opened")
-        self._viewers.append(viewer)
-        try:
-            await viewer.serve()
-        finally:
-            self._viewers.remove(viewer)
-            self.changed(new=False)
+        with self._server.watched_by(request):
+            viewer = LiveViewer(self, socket)
+            for text in self._greetings:
+                viewer.tell(text)
+            self._viewers.append(viewer)
+            try:
+                await viewer.serve()
+            finally:
+                self._viewers.remove(viewer)
+                self.changed(new=False)
         return socket
 
     def _refusal(self, request: web.Request) -> web.Response | None:
         """Return the answer to whoever may not watch: without the token, from a page that is not named, or one too many."""
-        if self._token is not None:
-            scheme, _, bearer = request.headers.get("Authorization", "").partition(" ")
-            given = bearer if scheme.lower() == "bearer" else request.query.get("token", "")
-            if not secret_files.is_token(given, self._token):
-                self.count("wrong_tokens")
-                return web.Response(status=401, text="the token is missing or wrong\n", headers={"WWW-Authenticate": "Bearer"})
-        elif (origin := request.headers.get("Origin")) is not None and origin.lower() not in self._origins:
-            self.count("foreign_origins")
-            return web.Response(status=403, text="this page is not among expert.foxglove.origins\n")
-        if len(self._viewers) >= self._settings.viewers_max:
-            self.count("too_many")
-            return web.Response(status=503, text=f"{self._settings.viewers_max} viewers watch already\n")
+        if not self._server.allows(request):
+            return web.Response(status=401, text="the token is missing or wrong\n", headers={"WWW-Authenticate": "Bearer"})
+        origin = request.headers.get("Origin")
+        if not self._server.has_token and origin is not None and origin.lower() not in self._origins:
+            self._server.counts["foreign_origins"] += 1
+            return web.Response(status=403, text="this page is not among expert.http.origins\n")
+        if self._server.full:
+            self._server.counts["too_many"] += 1
+            return web.Response(status=503, text=f"{self._server.viewers} watch already\n")
         return None
 
     def _show(self, messages: Sequence[Encoded]) -> None:

@@ -1,32 +1,13 @@
-"""Access to the page: its token, its certificate, and the origin that a browser names."""
+"""Access to the page: a new token, and the origin that a browser names."""
 
 import secrets
 import socket
-from collections.abc import Collection, Mapping
-from types import MappingProxyType
+from collections.abc import Collection
 from urllib.parse import urlsplit
 
-from companion.settings import secret_files
 from companion.settings.addresses import is_address
-from companion.settings.page import PageSettings
-from estimator.contracts.errors import BadInput
+from companion.settings.http import HttpSettings
 
-HEADERS: Mapping[str, str] = MappingProxyType(
-    {
-        "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
-        "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-        "Server": "decklander",
-        "X-Content-Type-Options": "nosniff",
-        "X-Frame-Options": "DENY",
-        "Referrer-Policy": "no-referrer",
-        "Cross-Origin-Opener-Policy": "same-origin",
-        "Cross-Origin-Embedder-Policy": "require-corp",
-        "Cross-Origin-Resource-Policy": "same-origin",
-        "Permissions-Policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=(), gamepad=(self)",
-        "Cache-Control": "no-store",
-    }
-)
-"""The headers of every answer: nothing of another host is loaded, and no other page may frame, read or script this one."""
 _TOKEN_BYTES = 24
 
 
@@ -35,19 +16,7 @@ def make_token() -> str:
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
-def token_of(settings: PageSettings) -> bytes:
-    """Return the page's token.
-
-    Raises:
-        BadInput: the file cannot be read, or holds no token.
-    """
-    token = secret_files.token(settings.token_file, "page", "token_file")
-    if token is None:
-        raise BadInput("page.token_file: is not set")
-    return token
-
-
-def own_names(settings: PageSettings) -> frozenset[str]:
+def own_names(settings: HttpSettings) -> frozenset[str]:
     """Return the names by which browsers reach the page, in small letters."""
     own = socket.gethostname().lower()
     given = (name.strip().lower().rstrip(".") for name in settings.hosts.split(","))
@@ -73,4 +42,4 @@ def refused_origin(origin: str | None, host: str | None, names: Collection[str])
         return "this connection belongs to another page"
     if called.rstrip(".") in names or is_address(called):
         return None
-    return f"this computer does not know itself as {called[:80]!r}: name it in [expert.page] hosts"
+    return f"this computer does not know itself as {called[:80]!r}: name it in [expert.http] hosts"

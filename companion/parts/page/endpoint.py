@@ -1,46 +1,53 @@
-"""The page's server: an observer of the flight and a supervised part beside it.
+"""The operator page: an observer of the flight, and a supervised part that serves browsers.
 
 No cookie is set, so no other page can use a login: the token is the first message of a websocket, whose origin must be ours.
 Until the token was right a connection is bounded in bytes and time, and the oldest gives way; a flood of such connections
-therefore neither grows nor touches the browsers that are logged in.
+therefore neither grows nor touches the browsers that are logged in. A browser that has the hand and goes away leads to a hold;
+nothing else changes by its going.
 """
 
 import asyncio
-import logging
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from aiohttp import WSMsgType, web
 from numpy.typing import NDArray
 
-from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.base.orders import HandledOrder, OrderSender, OrderSource
-from companion.base.server_log import make_runner
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.things import ThingReport, things_of
-from companion.base.wire import RequestRefused
+from companion.base.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
 from companion.base.worker import Worker
 from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
+from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.page import recordings
-from companion.parts.page.access import HEADERS, own_names, refused_origin, token_of
+from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.file_answer import assets, send_file
 from companion.parts.page.messages import (
     MESSAGE_MAX,
+    DownloadRequest,
+    DrawnNotice,
     Level,
     LoginRequest,
     PageEvent,
     PageHealth,
+    PageRequest,
     PageState,
     PageWelcome,
     PictureHeader,
     PictureLine,
+    PictureRequest,
+    RecordingsRequest,
+    ReportRequest,
     picture_message,
     request_in,
     text_of,
@@ -48,22 +55,18 @@ from companion.parts.page.messages import (
 from companion.parts.page.recordings import Recordings, ReportMaker
 from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, place, video_quality
 from companion.parts.page.tool import Tool, flying
-from companion.parts.page.tool_messages import ToolRequest
-from companion.parts.page.viewer import ORDERS, PageViewer
+from companion.parts.page.viewer import PageViewer
 from companion.recording.frame_encoder import FrameEncoder, codec_name
-from companion.settings.page import PageSettings
-from companion.settings.secret_files import is_token
-from companion.settings.tls import server_context
 from companion.tools.report.expected_place import camera_lean
-from drivers.mailbox import Latest, Line
+from drivers.mailbox import Latest
 from drivers.pyav import has_pyav
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
-log = logging.getLogger(__name__)
-
+ORDERS = tuple(order for order in OperatorOrder if order not in (OperatorOrder.PATH, OperatorOrder.RECORD))
+"""The orders that the page may give."""
 WRONG_TOKEN_CODE, FULL_CODE, GOING_CODE = 4401, 4409, 1001
 _STATE_S, _HEALTH_EACH = 0.1, 10
 _LOGIN_S = 3.0
@@ -87,38 +90,29 @@ class PageEndpoint(NullObserver):
         vehicle: the vehicle's name for the page.
         recordings: the recorder's folder.
         tools: what the page offers beside the flight.
-
-    Raises:
-        BadInput: the token or the certificate cannot be read.
     """
 
     def __init__(
         self,
-        settings: PageSettings,
+        server: HttpServer,
         pilot: Pilot,
         health: Health,
         clock: Clock,
         vehicle: str,
         recordings: Path,
-        limits: ConnectionLimits | None = None,
         tools: Sequence[Tool] = (),
     ) -> None:
+        settings, camera = server.settings, pilot.camera
+        self._server = server
         self._settings = settings
-        self.pilot = pilot
-        self.clock = clock
+        self._pilot = pilot
         self._health = health
+        self._clock = clock
         self._vehicle = vehicle
-        camera = pilot.camera
         self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
-        self._video = video_quality(settings)
-        self._token, self._names = token_of(settings), own_names(settings)
-        self._tls = server_context(settings)
-        self._limits = limits or ConnectionLimits()
-        self._assets = assets()
         self._tools = tuple(tools)
         self._recordings = Recordings(recordings, clock)
-        self._reports = ReportMaker(recordings, lambda: self._flying)
-        self._asking: Line[PageViewer] = Line(settings.viewers_max)
+        self._reports = ReportMaker(recordings, lambda: flying(pilot))
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._things: tuple[ThingReport, ...] = ()
@@ -130,16 +124,12 @@ class PageEndpoint(NullObserver):
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
         self._counts: Counter[str] = Counter()
         self._began = clock.now()
-        self.port: int | None = None
-        """The port that the page listens on; None while it does not listen."""
-
-    def count(self, what: str) -> None:
-        """Count something for health."""
-        self._counts[what] += 1
-
-    def counted(self) -> Mapping[str, float]:
-        """Return the counters for health."""
-        return {**self._counts, "viewers": len(self._viewers), **self._limits.counts()}
+        health.counters("page", lambda: self._counts)
+        server.serve("/operator", self._operate)
+        server.serve("/recordings/{ticket}", self._recording)
+        server.serve("/reports/{ticket}", self._report)
+        for path, asset in assets().items():
+            server.serve(path, asset.answer)
 
     def on_sample(self, sample: Sample) -> None:
         if type(sample) is Attitude:
@@ -159,7 +149,7 @@ class PageEndpoint(NullObserver):
     def on_frame(self, processed: ProcessedFrame) -> None:
         for tool in self._tools:
             tool.on_frame(processed)
-        now = self.clock.now()
+        now = self._clock.now()
         if processed.detection is not None:
             self._things, self._looked = things_of(processed.detection), now
         due = self._offered is None or seconds_between(self._offered, now) >= 1.0 / self._settings.picture_rate_hz
@@ -168,120 +158,91 @@ class PageEndpoint(NullObserver):
             self._frames.offer(processed)
 
     async def run(self) -> None:
-        """Serve until cancelled.
-
-        Raises:
-            Recoverable: the port is taken, or the address is none of this machine's.
-        """
-        app = web.Application(client_max_size=1024)
-        app.router.add_get("/live", self._live)
-        app.router.add_get("/recordings/{ticket}", self._recording)
-        app.router.add_get("/reports/{ticket}", self._report)
-        app.router.add_get("/{name:.*}", self._file)
-        app.on_response_prepare.append(_secured)
-        runner = make_runner(app)
-        await runner.setup()
+        """Send states and pictures, and let the tools work, until cancelled."""
         worker = Worker("page")
         try:
-            host, port = self._settings.host, self._settings.port
-            server = await listen(runner, self._limits, host, port, "the page", self._tls)
-            try:
-                self.port = server.sockets[0].getsockname()[1]
-                log.info("operator page on %s://%s:%d/", self._settings.endpoint, self._settings.host, self.port)
-                async with asyncio.TaskGroup() as group:
-                    group.create_task(self._send_states())
-                    group.create_task(self._send_pictures(worker))
-                    group.create_task(self._send_lists())
-                    group.create_task(self._reports.run())
-                    for tool in self._tools:
-                        group.create_task(tool.run())
-            finally:
-                server.close()
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._send_states())
+                group.create_task(self._send_pictures(worker))
+                group.create_task(self._recordings.run())
+                group.create_task(self._reports.run())
+                for tool in self._tools:
+                    group.create_task(tool.run())
         finally:
-            self.port = None
             worker.close()
             for viewer in list(self._viewers):
                 await viewer.close(GOING_CODE, "the service ends")
-            await runner.cleanup()
 
-    async def _file(self, request: web.Request) -> web.Response:
-        asset = self._assets.get(request.path)
-        if asset is None:
-            return _missing("there is no such file")
-        answer = web.Response(body=asset.body, headers={"Content-Type": asset.content_type})
-        answer.force_close()  # a connection's time is bounded, and an idle one holds no descriptor
-        return answer
+    def _take(self, viewer: PageViewer, request: PageRequest) -> str | None:
+        """Carry a browser's request out; return why it is refused, which ends the connection."""
+        match request:
+            case OrderRequest():
+                self._order(viewer, request)
+            case SticksRequest():
+                self._pilot.operator.move(viewer.sender, request.positions, self._clock.now())
+            case DrawnNotice():
+                viewer.drawn(request.number)
+            case PictureRequest():
+                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
+                encodes = request.codec == "h264" and self._h264
+                viewer.begin_pictures(FrameEncoder(video_quality(self._settings)) if encodes else None)
+            case RecordingsRequest():
+                self._recordings.list_for(viewer)
+            case DownloadRequest():
+                viewer.tell(self._recordings.ticket(request.name, flying=flying(self._pilot)))
+            case ReportRequest():
+                self._reports.ask(viewer, request.name)
+            case LoginRequest():
+                return "this page is logged in already"
+            case _:
+                for tool in self._tools:
+                    if isinstance(request, tool.kinds):
+                        tool.ask(viewer, request)
+        return None
 
-    def frame_encoder(self) -> FrameEncoder | None:
-        """Return a new encoder of H.264; None where pictures are sent as JPEG."""
-        return FrameEncoder(self._video) if self._h264 else None
-
-    def list_recordings(self, viewer: PageViewer) -> None:
-        """Send this viewer the list of recordings soon."""
-        self._asking.offer(viewer)
-
-    def offer_recording(self, viewer: PageViewer, name: str) -> None:
-        """Send this viewer an address for a recording, or why there is none."""
-        viewer.tell(self._recordings.ticket(name, flying=self._flying))
-
-    def make_report(self, viewer: PageViewer, name: str) -> None:
-        """Make the report of a recording for this viewer, or report the reason for none."""
-        self._reports.ask(viewer, name)
-
-    def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None:
-        """Pass a request to the tool that answers it."""
-        for tool in self._tools:
-            if isinstance(request, tool.kinds):
-                tool.ask(viewer, request)
-
-    @property
-    def _flying(self) -> bool:
-        return flying(self.pilot)
-
-    async def _send_lists(self) -> None:
-        worker = Worker("page lists")
-        try:
-            async for viewer in self._asking:
-                viewer.tell(await worker.run(self._recordings.listed))
-        finally:
-            worker.close()
+    def _order(self, viewer: PageViewer, request: OrderRequest) -> None:
+        if request.order not in ORDERS:
+            refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
+        else:
+            refusal = PilotOperator(self._pilot, viewer.sender, self._clock).order(request.order)
+        text = "accepted" if refusal is None else f"refused: {refusal}"
+        viewer.tell(OrderAnswer(number=request.number, accepted=refusal is None, text=text))
 
     async def _recording(self, request: web.Request) -> web.StreamResponse:
         name = self._recordings.redeem(request.match_info["ticket"])
         if name is None:
-            return _missing("this address holds once, and only for a short time")
-        self.count("downloads")
-        self._limits.lift(request.transport)
+            return web.Response(status=404, text="this address holds once, and only for a short time\n")
+        self._counts["downloads"] += 1
+        self._server.limits.lift(request.transport)
         return await self._recordings.send(request, name)
 
     async def _report(self, request: web.Request) -> web.StreamResponse:
         path = self._reports.path(request.match_info["ticket"])
         if path is None:
-            return _missing("this report is no longer kept; ask for it again on the page")
-        self.count("reports")
-        self._limits.lift(request.transport)
+            return web.Response(status=404, text="this report is no longer kept; ask for it again on the page\n")
+        self._counts["reports"] += 1
+        self._server.limits.lift(request.transport)
         return await send_file(request, path, recordings.HEADERS)
 
-    async def _live(self, request: web.Request) -> web.StreamResponse:
-        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), self._names)
+    async def _operate(self, request: web.Request) -> web.StreamResponse:
+        names = own_names(self._settings)
+        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), names)
         if why is not None:
-            self.count("foreign_origins")
-            answer = web.Response(status=403, text=f"{why}\n")
-            answer.force_close()
-            return answer
+            self._server.counts["foreign_origins"] += 1
+            return web.Response(status=403, text=f"{why}\n")
         socket = web.WebSocketResponse(max_msg_size=MESSAGE_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)
         if not socket.can_prepare(request).ok:
-            answer = web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
-            answer.force_close()
-            return answer
+            return web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
         await socket.prepare(request)
         if not await self._knows_token(socket):
             return socket
-        if len(self._viewers) >= self._settings.viewers_max:
-            await _refuse(socket, FULL_CODE, f"{self._settings.viewers_max} browsers watch already, and there may be no more")
+        if self._server.full:
+            await _refuse(socket, FULL_CODE, f"{self._server.viewers} watch already, and there may be no more")
             return socket
-        self._limits.lift(request.transport)
-        await self._serve(socket, request.remote or "unknown")
+        with self._server.watched_by(request):
+            name = f"{self._server.counts['opened']} ({request.remote or 'unknown'})"
+            viewer = PageViewer(socket, OrderSender(OrderSource.PAGE, name), self._clock, self._counts)
+            await self._serve(viewer)
         return socket
 
     async def _knows_token(self, socket: web.WebSocketResponse) -> bool:
@@ -293,31 +254,28 @@ class PageEndpoint(NullObserver):
             await _refuse(socket, WRONG_TOKEN_CODE, f"no token within {_LOGIN_S:g} s")
             return False
         request = request_in(message.data) if message.type is WSMsgType.TEXT else ""
-        if isinstance(request, LoginRequest) and is_token(request.token, self._token):
+        if socket.closed:
+            return False
+        if self._server.knows(request.token if isinstance(request, LoginRequest) else ""):
             return True
-        if not socket.closed:
-            self.count("wrong_tokens")
-            if self._counts["wrong_tokens"] == 1:
-                log.warning("a wrong token was given to the operator page; further ones are only counted")
-            await asyncio.sleep(_WRONG_TOKEN_S)
-            await _refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
+        await asyncio.sleep(_WRONG_TOKEN_S)
+        await _refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
         return False
 
-    async def _serve(self, socket: web.WebSocketResponse, remote: str) -> None:
-        self.count("opened")
-        viewer = PageViewer(self, socket, OrderSender(OrderSource.PAGE, f"{self._counts['opened']} ({remote})"))
+    async def _serve(self, viewer: PageViewer) -> None:
         viewer.tell(self._welcome(viewer))
         for event in self._events:
             viewer.tell(event)
         viewer.tell(self._health_report())
         self._viewers.append(viewer)
         try:
-            await viewer.serve()
+            await viewer.serve(partial(self._take, viewer))
         finally:
             self._viewers.remove(viewer)
+            self._pilot.operator.lost(viewer.sender, self._clock.now(), "its page closed")
 
     def _welcome(self, viewer: PageViewer) -> PageWelcome:
-        pad, camera = self.pilot.pad, self.pilot.camera
+        pad, camera = self._pilot.pad, self._pilot.camera
         return PageWelcome(
             you=str(viewer.sender),
             vehicle=self._vehicle,
@@ -330,7 +288,7 @@ class PageEndpoint(NullObserver):
     async def _send_states(self) -> None:
         rounds = 0
         while True:
-            await self.clock.sleep(_STATE_S)
+            await self._clock.sleep(_STATE_S)
             if self._viewers:
                 if rounds % _HEALTH_EACH == 0:
                     health = self._health_report()
@@ -340,9 +298,9 @@ class PageEndpoint(NullObserver):
             rounds += 1
 
     def _tell_states(self) -> None:
-        now, decision = self.clock.now(), self._flight.decision
+        now, decision = self._clock.now(), self._flight.decision
         belief = None if decision is None else decision.belief
-        where = None if belief is None else place(belief, self.pilot.forecast(now, HORIZONS_S), now)
+        where = None if belief is None else place(belief, self._pilot.forecast(now, HORIZONS_S), now)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
@@ -358,26 +316,26 @@ class PageEndpoint(NullObserver):
                     things=self._things if looks else (),
                     roll_rad=roll,
                     pitch_rad=pitch,
-                    refusals={order.value: self.pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},
+                    refusals={order.value: self._pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},
                     picture_delay_s=viewer.picture_delay_s,
                 )
             )
 
     def _health_report(self) -> PageHealth:
-        return page_health(self._health.snapshot(), self._flight.decision, flying=self._flying)
+        return page_health(self._health.snapshot(), self._flight.decision, flying=flying(self._pilot))
 
     async def _send_pictures(self, worker: Worker) -> None:
         number, lean = 0, Rotation.identity()
         async for processed in self._frames:
             exposed = processed.frame.stamp.measured_at
-            belief, ahead = self.pilot.believed(exposed), self.pilot.forecast(exposed, AHEAD_S)
+            belief, ahead = self._pilot.believed(exposed), self._pilot.forecast(exposed, AHEAD_S)
             lean = camera_lean(processed, belief) or lean
             number += 1
             ready = [viewer for viewer in self._viewers if viewer.ready]
             self._counts["pictures_skipped"] += len(self._viewers) - len(ready)
             encoders = {viewer.encoder for viewer in ready}
-            camera = processed.camera or self.pilot.camera
-            lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self.pilot.pad)
+            camera = processed.camera or self._pilot.camera
+            lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self._pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
                 # Nothing for one that has requested another codec meanwhile: the next picture is for it.
@@ -410,20 +368,6 @@ def _messages(
         header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=lines)
         messages[encoder] = picture_message(header, image)
     return messages
-
-
-async def _secured(request: web.Request, answer: web.StreamResponse) -> None:
-    """Set the headers of every answer; one that has its own policy keeps it."""
-    own = answer.headers.get("Content-Security-Policy")
-    answer.headers.update(HEADERS)
-    if own is not None:
-        answer.headers["Content-Security-Policy"] = own
-
-
-def _missing(why: str) -> web.Response:
-    answer = web.Response(status=404, text=f"{why}\n")
-    answer.force_close()
-    return answer
 
 
 async def _refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:

@@ -33,6 +33,10 @@ class Asset:
     body: bytes
     content_type: str
 
+    async def answer(self, request: web.Request) -> web.Response:
+        """Answer a request with this file."""
+        return web.Response(body=self.body, headers={"Content-Type": self.content_type})
+
 
 def assets() -> dict[str, Asset]:
     """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
@@ -61,7 +65,6 @@ async def send_file(request: web.Request, path: Path, headers: Mapping[str, str]
         file, size = opened = await worker.run(_opened, path)
         answer = web.StreamResponse(headers=headers)
         answer.content_length = size
-        answer.force_close()
         await answer.prepare(request)
         while size > 0:
             piece = await worker.run(opened[0].read, min(size, _PIECE_BYTES))

@@ -1,36 +1,26 @@
-"""Make the page with its tools from the settings of a service."""
+"""Make the page with its tools from the settings of a service: the guided calibration and the doctor among them."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from companion.base.connection_limits import ConnectionLimits
-from companion.base.health import Health
-from companion.guidance.pilot import Pilot
-from companion.parts.page.endpoint import PageEndpoint
-from companion.parts.page.settings_tool import SettingsTool
-from companion.parts.page.tool import Tool, flying
-from companion.settings.model import Settings
-from companion.settings.settings_file import SettingsFile
-from companion.tools.doctor.live import LiveExaminer
-from estimator.contracts.ports import Clock
-
-if TYPE_CHECKING:
-    from drivers.mavlink.autopilot import Autopilot
 
 import asyncio
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
-from companion.parts.page.settings_tool import ARMED, NO_FILE
+from companion.guidance.pilot import Pilot
+from companion.parts.page.endpoint import PageEndpoint
+from companion.parts.page.settings_tool import ARMED, NO_FILE, SettingsTool
+from companion.parts.page.tool import Tool, flying
 from companion.parts.page.tool_messages import (
     CalibrationReport,
     CalibrationRequest,
@@ -40,15 +30,21 @@ from companion.parts.page.tool_messages import (
     ToolRequest,
 )
 from companion.parts.page.viewer import PageViewer
+from companion.settings.model import Settings
+from companion.settings.settings_file import SettingsFile
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
 from companion.tools.calibrate.guide import Guide, GuideState
-from companion.tools.doctor.live import Examination, TookOff
+from companion.tools.doctor.live import Examination, LiveExaminer, TookOff
 from companion.tools.doctor.snapshot import Snapshot
 from drivers.mailbox import Latest
 from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
+
+if TYPE_CHECKING:
+    from drivers.mavlink.autopilot import Autopilot
 
 NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
 TOOK_OFF = "the vehicle took off, which ends the calibration"
@@ -278,6 +274,7 @@ def _about(snapshot: Snapshot) -> str:
 
 
 def make_page(
+    server: HttpServer,
     settings: Settings,
     pilot: Pilot,
     health: Health,
@@ -285,17 +282,13 @@ def make_page(
     vehicle: str,
     autopilot: Callable[[], Autopilot | None],
     settings_file: Path | None = None,
-    limits: ConnectionLimits | None = None,
 ) -> PageEndpoint:
-    """Return the page.
+    """Return the page of a server.
 
     Args:
         vehicle: the vehicle's name for the page.
         autopilot: returns the autopilot whose links are open; None while they are not.
         settings_file: the file that the settings were read from; None if there is none.
-
-    Raises:
-        BadInput: the token or the certificate cannot be read.
     """
 
     def in_flight() -> bool:
@@ -311,5 +304,4 @@ def make_page(
         SettingsTool(settings, file, in_flight, armed),
         CalibrationTool(pilot, clock, file, in_flight, armed),
     ]
-    folder = Path(settings.recorder.folder)
-    return PageEndpoint(settings.page, pilot, health, clock, vehicle, folder, limits, tools)
+    return PageEndpoint(server, pilot, health, clock, vehicle, Path(settings.recorder.folder), tools)

@@ -18,6 +18,7 @@ from types import MappingProxyType
 
 from aiohttp import web
 
+from companion.base.worker import Worker
 from companion.parts.page.file_answer import send_file
 from companion.parts.page.messages import DownloadAnswer, RecordingFile, RecordingList, ReportAnswer
 from companion.parts.page.viewer import PageViewer
@@ -197,6 +198,20 @@ class Recordings:
         self._clock = clock
         self._tickets: dict[str, tuple[str, MonoNs]] = {}
         self._under_way = 0
+        self._asked: Line[PageViewer] = Line(_WAITING)
+
+    def list_for(self, viewer: PageViewer) -> None:
+        """Send a viewer the list of recordings soon."""
+        self._asked.offer(viewer)
+
+    async def run(self) -> None:
+        """List recordings for those who ask, until cancelled."""
+        worker = Worker("page lists")
+        try:
+            async for viewer in self._asked:
+                viewer.tell(await worker.run(self.listed))
+        finally:
+            worker.close()
 
     def listed(self) -> RecordingList:
         """Return the newest recordings. It reads the disk, so it belongs on a thread."""

@@ -41,7 +41,7 @@ _USER = re.compile(r"^([^:]+:[/\\]+).*@")
 _VALUE = re.compile(r"([?&;][\w.-]*(?:pass|pwd|token|key|secret|auth|user)[\w.-]*=)[^&;#]*", re.IGNORECASE)
 
 GUARDED = (
-    "page", "metrics", "foxglove", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
+    "http", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
     "vehicle.signing_key_file", "vehicle.signing_time_file", "vehicle.unsigned", "vehicle.links",
 )  # fmt: skip
 """Keys and tables that a browser does not change: who may command, where secrets are and go, and where files are written."""

@@ -13,7 +13,7 @@ from companion.base.missing_inputs import missing_inputs
 from companion.base.observer import Decision, ProcessedFrame
 from companion.parts.page.messages import HealthCause, Level, PageHealth, PictureLine, PlaceReport
 from companion.recording.frame_encoder import VideoQuality
-from companion.settings.page import PageSettings
+from companion.settings.http import HttpSettings
 from companion.tools.report.overlay import pad_lines
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation
@@ -34,7 +34,7 @@ _FAR_PX = 4000.0
 _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
 
 
-def video_quality(settings: PageSettings) -> VideoQuality:
+def video_quality(settings: HttpSettings) -> VideoQuality:
     """Return the settings of the encoder of one browser's pictures: little work, and a key frame only where it begins."""
     return VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=settings.bitrate_kbit_s)
 

@@ -1,41 +1,23 @@
-"""One browser that is logged in: its requests, and what is sent to it without ever waiting for it.
+"""One browser that is logged in: its messages, and what is sent to it without ever waiting for it.
 
 A slow link gets fewer pictures and states, never late ones: at most `_IN_FLIGHT` pictures are on their way, and a newer state
-replaces one that is not sent yet. A browser that has the hand and goes away leads to a hold; nothing else changes by its going.
+replaces one that is not sent yet.
 """
 
-from __future__ import annotations
-
 import asyncio
-from collections import deque
-from typing import Protocol
+from collections import Counter, deque
+from collections.abc import Callable
 
 from aiohttp import WSMsgType, web
 
-from companion.base.orders import OperatorOrder, OrderSender
-from companion.base.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
-from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import PilotOperator
-from companion.parts.page.messages import (
-    DownloadRequest,
-    DrawnNotice,
-    LoginRequest,
-    PageState,
-    PictureRequest,
-    RecordingsRequest,
-    ReportRequest,
-    ToPage,
-    request_in,
-    text_of,
-)
-from companion.parts.page.tool_messages import ToolRequest
+from companion.base.orders import OrderSender
+from companion.base.wire import RequestRefused
+from companion.parts.page.messages import PageRequest, PageState, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
-ORDERS = tuple(order for order in OperatorOrder if order not in (OperatorOrder.PATH, OperatorOrder.RECORD))
-"""The orders that the page may give."""
 REFUSED_CODE = 4400
 """Close code of a message that is no request, or of too many."""
 _REQUESTS_EACH_S = 100
@@ -46,36 +28,19 @@ _TEXTS = 64
 """Events and answers that may wait; the oldest is dropped."""
 
 
-class Served(Protocol):
-    """Interface of the page's endpoint that a viewer needs."""
-
-    pilot: Pilot
-    clock: Clock
-
-    def count(self, what: str) -> None: ...
-
-    def frame_encoder(self) -> FrameEncoder | None: ...
-
-    def list_recordings(self, viewer: PageViewer) -> None: ...
-
-    def offer_recording(self, viewer: PageViewer, name: str) -> None: ...
-
-    def make_report(self, viewer: PageViewer, name: str) -> None: ...
-
-    def use_tool(self, viewer: PageViewer, request: ToolRequest) -> None: ...
-
-
 class PageViewer:
     """See the module's docstring.
 
     Args:
         sender: this browser as a sender of orders.
+        counts: the counters of the page.
     """
 
-    def __init__(self, served: Served, socket: web.WebSocketResponse, sender: OrderSender) -> None:
-        self._served = served
+    def __init__(self, socket: web.WebSocketResponse, sender: OrderSender, clock: Clock, counts: Counter[str]) -> None:
         self._socket = socket
         self.sender = sender
+        self._clock = clock
+        self._counts = counts
         self._states: Latest[str] = Latest()
         self._pictures: Latest[bytes] = Latest()
         self._texts: Line[str] = Line(_TEXTS)
@@ -95,8 +60,21 @@ class PageViewer:
     def show(self, number: int, exposed: MonoNs, message: bytes) -> None:
         """Send a picture; only if the viewer is ready."""
         self._flying[number] = exposed
-        self._served.count("pictures")
+        self._counts["pictures"] += 1
         self._pictures.offer(message)
+
+    def begin_pictures(self, encoder: FrameEncoder | None) -> None:
+        """Send pictures by this encoder, or as JPEG, from now on; those on their way are not waited for."""
+        self.encoder = encoder
+        self._flying.clear()
+
+    def drawn(self, number: int) -> None:
+        """Take note that the browser has drawn a picture."""
+        exposed = self._flying.get(number)
+        if exposed is not None:
+            self.picture_delay_s = seconds_between(exposed, self._clock.now())
+        for earlier in [one for one in self._flying if one <= number]:
+            del self._flying[earlier]
 
     def tell(self, message: ToPage) -> None:
         """Send a message; a state replaces one that is not sent yet."""
@@ -105,18 +83,20 @@ class PageViewer:
         else:
             self._texts.offer(text_of(message))
 
-    async def serve(self) -> None:
-        """Serve this browser until it goes away."""
+    async def serve(self, take: Callable[[PageRequest], str | None]) -> None:
+        """Serve this browser until it goes away.
+
+        Args:
+            take: carries a request out; it returns why it is refused, which ends the connection.
+        """
         try:
             async with asyncio.TaskGroup() as group:
                 sending = [group.create_task(send()) for send in (self._send_states, self._send_texts, self._send_pictures)]
-                await self._read()
+                await self._read(take)
                 for task in sending:
                     task.cancel()
         except* ConnectionError:
             pass
-        finally:
-            self._served.pilot.operator.lost(self.sender, self._served.clock.now(), "its page closed")
 
     async def close(self, code: int, why: str) -> None:
         """Close the connection and say why."""
@@ -136,56 +116,19 @@ class PageViewer:
         async for message in self._pictures:
             await self._socket.send_bytes(message)
 
-    async def _read(self) -> None:
+    async def _read(self, take: Callable[[PageRequest], str | None]) -> None:
         async for message in self._socket:
-            refused = self._take(message.data) if message.type is WSMsgType.TEXT else "a request is a text"
+            request = request_in(message.data) if message.type is WSMsgType.TEXT else "a request is a text"
+            if self._floods():
+                request = f"more than {_REQUESTS_EACH_S} requests in a second"
+            refused = request if isinstance(request, str) else take(request)
             if refused is not None:
-                self._served.count("refused")
+                self._counts["refused"] += 1
                 await self.close(REFUSED_CODE, refused)
                 return
 
-    def _take(self, text: str) -> str | None:
-        """Carry a request out; return why it is refused, which ends the connection."""
-        now = self._served.clock.now()
-        if len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0:
-            return f"more than {_REQUESTS_EACH_S} requests in a second"
+    def _floods(self) -> bool:
+        now = self._clock.now()
+        floods = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
         self._recent.append(now)
-        match request := request_in(text):
-            case OrderRequest():
-                self._order(request)
-            case SticksRequest():
-                self._served.pilot.operator.move(self.sender, request.positions, now)
-            case DrawnNotice():
-                self._drawn(request.number, now)
-            case PictureRequest():
-                # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
-                self.encoder = self._served.frame_encoder() if request.codec == "h264" else None
-                self._flying.clear()
-            case RecordingsRequest():
-                self._served.list_recordings(self)
-            case DownloadRequest():
-                self._served.offer_recording(self, request.name)
-            case ReportRequest():
-                self._served.make_report(self, request.name)
-            case LoginRequest():
-                return "this page is logged in already"
-            case str():
-                return request
-            case _:
-                self._served.use_tool(self, request)
-        return None
-
-    def _order(self, request: OrderRequest) -> None:
-        if request.order not in ORDERS:
-            refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
-        else:
-            refusal = PilotOperator(self._served.pilot, self.sender, self._served.clock).order(request.order)
-        text = "accepted" if refusal is None else f"refused: {refusal}"
-        self.tell(OrderAnswer(number=request.number, accepted=refusal is None, text=text))
-
-    def _drawn(self, number: int, now: MonoNs) -> None:
-        exposed = self._flying.get(number)
-        if exposed is not None:
-            self.picture_delay_s = seconds_between(exposed, now)
-        for earlier in [one for one in self._flying if one <= number]:
-            del self._flying[earlier]
+        return floods

@@ -1,6 +1,7 @@
 """Take a snapshot of the service itself: its files, camera, broker and drone, and its figures if it is running."""
 
 import asyncio
+import ssl
 from collections.abc import Mapping
 
 import aiohttp
@@ -11,6 +12,7 @@ from prometheus_client.samples import Sample
 from companion.base.health import HealthSnapshot
 from companion.settings import secret_files
 from companion.settings.effect import without_effect
+from companion.settings.http import HttpSettings
 from companion.settings.load import camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_files
@@ -124,22 +126,33 @@ async def _of_camera(snapshot: ServiceSnapshot, settings: Settings, clock: Clock
 
 async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
     """Return the metrics of the running service; None if nothing answers."""
-    m = settings.metrics
-    if m.endpoint == "off":
+    http = settings.http
+    if http.endpoint == "off":
         return None
-    host = "127.0.0.1" if m.host in ("0.0.0.0", "::") else m.host
-    token = secret_files.text(m.token_file, "metrics", "token_file")
+    host = "127.0.0.1" if http.host in ("0.0.0.0", "::") else http.host
+    token = secret_files.text(http.token_file, "http", "token_file")
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     try:
         async with (
             aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(timeout_s)) as session,
-            session.get(f"http://{host}:{m.port}/metrics", headers=headers) as answer,
+            session.get(f"{http.endpoint}://{host}:{http.port}/metrics", headers=headers, ssl=_our_own(http)) as answer,
         ):
             answer.raise_for_status()
             page = await answer.text()
         return [sample for family in text_string_to_metric_families(page) for sample in family.samples]
     except (OSError, TimeoutError, aiohttp.ClientError, ValueError):
         return None
+
+
+def _our_own(http: HttpSettings) -> ssl.SSLContext | bool:
+    """Return how to check that our own service answers: it has the certificate of the settings, whatever name that is for."""
+    if http.endpoint == "http":
+        return True
+    certificate = secret_files.find(http.certificate_file, "http.certificate_file")
+    context = ssl.create_default_context(cafile=certificate)
+    context.check_hostname = False
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    return context
 
 
 def _of_metrics(snapshot: ServiceSnapshot, settings: Settings, scraped: list[Sample]) -> ServiceSnapshot:

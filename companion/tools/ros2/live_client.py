@@ -1,4 +1,4 @@
-"""A client of the service's live port (`[foxglove]`): the messages of a flight while it is flown, and again after a loss.
+"""A client of the service's live data (`[http] foxglove`): the messages of a flight while it is flown, and again after a loss.
 
 Protocol: github.com/foxglove/ws-protocol, docs/spec.md, version 1.
 """
@@ -47,7 +47,7 @@ class LiveClient:
     """See the module's docstring.
 
     Args:
-        url: the port's address, ws://HOST:PORT.
+        url: the address, ws://HOST:PORT/live.
         token: its token; None for none.
         wanted: says of a topic whether its messages are wanted.
         note: receives what a person should know: a connection, its loss and why.
@@ -80,11 +80,11 @@ class LiveClient:
                         yield message
                 self._say(f"{self._url}: the service has closed the connection; trying again")
             except aiohttp.InvalidURL as why:
-                raise BadInput(f"{self._url}: is no address such as ws://127.0.0.1:8765") from why
+                raise BadInput(f"{self._url}: is no address such as ws://127.0.0.1:8480/live") from why
             except aiohttp.WSServerHandshakeError as why:
                 if why.status == 401:
                     raise BadInput(f"{self._url}: the token is missing or wrong (--token-file)") from why
-                self._say(f"{self._url}: refused with status {why.status}: is [foxglove] there? Trying again")
+                self._say(f"{self._url}: refused with status {why.status}: is foxglove = true in [http]? Trying again")
             except (aiohttp.ClientError, OSError, TimeoutError) as why:
                 self._say(f"{self._url}: {why or type(why).__name__}; trying again")
             await asyncio.sleep(_AGAIN_S)

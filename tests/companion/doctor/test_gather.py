@@ -12,11 +12,12 @@ import pytest
 
 import companion.settings.load as settings_of
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.cli import doctor
 from companion.cli.main import Parser
 from companion.parts.metrics.endpoint import MetricsEndpoint
+from companion.settings.http import HttpSettings
 from companion.settings.load import Settings
-from companion.settings.metrics import MetricsSettings
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
 from companion.tools.doctor.firmware_parameters import names_in
@@ -166,10 +167,11 @@ async def test_a_service_that_runs_is_queried() -> None:
     health.counters("sentences", lambda: {"taken_HDT": 3.0, "refused_checksum": 7.0, "refused_other_sentence": 90.0})
     health.counters("mqtt", lambda: {"ship_reports_other_run": 2.0, "ship_reports_taken": 1.0, "commands_expired": 5.0})
     health.counters("ship_place", lambda: {"taken": 0.0, "vessel_stale": 1.0})
-    endpoint = MetricsEndpoint(MetricsSettings("http", HOST, 0), health)
-    async with listening(endpoint) as port:
-        metrics = {"endpoint": "http", "host": HOST, "port": port}
-        service = await examine_service(rig(Path("no camera is opened"), metrics=metrics), None, SystemClock())
+    server = HttpServer(HttpSettings("http", HOST, 0, page=False), health)
+    MetricsEndpoint(server, health)
+    async with listening(server) as port:
+        http = {"endpoint": "http", "host": HOST, "port": port, "page": False}
+        service = await examine_service(rig(Path("no camera is opened"), http=http), None, SystemClock())
     assert service.camera_fault is None
     assert service.exposure_to_belief_s == 0.08
     assert service.frame_rate_hz

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.observer import Observer
 from companion.base.worker import Worker
 from companion.guidance.make_pilot import make_pilot
@@ -30,9 +30,7 @@ from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.frame_encoder import is_key_frame
-from companion.settings.effect import without_effect
-from companion.settings.live import FoxgloveSettings
-from companion.settings.load import from_mapping
+from companion.settings.http import HttpSettings
 from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
@@ -45,20 +43,14 @@ TOKEN = "a-token-of-more-than-sixteen"
 class Service:
     """The endpoint beside a simulated flight."""
 
-    def __init__(self, limits: ConnectionLimits | None, recorder: Recorder | None, **settings: Any) -> None:
+    def __init__(self, recorder: Recorder | None, **settings: Any) -> None:
         whole = sim_settings()
         pilot = make_pilot(whole, shadows=("median_mean",))
         clock = SystemClock()
-        self.endpoint = FoxgloveEndpoint(
-            FoxgloveSettings(endpoint="websocket", **{"port": 0, **settings}),
-            pilot,
-            Health(clock),
-            clock,
-            "drone",
-            0,
-            limits,
-        )
-        observers: list[Observer] = [self.endpoint] if recorder is None else [recorder, self.endpoint]
+        health = Health(clock)
+        self.server = HttpServer(HttpSettings(endpoint="http", page=False, **{"port": 0, **settings}), health)
+        self.endpoint = FoxgloveEndpoint(self.server, pilot, health, clock, "drone", 0)
+        observers: list[Observer] = [self.endpoint.feed] if recorder is None else [recorder, self.endpoint.feed]
         self.flight = Flight(load_scenario("demo"), 1, whole, pilot, observers=observers)
 
     async def fly(self, seconds: float) -> None:
@@ -68,20 +60,18 @@ class Service:
 
     @property
     def address(self) -> str:
-        return f"ws://127.0.0.1:{self.endpoint.port}/"
+        return f"ws://127.0.0.1:{self.server.port}/live"
 
     def counted(self, name: str) -> float:
-        return self.endpoint.counted().get(name, 0.0)
+        return {**self.server.counted(), **self.endpoint.counted()}.get(name, 0.0)
 
 
 @asynccontextmanager
-async def serving(
-    limits: ConnectionLimits | None = None, recorder: Recorder | None = None, **settings: Any
-) -> AsyncIterator[Service]:
-    service = Service(limits, recorder, **settings)
+async def serving(recorder: Recorder | None = None, **settings: Any) -> AsyncIterator[Service]:
+    service = Service(recorder, **settings)
     # A viewer here answers pings when the test reads, which may be seconds apart on a busy machine.
     with patch.object(part, "_ALIVE_S", PATIENCE_S):
-        async with listening(service.endpoint):
+        async with listening(service.server, service.endpoint.run):
             yield service
 
 
@@ -159,7 +149,7 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
                 "/decision", "/belief/dead_reckoning", "/sample/imu", "/tf", "/tf_static", "/camera/image", "/fusion/sighting",
             )  # fmt: skip
             await client.subscribe(*wanted)
-            await until(lambda: service.counted("viewers") == 1 and len(service.endpoint._feed._wanted) == len(wanted))
+            await until(lambda: service.counted("viewers") == 1 and len(service.endpoint.feed._wanted) == len(wanted))
             flying = asyncio.create_task(service.fly(1.2))
             while not flying.done() or service.endpoint._viewers[0]._waiting:
                 try:
@@ -186,34 +176,34 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
 
 
 async def test_a_late_viewer_gets_the_latched_topics_and_a_video_from_a_key_frame() -> None:
-    async with serving(frames="h264") as service, watching(service) as first:
+    async with serving(foxglove_frames="h264") as service, watching(service) as first:
         await first.told("advertise")
         assert "/camera/image" not in first.channels
         await first.subscribe("/camera/video")
-        await until(lambda: bool(service.endpoint._feed._wanted))
+        await until(lambda: bool(service.endpoint.feed._wanted))
         await service.fly(0.4)
         async with watching(service, protocols=("foxglove.websocket.v1",)) as late:
             assert late.socket.protocol == "foxglove.websocket.v1"
             await late.told("advertise")
             await late.subscribe("/camera/video", "/tf_static", "/scene", "/camera/calibration", "/log")
-            await until(lambda: len(service.endpoint._feed._wanted) == 5)
+            await until(lambda: len(service.endpoint.feed._wanted) == 5)
             await service.fly(0.15)
             await late.drain("/camera/video", "/tf_static", "/scene", "/camera/calibration", "/log")
         assert is_key_frame(base64.b64decode(json.loads(late.messages["/camera/video"][0][1])["data"]))
-        await until(lambda: service.endpoint._feed._wanted == {"/camera/video"})
+        await until(lambda: service.endpoint.feed._wanted == {"/camera/video"})
 
 
 async def test_nothing_is_taken_that_nobody_requested() -> None:
     async with serving() as service, watching(service) as client:
         await client.told("advertise")
         await service.fly(0.1)
-        assert service.endpoint._feed._events.offered == 0
+        assert service.endpoint.feed._events.offered == 0
         await client.subscribe("/sample/range")
-        await until(lambda: bool(service.endpoint._feed._wanted))
+        await until(lambda: bool(service.endpoint.feed._wanted))
         await client.say(op="unsubscribe", subscriptionIds=[1000])
-        await until(lambda: not service.endpoint._feed._wanted)
+        await until(lambda: not service.endpoint.feed._wanted)
         await service.fly(0.1)
-        assert service.endpoint._feed._events.offered == 0
+        assert service.endpoint.feed._events.offered == 0
 
 
 @pytest.mark.parametrize(
@@ -242,7 +232,7 @@ async def test_garbage_is_counted_and_reported_and_ends_nothing(said: str | byte
         assert service.counted("refused") == 1
         await other.told("advertise")
         await other.subscribe("/decision")
-        await until(lambda: "/decision" in service.endpoint._feed._wanted)
+        await until(lambda: "/decision" in service.endpoint.feed._wanted)
         await service.fly(0.05)
         await other.drain("/decision")
 
@@ -294,10 +284,10 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
     async with serving() as service, watching(service) as client:
         await client.told("advertise")
         await client.subscribe("/sample/imu", "/camera/image", "/decision")
-        await until(lambda: bool(service.endpoint._feed._wanted))
+        await until(lambda: bool(service.endpoint.feed._wanted))
         reading = asyncio.create_task(client.read())
         await service.fly(0.6)
-        assert len(service.endpoint._feed._events) == 50
+        assert len(service.endpoint.feed._events) == 50
         assert service.counted("events_dropped") > 50
         assert service.counted("frames_dropped") > 3
         reading.cancel()
@@ -348,30 +338,6 @@ async def test_a_connection_of_another_protocol_or_one_too_many_is_refused() -> 
                 async with watching(service):
                     pass
             assert refused.value.status == 503
-
-
-async def test_a_flood_of_connections_neither_grows_nor_touches_who_watches() -> None:
-    limits = ConnectionLimits(connections=8, connection_s=0.4)
-    async with serving(limits) as service, watching(service) as client:
-        await client.told("advertise")
-        opened = [await asyncio.open_connection("127.0.0.1", service.endpoint.port) for _ in range(60)]
-        for _, writer in opened:
-            writer.write(b"GET / HTTP/1.1\r\nHost: x\r\n")
-        await until(lambda: not limits.open)
-        assert limits.evicted + limits.overdue >= 60
-        await client.subscribe("/decision")
-        await until(lambda: bool(service.endpoint._feed._wanted))
-        await service.fly(0.05)
-        await client.drain("/decision")
-        for _, writer in opened:
-            writer.close()
-
-
-def test_settings_that_would_let_others_watch_are_refused_and_those_without_effect_are_reported() -> None:
-    with pytest.raises(ValueError, match="token_file is needed because host"):
-        FoxgloveSettings(endpoint="websocket", host="0.0.0.0")
-    minimal = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "foxglove": {"port": 1}}
-    assert without_effect(from_mapping(minimal, "x")) == ('foxglove.port: without effect, as foxglove.endpoint is "off"',)
 
 
 @given(st.text(max_size=200))

@@ -13,13 +13,13 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.supervise import run
 from companion.parts.metrics.endpoint import MetricsEndpoint, text
-from companion.settings.load import from_mapping
-from companion.settings.metrics import MetricsSettings
+from companion.settings.http import HttpSettings
 from companion.settings.restart import RestartOptions
 from drivers.clock import SystemClock
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.support.descriptors import no_descriptors
@@ -104,12 +104,13 @@ def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
 
 
 @asynccontextmanager
-async def serving(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[MetricsEndpoint]:
-    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0, token_file=token_file), health, limits)
+async def serving(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[HttpServer]:
+    endpoint = HttpServer(HttpSettings(endpoint="http", port=0, token_file=token_file, page=False), health, limits)
+    MetricsEndpoint(endpoint, health)
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(
-            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
+            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"http": endpoint.run})
         )
         await until(lambda: endpoint.port is not None)
         try:
@@ -123,7 +124,7 @@ async def test_the_endpoint_serves_the_page_and_a_yes_or_no() -> None:
     async with serving(health) as endpoint, aiohttp.ClientSession(f"http://127.0.0.1:{endpoint.port}") as client:
         async with client.get("/metrics") as answer:
             assert answer.headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
-            assert value(await answer.read(), "decklander_part_up", part="metrics") == 1
+            assert value(await answer.read(), "decklander_part_up", part="http") == 1
         async with client.get("/health") as answer:
             assert (answer.status, await answer.json()) == (200, {"ok": True, "down": {}})
         health.down("mqtt", Recoverable("no broker"))
@@ -146,12 +147,12 @@ async def test_a_taken_port_is_waited_for() -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
-        endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=holder.getsockname()[1]), health)
-        with pytest.raises(Recoverable, match=r"metrics cannot be served on 127\.0\.0\.1:\d+: .*in use"):
+        endpoint = HttpServer(HttpSettings(endpoint="http", port=holder.getsockname()[1], page=False), health)
+        with pytest.raises(Recoverable, match=r"HTTP cannot be served on 127\.0\.0\.1:\d+: .*in use"):
             await endpoint.run()
 
 
-async def dialled(endpoint: MetricsEndpoint, said: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+async def dialled(endpoint: HttpServer, said: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """Return a connection after this much was sent."""
     reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.port)
     writer.write(said)
@@ -188,7 +189,7 @@ async def test_many_half_open_requests_neither_pile_up_nor_shut_out_a_whole_one(
         for reader, _ in lines[: 60 - 8]:
             await ended(reader)
         assert len(limits.open) == 8
-        assert health.snapshot().counters["metrics"]["connections_evicted"] == 52
+        assert health.snapshot().counters["http"]["connections_evicted"] == 52
         reader, whole = await dialled(endpoint, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
         assert (await ended(reader)).startswith(b"HTTP/1.1 200")
         for _, writer in (*lines, (reader, whole)):
@@ -218,7 +219,7 @@ async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixtur
             await asyncio.get_running_loop().sock_sendall(client, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
             async with asyncio.timeout(60):
                 assert (await asyncio.get_running_loop().sock_recv(client, 100)).startswith(b"HTTP/1.1 200")
-        assert health.parts["metrics"].restarts == 0
+        assert health.parts["http"].restarts == 0
 
 
 async def test_with_a_token_nothing_is_reported_without_it(tmp_path: Path) -> None:
@@ -239,22 +240,6 @@ async def test_with_a_token_nothing_is_reported_without_it(tmp_path: Path) -> No
                 assert (answer.status, await answer.json()) == (503, {"ok": False})
         right = {"Authorization": "Bearer 0123456789abcdef"}
         async with client.get("/metrics", headers=right) as answer:
-            assert value(await answer.read(), "decklander_count", part="metrics", name="refused") == 3
+            assert value(await answer.read(), "decklander_count", part="http", name="wrong_tokens") == 5
         async with client.get("/health", headers=right) as answer:
             assert "10.0.0.7" in await answer.text()
-
-
-def test_off_loopback_a_token_must_be_set(tmp_path: Path) -> None:
-    def table(**metrics: object) -> dict[str, object]:
-        return {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "metrics": metrics}
-
-    for host in ("0.0.0.0", "::", "192.168.1.2", "deck.local"):
-        with pytest.raises(BadInput, match=rf"metrics.*token_file is needed because host \({host}\) is not a loopback"):
-            from_mapping(table(endpoint="http", host=host), "rig.toml")
-        from_mapping(table(endpoint="http", host=host, token_file="t"), "rig.toml")
-    for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost"):
-        from_mapping(table(endpoint="http", host=host), "rig.toml")
-    short = tmp_path / "token"
-    short.write_text("short\n")
-    with pytest.raises(BadInput, match="16 or more"):
-        MetricsEndpoint(MetricsSettings(endpoint="http", token_file=str(short)), Health(SystemClock()))

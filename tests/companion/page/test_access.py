@@ -5,9 +5,9 @@ import socket
 import pytest
 
 from companion.parts.page.access import own_names, refused_origin
-from companion.settings.page import PageSettings
+from companion.settings.http import HttpSettings
 
-NAMES = own_names(PageSettings(hosts="Drone.lan, bridge.example.org.,"))
+NAMES = own_names(HttpSettings(hosts="Drone.lan, bridge.example.org.,"))
 OWN = socket.gethostname().partition(".")[0].lower()
 
 
@@ -29,7 +29,7 @@ def test_its_own_page_is_let_in_by_each_of_its_names(host: str) -> None:
 def test_a_name_that_somebody_else_points_here_is_refused_and_the_answer_names_the_setting(host: str) -> None:
     why = refused_origin(f"http://{host}", host, NAMES)
     assert why is not None
-    assert "[expert.page] hosts" in why
+    assert "[expert.http] hosts" in why
 
 
 @pytest.mark.parametrize(

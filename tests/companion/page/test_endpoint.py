@@ -23,7 +23,7 @@ from companion.base.reason import Reason, ReasonCause
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import request_in
 from companion.parts.page.recordings import Recordings
-from companion.settings.page import PageSettings
+from companion.settings.http import HttpSettings
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
@@ -76,7 +76,7 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
         assert first["verdict"] == "no_pad"
         before = service.cycles
         await until(lambda: service.cycles > before + 60)
-        assert service.page.counted()["pictures"] == viewer._IN_FLIGHT, "a browser that says nothing gets no more"
+        assert service.counted("page", "pictures") == viewer._IN_FLIGHT, "a browser that says nothing gets no more"
         await browser.read("picture")
         await browser.send(kind="drawn", number=browser.pictures[-1][0]["number"])
         newer = await browser.read("picture")
@@ -96,7 +96,7 @@ async def test_a_page_on_tls_answers_nobody_in_clear_and_its_certificate_is_chec
             await session.get(f"{service.address}/")
         with pytest.raises((aiohttp.ClientError, ConnectionError)):
             await session.get(service.address.replace("https", "http") + "/")
-        async with session.ws_connect(f"{service.address}/live", origin=service.address, ssl=trusting) as socket:
+        async with session.ws_connect(f"{service.address}/operator", origin=service.address, ssl=trusting) as socket:
             await socket.send_str(json.dumps({"kind": "login", "token": TOKEN}))
             assert json.loads((await socket.receive()).data)["kind"] == "welcome"
 
@@ -160,7 +160,7 @@ async def test_losing_every_page_changes_nothing_of_a_landing_under_way(tmp_path
             await other.read("welcome")
             assert (await browser.order("begin"))["accepted"]
             state = service.pilot.state
-        await until(lambda: service.page.counted()["viewers"] == 0)
+        await until(lambda: service.server.viewers == 0)
         assert (service.pilot.state, service.pilot.paused) == (state, False)
         assert [order.order.value for order in service.orders] == ["begin"]
 
@@ -210,7 +210,7 @@ async def test_without_the_token_nothing_is_reported_and_nothing_is_obeyed(tmp_p
         tokens = ("", "another-token-of-sixteen", TOKEN[:-1], TOKEN + "x")
         await asyncio.gather(*(refused_with(service, token) for token in tokens))
         assert service.orders == []
-        assert service.page.counted()["wrong_tokens"] == 4
+        assert service.server.counts["wrong_tokens"] == 4
         async with browsing(service) as browser:
             await browser.read("welcome")
 
@@ -224,7 +224,7 @@ async def test_another_page_cannot_open_the_connection(tmp_path: Path, origin: s
         assert refused.value.status == 403
         async with aiohttp.ClientSession() as session:
             with pytest.raises(aiohttp.WSServerHandshakeError):
-                await session.ws_connect(f"{service.address}/live")
+                await session.ws_connect(f"{service.address}/operator")
 
 
 async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: Path) -> None:
@@ -240,11 +240,11 @@ async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: P
             async with client.get(name) as answer:
                 assert answer.status == 200
                 assert not re.search(rb"https?://(?!www\.w3\.org/)", await answer.read())
-        for path in ("/../settings.py", "/%2e%2e/settings.py", "/static/index.html", "/live/", "/token"):
+        for path in ("/../settings.py", "/%2e%2e/settings.py", "/static/index.html", "/operator/", "/token"):
             async with client.get(path) as answer:
                 assert answer.status == 404
                 assert answer.headers["X-Content-Type-Options"] == "nosniff"
-        async with client.get("/live", headers={"Origin": service.address}) as answer:
+        async with client.get("/operator", headers={"Origin": service.address}) as answer:
             assert answer.status == 426
         async with client.post("/", data=b"x" * 100) as answer:
             assert answer.status == 405
@@ -287,9 +287,9 @@ async def test_a_flood_of_connections_neither_grows_nor_touches_who_is_logged_in
     limits = ConnectionLimits(connections=8, connection_s=0.4)
     async with serving(tmp_path, limits) as service, browsing(service) as browser:
         await browser.read("welcome")
-        opened = [await asyncio.open_connection("127.0.0.1", service.page.port) for _ in range(60)]
+        opened = [await asyncio.open_connection("127.0.0.1", service.server.port) for _ in range(60)]
         for _, writer in opened:
-            writer.write(b"GET /live HTTP/1.1\r\nHost: x\r\n")
+            writer.write(b"GET /operator HTTP/1.1\r\nHost: x\r\n")
         await until(lambda: not limits.open)
         assert limits.evicted + limits.overdue >= 60
         assert (await browser.order("hold"))["accepted"]
@@ -301,7 +301,7 @@ async def test_no_more_browsers_than_the_settings_allow(tmp_path: Path) -> None:
     async with serving(tmp_path, viewers_max=1) as service, browsing(service) as browser:
         await browser.read("welcome")
         async with browsing(service) as second:
-            assert (await second.read("refused"))["text"] == "1 browsers watch already, and there may be no more"
+            assert (await second.read("refused"))["text"] == "1 watch already, and there may be no more"
             assert (await second.read("closed"))["code"] == 4409
         assert (await browser.order("hold"))["accepted"]
 
@@ -309,7 +309,7 @@ async def test_no_more_browsers_than_the_settings_allow(tmp_path: Path) -> None:
 async def test_a_silent_connection_must_send_its_token_in_time(tmp_path: Path) -> None:
     limits = ConnectionLimits(connection_s=0.3)
     async with serving(tmp_path, limits) as service, aiohttp.ClientSession() as session:
-        socket = await session.ws_connect(f"{service.address}/live", origin=service.address)
+        socket = await session.ws_connect(f"{service.address}/operator", origin=service.address)
         async with asyncio.timeout(PATIENCE_S):
             assert (await socket.receive()).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
         assert limits.overdue == 1
@@ -318,11 +318,15 @@ async def test_a_silent_connection_must_send_its_token_in_time(tmp_path: Path) -
 def test_settings_that_would_give_the_token_away_are_refused() -> None:
     for options, why in (
         ({"endpoint": "http"}, "token_file is needed"),
+        ({"endpoint": "http", "page": False, "host": "deck.local"}, r"token_file is needed because host \(deck.local\)"),
         ({"endpoint": "http", "token_file": "t", "host": "0.0.0.0"}, 'endpoint must be "https"'),
         ({"endpoint": "https", "token_file": "t"}, "certificate_file and key_file are needed"),
     ):
         with pytest.raises(ValueError, match=why):
-            PageSettings(**options)
+            HttpSettings(**options)
+    for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost"):
+        HttpSettings(endpoint="http", host=host, page=False)
+    HttpSettings(endpoint="http", host="0.0.0.0", page=False, token_file="t")
 
 
 def test_a_token_that_is_missing_or_short_keeps_the_service_from_beginning(tmp_path: Path) -> None:

@@ -182,10 +182,8 @@ def test_a_fault_is_refused_with_its_line(was: str, becomes: str, line: int) -> 
         ("[guidance]", '[operator]\ngamepad = "/srv/other/pad.toml"\n[guidance]', "operator.gamepad"),
         ("[guidance]", '[operator]\nsocket = "/tmp/socket"\n[guidance]', "operator.socket"),
         ("[guidance]", '[recorder]\nfolder = "/srv/other"\n[guidance]', "recorder.folder"),
-        ("[guidance]", '[page]\nendpoint = "http"\ntoken_file = "/etc/hostname"\n[guidance]', "page."),
+        ("[guidance]", '[http]\nendpoint = "http"\ntoken_file = "/etc/hostname"\n[guidance]', "http."),
         ("[guidance]", '[mqtt]\ntransport = "tcp"\nhost = "evil.example"\n[guidance]', "mqtt."),
-        ("[guidance]", '[metrics]\nendpoint = "http"\n[guidance]', "metrics.endpoint"),
-        ("[guidance]", '[foxglove]\nendpoint = "websocket"\n[guidance]', "foxglove.endpoint"),
     ],
 )
 def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, was: str, becomes: str, named: str) -> None:

@@ -25,7 +25,7 @@ async def test_a_person_reads_findings_and_mends_the_settings(tmp_path: Path) ->
         (tmp_path / "token").unlink()
         await one.shows("link", "live")
         await one.page.click("#examine")
-        await one.shows("findings", r"error.*page\.token_file.*Cure:")
+        await one.shows("findings", r"error.*http\.token_file.*Cure:")
         (tmp_path / "token").write_text("a-token-of-sixteen-and-more")
         await one.page.click("#show-settings")
         area = one.page.locator("#settings-text")
