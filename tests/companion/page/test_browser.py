@@ -124,8 +124,8 @@ async def test_a_browser_that_cannot_decode_video_is_shown_jpeg(tmp_path: Path, 
         await one.page.goto("about:blank")
         await one.page.goto(f"{service.address}/#token={TOKEN}")
         await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "jpeg", timeout=WAIT_MS)
-        before = service.page.counted()["pictures"]
-        await until(lambda: service.page.counted()["pictures"] > before + 6)
+        before = service.counted("page", "pictures")
+        await until(lambda: service.counted("page", "pictures") > before + 6)
         assert service.page._viewers[0].encoder is None
         assert one.faults == []
 
@@ -193,7 +193,7 @@ async def test_a_lost_connection_is_reported_and_comes_back(tmp_path: Path) -> N
         assert service.pilot.paused == paused
         assert await one.page.is_hidden("#lost")
         assert "accepted" in await one.press("hold")
-        assert service.page.counted()["opened"] >= 2
+        assert service.server.counts["opened"] >= 2
 
 
 @pytest.mark.timeout(500)
