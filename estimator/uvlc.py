@@ -11,12 +11,12 @@ from estimator.core import abi
 from estimator.core.library import CORE
 
 _REFUSALS = {
-    abi.UVLC_SHORT: PictureRefusal.TOO_SHORT,
-    abi.UVLC_NO_PICTURE: PictureRefusal.BAD_MAGIC,
-    abi.UVLC_SIZE: PictureRefusal.BAD_SIZE,
-    abi.UVLC_INTER: PictureRefusal.INTER_PICTURE,
-    abi.UVLC_TORN: PictureRefusal.TORN,
-    abi.UVLC_BAD_CODE: PictureRefusal.BAD_CODE,
+    abi.DL_UVLC_SHORT: PictureRefusal.TOO_SHORT,
+    abi.DL_UVLC_NO_PICTURE: PictureRefusal.BAD_MAGIC,
+    abi.DL_UVLC_SIZE: PictureRefusal.BAD_SIZE,
+    abi.DL_UVLC_INTER: PictureRefusal.INTER_PICTURE,
+    abi.DL_UVLC_TORN: PictureRefusal.TORN,
+    abi.DL_UVLC_BAD_CODE: PictureRefusal.BAD_CODE,
 }
 
 

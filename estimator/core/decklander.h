@@ -5,6 +5,7 @@
 #ifndef DECKLANDER_H
 #define DECKLANDER_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 /* The digest of this file, by which a library and the Python code that calls it know each other. */
@@ -12,29 +13,40 @@ uint32_t dl_digest(void);
 
 /* ---- video/: the AR.Drone 1.0's pictures ---- */
 
-/* The results of reading a picture: done, or why not. The data are shorter than a header; they do not begin as a picture
- * does; its size is none that is decoded; it is coded as the change of another one; they end before it does; they hold a
- * code that the format does not have. */
+/* The results of reading a picture. */
 enum dl_uvlc_result {
-    UVLC_DONE, UVLC_SHORT, UVLC_NO_PICTURE, UVLC_SIZE, UVLC_INTER, UVLC_TORN, UVLC_BAD_CODE,
+    DL_UVLC_DONE,
+    /* The data are shorter than a header. */
+    DL_UVLC_SHORT,
+    /* They do not begin as a picture does. */
+    DL_UVLC_NO_PICTURE,
+    /* The picture's size is none that is decoded. */
+    DL_UVLC_SIZE,
+    /* The picture is coded as the change of another one. */
+    DL_UVLC_INTER,
+    /* The data end before the picture does. */
+    DL_UVLC_TORN,
+    /* They hold a code that the format does not have. */
+    DL_UVLC_BAD_CODE,
 };
 
 /* The size of the largest picture, px. */
-enum {
-    UVLC_WIDTH_MAX = 640, UVLC_HEIGHT_MAX = 480,
-};
+enum { DL_UVLC_WIDTH_MAX = 640, DL_UVLC_HEIGHT_MAX = 480 };
 
-/* A picture's header; intra is 1 if the picture needs no other one. */
+/* A picture's header. */
 typedef struct {
-    int64_t width, height, intra, quantizer, number;
+    int64_t width, height; /* Size, px. */
+    bool intra;            /* The picture needs no other one. */
+    int64_t quantizer;     /* Step of the quantization, 0 to 31. */
+    int64_t number;        /* The sender's count of pictures. */
 } dl_uvlc_picture;
 
-/* Read a picture's header. Return a dl_uvlc_result. */
-int32_t dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture);
+/* Read a picture's header. */
+enum dl_uvlc_result dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture);
 
 /* Decode a picture whose header is known into (height, width, 3) bytes; `room` is how many there are. If it fails, they hold a part
- * of it. Return a dl_uvlc_result. */
-int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room);
+ * of it. */
+enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room);
 
 /* ---- filter/: the error-state filter and the bank of oscillators ---- */
 
@@ -347,407 +359,530 @@ int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_l
 /* ---- vision/register/: the drawing registered with a frame ---- */
 
 enum {
-    /* Kinds of edges, by the paints that meet. */
-    EDGE_KINDS = 5,
+    /* In place of an index where there is nothing to point to. */
+    DL_NONE = -1,
+    /* Kinds of edges, by the paints that meet: the disc's edge, ring, pointer, lettering, lettering of a second paint. */
+    DL_EDGE_KINDS = 5,
     /* The largest number of regions whose paint differs from the one below. */
-    PAD_CONTRASTS = 5,
+    DL_PAD_CONTRASTS = 5,
     /* The largest number of circles that bound a region. */
-    REGION_CIRCLES = 2,
+    DL_REGION_CIRCLES = 2,
     /* The largest number of figures made of rectangles and of what straight sides of any direction enclose. */
-    PAD_FIGURES = 4,
+    DL_PAD_FIGURES = 4,
     /* The largest number of limits of a figure's rectangles along one axis. */
-    FIGURE_CUTS = 64,
+    DL_FIGURE_CUTS = 64,
     /* The largest number of rectangles of a figure. */
-    FIGURE_RECTANGLES = 320,
+    DL_FIGURE_RECTANGLES = 320,
     /* The largest number of a figure's straight sides of any direction. */
-    FIGURE_SIDES = 64,
+    DL_FIGURE_SIDES = 64,
     /* The largest number of sides of a wedge. */
-    WEDGE_SIDES = 4,
+    DL_WEDGE_SIDES = 4,
     /* Number of points of the pointer; at least one is in the frame if it can be seen. */
-    POINTER_MARKS = 4,
+    DL_POINTER_MARKS = 4,
 };
 
-/* A pad_region is what its circles (sums with a sign), its figure's rectangles, and the wedge cover. A figure's rectangles
- * lie between its limits along both axes, which ascend; its sides, whose inside is to the right of their direction seen
- * from above, go around what else it covers, which no rectangle does. A wedge is where all n p < offset, beyond a circle
- * about the centre. A pad_shape has the regions as painted (contrasts: paint over the one that each lies_on, -1 for the
- * surroundings) and the inside of each kind of edge (kinds); an edge_zone is where an edge of another kind is too near:
- * within and outside of two radii, in a box, anywhere if the blur is too wide for something thin, where the figure
- * on_figure does not cover a pixel wholly, and where beside_figure covers any of it (-1 for neither). The pointer is the
- * part of the drawing that distinguishes its two headings. The other structures have what Camera, Orientation and Registration
- * have. A camera_sighting is a pose in cam with the attitude and the mount; a level_sighting is the same pose in level: its
- * place, rotation and their covariance, the body's heading against the arrow, and the covariance of place and heading. */
+/* A painted region: the sum of what its circles, its figure and the wedge cover. */
 typedef struct {
-    int64_t circles, figure, has_wedge;
-    double radius_m[REGION_CIRCLES], sign[REGION_CIRCLES];
-} pad_region;
+    int64_t circles;                    /* Number of circles. */
+    int64_t figure;                     /* Index of its figure, or DL_NONE. */
+    bool has_wedge;                     /* The pad's wedge belongs to it. */
+    double radius_m[DL_REGION_CIRCLES]; /* Radii of the circles about the centre, m. */
+    double sign[DL_REGION_CIRCLES];     /* 1 for a circle that adds its disc, -1 for one that takes it away. */
+} dl_pad_region;
 
+/* A figure of rectangles, and of what straight sides enclose; neither covers a part of the other. */
 typedef struct {
-    int64_t rectangles, x_cuts, y_cuts, sides, x0[FIGURE_RECTANGLES], x1[FIGURE_RECTANGLES], y0[FIGURE_RECTANGLES],
-        y1[FIGURE_RECTANGLES];
-    double x_m[FIGURE_CUTS], y_m[FIGURE_CUTS], from_x_m[FIGURE_SIDES], from_y_m[FIGURE_SIDES], to_x_m[FIGURE_SIDES],
-        to_y_m[FIGURE_SIDES];
-} pad_figure;
+    int64_t rectangles;                                          /* Number of rectangles. */
+    int64_t x_cuts, y_cuts;                                      /* Number of limits along x and along y. */
+    int64_t sides;                                               /* Number of straight sides. */
+    int64_t x0[DL_FIGURE_RECTANGLES], x1[DL_FIGURE_RECTANGLES];  /* First and last limit of each rectangle, indices in x_m. */
+    int64_t y0[DL_FIGURE_RECTANGLES], y1[DL_FIGURE_RECTANGLES];  /* The same along y, indices in y_m. */
+    double x_m[DL_FIGURE_CUTS], y_m[DL_FIGURE_CUTS];             /* The limits, ascending, m. */
+    double from_x_m[DL_FIGURE_SIDES], from_y_m[DL_FIGURE_SIDES]; /* Where each side begins, m; inside is to the right of it, */
+    double to_x_m[DL_FIGURE_SIDES], to_y_m[DL_FIGURE_SIDES];     /* seen from above, on the way to where it ends, m. */
+} dl_pad_figure;
 
+/* A convex wedge, where n p < offset for all its sides, beyond a circle about the centre. */
 typedef struct {
-    int64_t sides;
-    double nx[WEDGE_SIDES], ny[WEDGE_SIDES], offset_m[WEDGE_SIDES], beyond_m;
-} pad_wedge;
+    int64_t sides;                                 /* Number of sides. */
+    double nx[DL_WEDGE_SIDES], ny[DL_WEDGE_SIDES]; /* Unit normal of each, outward. */
+    double offset_m[DL_WEDGE_SIDES];               /* Distance of each from the centre, m. */
+    double beyond_m;                               /* Radius of the circle, m. */
+} dl_pad_wedge;
 
+/* Where an edge of another kind is too near for an edge to be measured. */
 typedef struct {
-    int64_t on_figure, beside_figure;
-    double inside_m, outside_m, thinnest_m, box_m[4], box_radius_m;
-} edge_zone;
+    int64_t on_figure;     /* Where this figure does not cover a pixel wholly, or DL_NONE. */
+    int64_t beside_figure; /* Where this figure covers a part of a pixel, or DL_NONE. */
+    double inside_m;       /* Within this radius, m. */
+    double outside_m;      /* Outside of this radius, m. */
+    double thinnest_m;     /* Anywhere, where the blur is too wide for something as thin as this, m. */
+    double box_m[4];       /* In a box: least and greatest x, least and greatest y, m, */
+    double box_radius_m;   /* and nearer to the centre than this, m. */
+} dl_edge_zone;
 
+/* A pad as painted. */
 typedef struct {
-    int64_t contrast_count, pointer_kind, pointer_contrast, pointer_figure, lies_on[PAD_CONTRASTS],
-        contrast_of_kind[EDGE_KINDS], paint_of_kind[EDGE_KINDS];
-    double disc_radius_m, half_length_m, pointer_clear_m, gap_m, pointer_marks_m[2 * POINTER_MARKS], nominal[3 * EDGE_KINDS];
-    pad_region contrasts[PAD_CONTRASTS], kinds[EDGE_KINDS];
-    pad_figure figures[PAD_FIGURES];
-    pad_wedge wedge;
-    edge_zone zones[EDGE_KINDS];
-} pad_shape;
+    int64_t contrast_count;                       /* Number of painted regions. */
+    int64_t pointer_kind;                         /* Kind of the pointer's edges, or DL_NONE. It tells headings apart. */
+    int64_t pointer_contrast;                     /* Index of the region that the pointer belongs to, or DL_NONE. */
+    int64_t pointer_figure;                       /* Index of the pointer's figure. */
+    int64_t lies_on[DL_PAD_CONTRASTS];            /* The region that each lies on, or DL_NONE for the surroundings. */
+    int64_t contrast_of_kind[DL_EDGE_KINDS];      /* The region that edges of each kind bound, or DL_NONE for a missing kind. */
+    int64_t paint_of_kind[DL_EDGE_KINDS];         /* The kind whose paint is inside of the edges of each kind. */
+    double disc_radius_m;                         /* Radius of the whole pad, m. */
+    double half_length_m;                         /* Half of the lettering's length, m. */
+    double pointer_clear_m;                       /* Radius within which no part of the pointer lies, m. */
+    double gap_m;                                 /* Least distance of edges of different kinds, m. */
+    double pointer_marks_m[2 * DL_POINTER_MARKS]; /* Points of the pointer, (DL_POINTER_MARKS, 2) m. */
+    double nominal[3 * DL_EDGE_KINDS];            /* BGR unit vectors from the paint below to that inside, 0 if unknown. */
+    dl_pad_region contrasts[DL_PAD_CONTRASTS];    /* The regions as painted, each over the one that it lies on. */
+    dl_pad_region kinds[DL_EDGE_KINDS];           /* The inside of each kind of edge. */
+    dl_pad_figure figures[DL_PAD_FIGURES];        /* The figures of all regions. */
+    dl_pad_wedge wedge;                           /* The wedge of all regions that have one. */
+    dl_edge_zone zones[DL_EDGE_KINDS];            /* Where edges of each kind cannot be measured. */
+} dl_pad_shape;
 
-/* A lens: Brown's distortion k1, k2, p1, p2, k3, or a fisheye's k1, k2, k3, k4. focal_sigma is the standard deviation of the
- * focal length as a fraction of it. */
+/* A camera's lens and its direction. */
 typedef struct {
-    int64_t width, height, distorted, fisheye;
-    double fx, fy, cx, cy, distortion[5], focal_sigma, R_body_cam[9];
-} camera_lens;
+    int64_t width, height; /* Size of its frames, px. */
+    bool distorted;        /* The lens distorts. */
+    bool fisheye;          /* It is a fisheye, else Brown's model holds. */
+    double fx, fy;         /* Focal lengths, px. */
+    double cx, cy;         /* Principal point, px; the middle of the top left pixel is at 0, 0. */
+    double distortion[5];  /* k1, k2, p1, p2, k3; of a fisheye k1, k2, k3, k4. */
+    double focal_sigma;    /* Standard deviation of the focal length, as a fraction of it. */
+    double R_body_cam[9];  /* Its rotation in the body. */
+} dl_lens;
 
+/* What is known of the tilt of body and deck. */
 typedef struct {
-    int64_t given;
-    double roll_rad, pitch_rad, cov_tilt[4], sigma_deck_rad;
-} tilt_prior;
+    bool given;                 /* Something is known. */
+    double roll_rad, pitch_rad; /* The body's roll and pitch at the exposure, rad. */
+    double cov_tilt[4];         /* Their covariance, rad^2. */
+    double sigma_deck_rad;      /* Standard deviation of the deck's tilt, rad. */
+} dl_tilt_prior;
 
+/* A frame's support for one kind of edge. */
 typedef struct {
-    double contrast_bgr[3], snr, in_view, inliers, likeness;
-} edge_support;
+    double contrast_bgr[3]; /* Linear light inside minus outside, 1 is full scale. */
+    double snr;             /* Contrast over its standard deviation, for the best mixture of channels. */
+    double in_view;         /* Fraction of these edges within the frame. */
+    double inliers;         /* Fraction of those within it that agree with the drawing. */
+    double likeness;        /* Cosine between the contrast and the nominal one, 1 where that is unknown. */
+} dl_edge_support;
 
+/* A pose registered with a frame. Covariances are of its place, m, and of a small rotation of the pad, rad, in cam. */
 typedef struct {
-    int64_t dense, yaw_ambiguous;
-    double R[9], t[3], cov[36], information[36], blur_px2[3], noise_light, edge_rms_px, visible, inliers, last_step_px;
-    edge_support edges[EDGE_KINDS];
-} registration;
+    bool dense;                           /* Fitted to all pixels of the disc, not to profiles across edges. */
+    bool yaw_ambiguous;                   /* No pointer has resolved the headings. */
+    double R[9], t[3];                    /* R_cam_pad, and the pad's centre in cam, m. */
+    double cov[36];                       /* Covariance of the pose, with the prior. */
+    double information[36];               /* Information on the pose by the frame alone. */
+    double blur_px2[3];                   /* Covariance uu, uv, vv of the point spread at the pad beyond a pixel's square, px^2. */
+    double noise_light;                   /* Standard deviation of the residuals, linear light. */
+    double edge_rms_px;                   /* Displacement of the edges beyond what noise explains, rms, px. */
+    double visible;                       /* Fraction of the drawing's edges within the frame. */
+    double inliers;                       /* Fraction of those that agree with it. */
+    double last_step_px;                  /* Length of the last step, px; small if converged. */
+    dl_edge_support edges[DL_EDGE_KINDS]; /* The support for each kind of edge. */
+} dl_registration;
 
+/* A pose in cam, with the attitude and the mount. */
 typedef struct {
-    double roll_rad, pitch_rad, cov_tilt[4], sigma_deck_rad, R_body_cam[9], t_body_cam[3], R_cam_pad[9], t_cam_pad[3],
-        cov_pose[36];
-} camera_sighting;
+    double roll_rad, pitch_rad;          /* The body's roll and pitch, rad. */
+    double cov_tilt[4];                  /* Their covariance, rad^2. */
+    double sigma_deck_rad;               /* Standard deviation of the deck's tilt, rad. */
+    double R_body_cam[9], t_body_cam[3]; /* The camera's rotation and place in the body, m. */
+    double R_cam_pad[9], t_cam_pad[3];   /* The pose; m. */
+    double cov_pose[36];                 /* Its covariance. */
+} dl_camera_sighting;
 
+/* A pose in level. */
 typedef struct {
-    double d[3], R_level_pad[9], cov_pose[36], yaw_rad, cov[16];
-} level_sighting;
+    double d[3];           /* The pad's centre from the body's origin, m. */
+    double R_level_pad[9]; /* The pad's rotation. */
+    double cov_pose[36];   /* Covariance of place, m, and of a small rotation of the pad, rad, in level. */
+    double yaw_rad;        /* The body's heading against the pad's arrow, rad. */
+    double cov[16];        /* Covariance of place, m, and heading, rad. */
+} dl_level_sighting;
 
 /* Bring a pose to level. */
-void dl_sighting_in_level(const camera_sighting *in, level_sighting *out);
+void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out);
 
 /* ---- vision/align/: the whole drawing aligned with a frame ---- */
 
 enum {
     /* The highest level of a frame's pyramid: level k is 2**k times smaller. */
-    FRAME_LEVELS = 5,
+    DL_FRAME_LEVELS = 5,
     /* Number of maps of the drawing, each blurred more than the one before. */
-    TEMPLATE_BLURS = 5,
+    DL_TEMPLATE_BLURS = 5,
     /* Value of full coverage in a map. */
-    TEMPLATE_ONE = 16384,
+    DL_TEMPLATE_ONE = 16384,
+    /* Number of the verification's features (vision/align/align.h); estimator.vision.detect.verification has their names. */
+    DL_FEATURES = 31,
 };
 
-/* The verification's features; estimator.vision.detect.verification describes them. */
-enum align_feature {
-    FEATURE_ONE, FEATURE_H_MARKING, FEATURE_RING, FEATURE_EDGE, FEATURE_H_MARKING_ALL, FEATURE_RING_ALL, FEATURE_EDGE_ALL,
-    FEATURE_H_AND_RING, FEATURE_H_AND_EDGE, FEATURE_RING_AND_EDGE, FEATURE_TWO_OF_THREE, FEATURE_SOME_RING, FEATURE_SOME_EDGE,
-    FEATURE_SOME_TWO, FEATURE_H_ALONE, FEATURE_NO_H, FEATURE_NO_RING, FEATURE_NO_EDGE, FEATURE_RING_LAGS, FEATURE_FLANKS,
-    FEATURE_ARROW, FEATURE_NO_ARROW, FEATURE_TEMPLATE_GAIN, FEATURE_INLIERS, FEATURE_WHITE, FEATURE_ORANGE_PLACE,
-    FEATURE_ORANGE_ODD, FEATURE_DISC_PLACE, FEATURE_SIZE, FEATURE_IN_VIEW, FEATURE_TILT, FEATURES,
-};
-
-/* A pad_pose takes the pad's axes to the camera's. In pad_template, a map has n rows along x and n columns along y, and the
- * centre in its middle; log_blur are the logarithms of the maps' standard deviations, m; h_side is -1 in a channel in which
- * the H is darker than the disc, else 1. A dl_alignment moves a pose by this many steps of Gauss and Newton, with the light minus
- * its mean in the neighbourhood (local) and on the half of the disc on one side alone, if that is requested; the first half of the
- * steps use a drawing blurred twice as much. Then the drawing is verified at the pose, or with cover only the line is looked
- * for beyond which something covers the pad. In aligned_pad, paints are (4, 3); arrow has found, seen and clear at its place
- * and at the opposite one; light_* are number, mean and variance of the light's logarithm where one paint shows alone. A cut is
- * a line across the frame: rays (x, y) with cut[0] x + cut[1] y + cut[2] < 0 do not count, so that zeros cut nothing off; the
- * first two are a unit vector. In cover_line, gain is by how much the logarithm of the residuals' variance falls, on average,
- * if what lies beyond the cut is another thing of one colour, and left the share of the light's variation that the drawing
- * leaves on this side of it. */
+/* A pose of the pad in cam. */
 typedef struct {
-    double R[9], t[3];
-} pad_pose;
+    double R[9]; /* R_cam_pad. */
+    double t[3]; /* The pad's centre, m. */
+} dl_pad_pose;
 
+/* The lengths of a drawing and of its maps, whose paints are lettering, ring or arrowhead, disc, surroundings. */
 typedef struct {
-    int64_t n, disc_channel, arrow_rows, arrow_columns, disc_drawn;
-    double per_m, log_blur[TEMPLATE_BLURS], local_m, reach_m, disc_radius_m, disc_edge_m, h_half_length_m, h_half_width_m,
-        ring_inner_m, ring_outer_m, arrow_tip_m, arrow_depth_m, arrow_half_base_m, arrow_margin_m, arrow_pitch_m,
-        orange_place[3], h_side[3];
-} pad_template;
+    int64_t n;                               /* Rows (along x) and columns (along y) of a map, with the centre in its middle. */
+    int64_t disc_channel;                    /* Channel (0 is blue) in which the disc is brightest. */
+    int64_t arrow_rows, arrow_columns;       /* Samples about the arrowhead along x and along y. */
+    bool disc_drawn;                         /* The disc has a paint of its own. */
+    double per_m;                            /* Cells of a map for each metre. */
+    double log_blur[DL_TEMPLATE_BLURS];      /* Logarithms of the maps' standard deviations, m. */
+    double local_m;                          /* Standard deviation of the neighbourhood whose mean is subtracted, m. */
+    double reach_m;                          /* Half of a map's side, m. */
+    double disc_radius_m;                    /* Radius of the whole pad, m. */
+    double disc_edge_m;                      /* Radius at which the disc's own paint ends, m. */
+    double h_half_length_m, h_half_width_m;  /* Half of the lettering's length (along x) and width, m. */
+    double ring_inner_m, ring_outer_m;       /* The ring's radii, m; 0 without one. */
+    double arrow_tip_m;                      /* Distance of the arrowhead's tip from the centre, m; 0 without one. */
+    double arrow_depth_m, arrow_half_base_m; /* Its depth along x, and half of its base, m. */
+    double arrow_margin_m;                   /* Width of the border around it that is compared with it, m. */
+    double arrow_pitch_m;                    /* Distance between samples about it, m. */
+    double orange_place[3];                  /* Place of the ring's paint from disc (0) to lettering (1), roots of light, BGR. */
+    double h_side[3];                        /* -1 for a channel in which the lettering is darker than the disc, else 1. */
+} dl_pad_template;
 
+/* How to align. Steps are Gauss and Newton's; the first half of them uses a drawing blurred twice as much.
+ *
+ * A cut is a line across the frame: rays (x, y) with cut[0] x + cut[1] y + cut[2] < 0 do not count, so that zeros cut nothing off;
+ * the first two are a unit vector. */
 typedef struct {
-    int64_t steps, local, one_side, cover;
-    double sigma_tilt_rad, side[2], cut[3];
+    int64_t steps;         /* Number of steps; 0 leaves the pose. */
+    bool local;            /* Use the light minus its mean in the neighbourhood. */
+    bool one_side;         /* Use only the half of the disc towards `side`. */
+    bool cover;            /* Do not verify the drawing, but find the line beyond which something covers the pad. */
+    double sigma_tilt_rad; /* Standard deviation of the start's tilt, rad. */
+    double side[2];        /* Unit direction on the pad. */
+    double cut[3];         /* The cut. */
 } dl_alignment;
 
+/* The line beyond which something may cover the pad. */
 typedef struct {
-    double cut[3], gain, left;
-} cover_line;
+    double cut[3]; /* The line, as a cut. */
+    double gain;   /* Mean fall of the logarithm of the residuals' variance, if a thing of one colour lies beyond it. */
+    double left;   /* Share of the light's variation on this side of it that the drawing leaves. */
+} dl_cover_line;
 
-/* Support of a pad's drawing: the log-likelihood ratio of the light about it against light of the same variation without it
- * (support), what that would be if all followed the drawing (could), and the shares of this by cells that follow it and by cells
- * where it makes the light less likely. Pixels that share a blur count once; a cell that may be hidden counts little against. */
+/* Support of a frame for the drawing. Pixels that share a blur count once; a cell that may be hidden counts little against. */
 typedef struct {
-    double support, could, share, against;
-} drawing_support;
+    double support; /* Log-likelihood ratio of the light with the drawing against light of the same variation without it. */
+    double could;   /* What that would be if all of the light followed the drawing. */
+    double share;   /* Share of this by cells that follow the drawing. */
+    double against; /* Share of this by cells in which the drawing makes the light less likely. */
+} dl_drawing_support;
 
+/* A drawing aligned with a frame. Paints are (4, 3), each in blue, green and red. */
 typedef struct {
-    double paints[12], local_paints[12], sample_m, in_view, tilt_sigmas, arrow[6], features[FEATURES], light_n[4],
-        light_mean[12], light_var[12];
-    cover_line cover;
-    drawing_support support;
-} aligned_pad;
+    double paints[12];            /* Linear light of each paint, 1 is full scale. */
+    double local_paints[12];      /* Roots of light of each paint, minus the mean in the neighbourhood. */
+    double sample_m;              /* Side of a sample on the pad, m. */
+    double in_view;               /* Fraction of the disc's area within the frame. */
+    double tilt_sigmas;           /* Tilt against the start's, in standard deviations. */
+    double arrow[6];              /* Found, seen and clear (0 to 1) at the arrowhead's place, then at the opposite one. */
+    double features[DL_FEATURES]; /* Inputs of the verification. */
+    double light_n[4];            /* Number of pixels where one paint shows alone, by paint, */
+    double light_mean[12];        /* mean of the logarithm of their light, */
+    double light_var[12];         /* and its variance. */
+    dl_cover_line cover;          /* The line of a search for a cover. */
+    dl_drawing_support support;   /* Support for the drawing. */
+} dl_aligned_pad;
 
 /* ---- vision/look/: a registration, verified ---- */
 
-/* The inputs of the verification of a registration; estimator.vision.register.fit_verification describes them. The
- * weights of the first EVIDENCE_FITTED are fitted, the others are set by hand. */
-enum look_evidence {
-    EVIDENCE_ONE, EVIDENCE_TEMPLATE_SCORE, EVIDENCE_INLIERS, EVIDENCE_DISC_OFF, EVIDENCE_RING_OFF, EVIDENCE_H_OFF,
-    EVIDENCE_RING_UNSEEN, EVIDENCE_H_UNSEEN, EVIDENCE_DENSE, EVIDENCE_DENSE_INLIERS, EVIDENCE_RMS, EVIDENCE_VISIBLE,
-    EVIDENCE_DENSE_TEMPLATE_SCORE, EVIDENCE_DENSE_DISC, EVIDENCE_DENSE_ORANGE, EVIDENCE_NO_RING, EVIDENCE_NO_H,
-    EVIDENCE_DISC_UNSEEN, EVIDENCE_PAINTED, EVIDENCE_NO_DISC, EVIDENCE_H_CONTRAST_ODD, EVIDENCE_DISAGREES,
-    EVIDENCE_NOT_BRIGHTER, EVIDENCE_CORNER, EVIDENCE_EDGES_ASTRAY, EVIDENCE_H_ASTRAY, EVIDENCE_HALF_DISAGREES,
-    EVIDENCE_NO_H_IN_VIEW, EVIDENCE_H_DISAGREES, EVIDENCE,
-};
+/* Number of inputs of the verification of a registration (vision/look/look.h), whose names
+ * estimator.vision.register.fit_verification has. */
+enum { DL_EVIDENCE = 29 };
 
-enum { EVIDENCE_FITTED = EVIDENCE_DENSE_ORANGE + 1 };
-
-/* A pad_judge has what the verification knows of a pad, by channel the H's nominal side of the disc and the ring's place
- * between disc (0) and H (1), the weights of the template's model, and those of the second model where a search led to the
- * place and where a track did. A pad_paint has what is known of the logarithm of each paint's light, (4, 3). In a looked_pad,
- * paint is what is known of the paints if this is the pad, and log_odds is without priors. A dl_start is a pose to register
- * the drawing from: coarse if it is approached on a reduced frame first, with a tilt of so much; registered alone, nothing is
- * verified. coded_px is what a video codec may have moved, and rays beyond the cut do not count. */
+/* What the verification knows of a pad. */
 typedef struct {
-    int64_t has_field, has_ring, has_letters, has_fiducials, disc_has_colour;
-    double orange_side[3], orange_place[3], template_weights[FEATURES], searched[EVIDENCE], tracked[EVIDENCE];
-} pad_judge;
+    bool has_field;                       /* The disc has a paint of its own. */
+    bool has_ring;                        /* There is a ring, */
+    bool has_letters;                     /* lettering, */
+    bool has_fiducials;                   /* a fiducial marker. */
+    bool disc_has_colour;                 /* The disc's paint is not grey. */
+    double orange_side[3];                /* By channel, -1 where the lettering is darker than the disc, else 1. */
+    double orange_place[3];               /* By channel, the ring's place between disc (0) and lettering (1), linear light. */
+    double template_weights[DL_FEATURES]; /* Weights of the aligned drawing's features. */
+    double searched[DL_EVIDENCE];         /* Weights of the inputs where a search led to the place, */
+    double tracked[DL_EVIDENCE];          /* and where a track did. */
+} dl_pad_verification;
 
+/* What is known of the logarithm of each paint's light, (4, 3). */
 typedef struct {
-    double mean[12], var[12], trust;
-} pad_paint;
+    double mean[12]; /* Mean. */
+    double var[12];  /* Variance. */
+    double trust;    /* Trust in both, 0 to 1. */
+} dl_pad_paint;
 
+/* A registration, verified. */
 typedef struct {
-    registration found;
-    aligned_pad aligned;
-    level_sighting seen;
-    pad_paint paint;
-    double evidence[EVIDENCE], log_odds;
-} looked_pad;
+    dl_registration found;        /* The registration. */
+    dl_aligned_pad aligned;       /* The drawing aligned at its pose. */
+    dl_level_sighting seen;       /* The pose in level. */
+    dl_pad_paint paint;           /* What is known of the paints if this is the pad. */
+    double evidence[DL_EVIDENCE]; /* Inputs of the verification. */
+    double log_odds;              /* Log-odds that this is the pad, without priors. */
+} dl_registered_pad;
 
+/* Where to register the drawing from. */
 typedef struct {
-    pad_pose pose;
-    tilt_prior prior;
-    pad_paint known;
-    int64_t coarse, tracked, alone;
-    double sigma_tilt_rad, coded_px, cut[3];
+    dl_pad_pose pose;      /* The start. */
+    dl_tilt_prior prior;   /* What is known of the tilt. */
+    dl_pad_paint known;    /* What is known of the paints. */
+    bool coarse;           /* Approach on a reduced frame first. */
+    bool tracked;          /* A track led here. */
+    bool alone;            /* Register only; verify nothing. */
+    double sigma_tilt_rad; /* Standard deviation of the start's tilt on that approach, rad. */
+    double coded_px;       /* Standard deviation of the place of what a video codec has moved, px; 0 without one. */
+    double cut[3];         /* The cut beyond which rays do not count. */
 } dl_start;
 
 /* ---- vision/lamps/: a lit pad ---- */
 
 enum {
     /* The largest number of lamps of a pad. */
-    LAMPS = 40,
+    DL_LAMPS_MAX = 40,
     /* The largest number of pairs of lamps that a search tries. */
-    LAMP_PAIRS = 20,
+    DL_LAMP_PAIRS_MAX = 20,
     /* At most this many of a frame's brightest spots are kept. */
-    LAMP_SPOTS = 40,
+    DL_LAMP_SPOTS_MAX = 40,
 };
 
-/* A lamp_pattern has places and radii of the lamps, the pairs that a search tries, and the standard deviation of the pattern's
- * size at its outermost lamp. reach_px is how far the pad may be from where it is expected. In lamps_seen, cov is of the
- * place and of a small rotation of the pad, both in cam; log10_odds are those that these spots are the pad's lamps and no
- * other lights; uv_px has the lit spots that are lamps. */
+/* The lamps of a pad. */
 typedef struct {
-    int64_t lamps, pairs, pair[2 * LAMP_PAIRS];
-    double x_m[LAMPS], y_m[LAMPS], radius_m[LAMPS], size_sigma_m;
-} lamp_pattern;
+    int64_t lamps;                               /* Number of lamps. */
+    int64_t pairs;                               /* Number of pairs that a search tries. */
+    int64_t pair[2 * DL_LAMP_PAIRS_MAX];         /* Both lamps of each pair. */
+    double x_m[DL_LAMPS_MAX], y_m[DL_LAMPS_MAX]; /* Places of the lamps on the pad, m. */
+    double radius_m[DL_LAMPS_MAX];               /* Their radii, m. */
+    double size_sigma_m;                         /* Standard deviation of the pattern's size at its outermost lamp, m. */
+} dl_lamp_pattern;
 
+/* Where lamps are expected. */
 typedef struct {
-    pad_pose pose;
-    double reach_px;
-} lamps_expected;
+    dl_pad_pose pose; /* The pad's pose. */
+    double reach_px;  /* How far from there the pad may be in the frame, px. */
+} dl_expected_lamps;
 
+/* Lamps that were found. */
 typedef struct {
-    int64_t lit;
-    pad_pose pose;
-    level_sighting seen;
-    double cov[36], confidence, log10_odds, uv_px[2 * LAMP_SPOTS];
-} lamps_seen;
+    int64_t lit;                         /* Number of spots that are lamps. */
+    dl_pad_pose pose;                    /* The pad's pose. */
+    dl_level_sighting seen;              /* The pose in level. */
+    double cov[36];                      /* Covariance of place, m, and of a small rotation of the pad, rad, in cam. */
+    double confidence;                   /* Confidence that these are the pad's lamps, 0 to 1. */
+    double log10_odds;                   /* Logarithm of the odds that they are, and no other lights. */
+    double uv_px[2 * DL_LAMP_SPOTS_MAX]; /* Places of these spots, (lit, 2) px. */
+} dl_found_lamps;
 
 /* ---- vision/search/: the pad in a whole frame ---- */
 
 enum {
     /* Side of the blocks of a frame in which contrast is compared and the plane is taken as flat, px. */
-    SEARCH_BLOCK = 16,
+    DL_SEARCH_BLOCK = 16,
     /* Side of the cells that votes are counted in, px. */
-    SEARCH_CELL = 2,
+    DL_SEARCH_CELL = 2,
     /* The largest number of radii of one search. */
-    SEARCH_RADII = 12,
+    DL_SEARCH_RADII = 12,
     /* Sectors of a circle in which an edge is looked for; each gives one point of the outline. */
-    SEARCH_SECTORS = 36,
+    DL_SEARCH_SECTORS = 36,
     /* Sizes of a frame that guesses are compared at: full, half, quarter ... size. */
-    SEARCH_LEVELS = 5,
+    DL_SEARCH_LEVELS = 5,
     /* Polar cells of the drawing. */
-    POLAR_RADII = 18,
-    POLAR_ANGLES = 48,
+    DL_POLAR_RADII = 18,
+    DL_POLAR_ANGLES = 48,
 };
 
-/* A dl_circle_search is for circles of edges in a grey image step times smaller than the frame, whose centres may lie in a
- * margin around it, px. Their radii are least in the plane that the pad is taken to lie in, at unit distance from the lens, and
- * those that follow, each ratio times the one before; it may be for circles that are bright inside only. Of outlines of areas
- * only the plane counts, the largest number, and whether the frame's channels are equal (grey). A search_circle lies in the
- * plane; support is the fraction of its outline with an edge, and outline_px has their places in the frame, px. A polar_pad has
- * the drawing in polar cells, radius by radius: places, area within the disc's paint, and coverage. polarity is 1 where the H is
- * brighter than the disc, else -1. A dl_guess_search has the plane, whether its tilt is known, the largest number of guesses,
- * and the circles of the drawing: radius, and 1 if it is brighter inside, -1 if darker, 0 if that depends on the deck. A
- * search_guess is a pose, the angle by which it is to be turned about its own z axis, the fraction of the variance that the
- * drawing explains there, the support of the circle that it came from, and in x and y of the turned pad the direction of the
- * half of the disc that counts, if only one does. pad_strokes are the sizes of the H and the width of the disc around it that
- * counts; a dl_stroke_search is in an image step times smaller than the frame, in which the marks may be bright or dark. */
+/* What circles to look for. For outlines of areas only the plane, the largest number and `grey` count. */
 typedef struct {
-    int64_t step, margin, radii, most, only_bright, grey;
-    double least, ratio, R_cam_plane[9];
+    int64_t step;          /* The image is so many times smaller than the frame. */
+    int64_t margin;        /* Width of the margin around it in which centres may lie, px. */
+    int64_t radii;         /* Number of radii. */
+    int64_t most;          /* The largest number of circles to return. */
+    bool only_bright;      /* Look only for circles that are bright inside. */
+    bool grey;             /* The frame's channels are equal. */
+    double least;          /* The least radius, in the plane at unit distance from the lens, */
+    double ratio;          /* and how many times larger each of the others is than the one before. */
+    double R_cam_plane[9]; /* Rotation of the plane that the pad is taken to lie in. */
 } dl_circle_search;
 
+/* A circle in the plane, lengths at unit distance of the plane from the lens. */
 typedef struct {
-    int64_t bright_inside, points;
-    double centre[2], radius, support, outline_px[2 * SEARCH_SECTORS];
-} search_circle;
+    bool bright_inside;                       /* It is brighter inside than outside. */
+    int64_t points;                           /* Number of points of its outline. */
+    double centre[2];                         /* Centre in the plane. */
+    double radius;                            /* Radius. */
+    double support;                           /* Fraction of its outline with an edge. */
+    double outline_px[2 * DL_SEARCH_SECTORS]; /* Places of these edges in the frame, (points, 2) px. */
+} dl_circle;
 
+/* A drawing in polar cells, radius by radius. */
 typedef struct {
-    double xy_m[2 * POLAR_RADII * POLAR_ANGLES], area_inside[POLAR_RADII], ring[POLAR_RADII],
-        h_marking[POLAR_RADII * POLAR_ANGLES], arrow[POLAR_RADII * POLAR_ANGLES], polarity, radius_m;
-} polar_pad;
+    double xy_m[2 * DL_POLAR_RADII * DL_POLAR_ANGLES];  /* Places of the cells' middles, m. */
+    double area_inside[DL_POLAR_RADII];                 /* Relative area of a cell within the disc's paint. */
+    double ring[DL_POLAR_RADII];                        /* Coverage by the ring, */
+    double h_marking[DL_POLAR_RADII * DL_POLAR_ANGLES]; /* by lettering, */
+    double arrow[DL_POLAR_RADII * DL_POLAR_ANGLES];     /* and by the arrowhead. */
+    double polarity;                                    /* 1 where lettering is brighter than the disc, else -1. */
+    double radius_m;                                    /* Radius of the whole pad, m. */
+} dl_polar_pad;
 
+/* A heading of the drawing. */
 typedef struct {
-    double turn_rad, score, arrow, in_view;
-} polar_fit;
+    double turn_rad; /* The angle by which to turn the pose about its own z axis, rad. */
+    double score;    /* Fraction of the light's variance that the drawing explains there. */
+    double arrow;    /* Support for the arrowhead, -1 to 1. */
+    double in_view;  /* Fraction of the disc's area within the frame. */
+} dl_polar_fit;
 
+/* What poses to guess. */
 typedef struct {
-    int64_t plane_known, radii, most, before;
-    double R_cam_plane[9], radius_m[4], sign[4];
+    bool plane_known;      /* The plane's tilt is known. */
+    int64_t radii;         /* Number of circles of the drawing. */
+    int64_t most;          /* The largest number of guesses to return. */
+    int64_t before;        /* Number of guesses that were computed before. */
+    double R_cam_plane[9]; /* Rotation of the plane. */
+    double radius_m[4];    /* Radii of the circles, m. */
+    double sign[4];        /* 1 for one that is brighter inside, -1 for a darker one, 0 if that depends on the deck. */
 } dl_guess_search;
 
+/* The sizes of an H. */
 typedef struct {
-    double length_m, width_m, leg_m, bar_m, margin_m;
-} pad_strokes;
+    double length_m, width_m; /* Its length (along x) and width, m. */
+    double leg_m, bar_m;      /* Widths of legs and cross-bar, m. */
+    double margin_m;          /* Width of the disc around it that counts, m. */
+} dl_pad_strokes;
 
+/* Where strokes are looked for. */
 typedef struct {
-    int64_t step, bright, plane_known, most;
-    double R_cam_plane[9];
+    int64_t step;          /* The image is so many times smaller than the frame. */
+    bool bright;           /* Only bright marks count. */
+    bool plane_known;      /* The plane's tilt is known. */
+    int64_t most;          /* The largest number of guesses to return. */
+    double R_cam_plane[9]; /* Rotation of the plane. */
 } dl_stroke_search;
 
+/* A guessed pose. */
 typedef struct {
-    int64_t known, one_sided;
-    double R[9], t[3], turn_rad, drawing, support, side[2];
-} search_guess;
+    bool known;        /* The plane's tilt is known. */
+    bool one_sided;    /* Only one half of the disc counts. */
+    double R[9], t[3]; /* The pose in cam before it is turned; m. */
+    double turn_rad;   /* The angle by which to turn it about its own z axis, rad. */
+    double drawing;    /* Fraction of the light's variance that the drawing explains there. */
+    double support;    /* Support of the circle that it came from. */
+    double side[2];    /* Unit direction, on the turned pad, of the half that counts. */
+} dl_guess;
 
 /* ---- vision/: what follows one pad in the frames of one camera ---- */
 
-/* Rows of pixels of this many channels, one byte each; stride is from row to row, bytes. */
+/* An image: rows of pixels, one byte a channel. */
 typedef struct {
-    int64_t width, height, stride, channels;
-    const uint8_t *px;
+    int64_t width, height; /* Size, px. */
+    int64_t stride;        /* Distance from row to row, bytes. */
+    int64_t channels;      /* Bytes of a pixel. */
+    const uint8_t *px;     /* The pixels. */
 } dl_image;
 
-/* What a frame can show: the standard deviation of its noise beyond a camera's usual, 1 is full scale; its contrast; and the
- * largest difference between the channels of a pixel. */
+/* What a frame can show. */
 typedef struct {
-    double noise, contrast, chroma;
-} frame_quality;
+    double noise;    /* Standard deviation of its noise beyond a camera's usual, 1 is full scale. */
+    double contrast; /* Range of its values over that of a clear frame, at most 1. */
+    double chroma;   /* The largest difference between the channels of a pixel, 0 to 255. */
+} dl_quality;
 
-/* A frame in BGR at full, half, quarter ... size. The first is the camera's; px is null for sizes that were not made. */
+/* A frame in BGR. */
 typedef struct {
-    dl_image level[FRAME_LEVELS + 1];
-    frame_quality quality;
+    dl_image level[DL_FRAME_LEVELS + 1]; /* At full, half, quarter ... size; px is null for sizes that were not made. */
+    dl_quality quality;                  /* What it can show. */
 } dl_frame;
 
-/* A camera, its place in the body, and for each value of a pixel its linear light, 0 to 1, and log1p of that over a floor. */
+/* A camera. */
 typedef struct {
-    camera_lens lens;
-    double t_body_cam[3], light[256], log_light[256];
+    dl_lens lens;          /* Its lens. */
+    double t_body_cam[3];  /* Its place in the body, m. */
+    double light[256];     /* Linear light for each value of a pixel, 0 to 1, */
+    double log_light[256]; /* and log1p of that over a floor. */
 } dl_camera;
 
-/* A pad's drawing: regions, maps, polar cells, the strokes of its H, what the verification knows of it, the standard deviation
- * of its painted sizes, and the number of points on its edges. */
+/* A pad's drawing. */
 typedef struct {
-    pad_shape shape;
-    pad_template drawn;
-    polar_pad polar;
-    pad_strokes strokes;
-    pad_judge judge;
-    double size_sigma_m;
-    int64_t edge_points;
+    dl_pad_shape shape;               /* Its regions. */
+    dl_pad_template drawn;            /* Its maps. */
+    dl_polar_pad polar;               /* Its polar cells. */
+    dl_pad_strokes strokes;           /* The strokes of its H. */
+    dl_pad_verification verification; /* What the verification knows of it. */
+    double size_sigma_m;              /* Standard deviation of its painted sizes, m. */
+    int64_t edge_points;              /* Number of points on its edges. */
 } dl_pad;
 
 /* Holds what stays the same from frame to frame, and all memory that is worked in. One thread at a time may use it. */
 typedef struct dl_tracker dl_tracker;
 
-/* Make a tracker, which keeps addresses and not copies of: rays, those of all pixels, (height, width, 2), null if the lens does
- * not distort; the maps of coverage by each paint and of coverage minus its mean in the neighbourhood, (TEMPLATE_BLURS, n, n, 4)
- * each; edges, (edge_points, 5), the place, the normal and the distance to the next point; edge_of, (edge_points, 2), its kind
- * and piece. All but camera and rays may be null for what needs no drawing. Return null without memory, or if a size or a
- * number of a part is none. */
+/* Make a tracker. It keeps addresses, and no copies, of arrays: rays of all pixels, (height, width, 2), null if the lens does not
+ * distort; maps of coverage by each paint, and of coverage minus its mean in the neighbourhood, (DL_TEMPLATE_BLURS, n, n, 4) each;
+ * edges with place, normal and distance to the next point, (edge_points, 5) m, and edge_of with kind and piece, (edge_points, 2).
+ * All but camera and rays may be null for what needs no drawing. Return null without memory, or if a size is none. */
 dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl_pad *pad, const int16_t *coverage,
     const int16_t *local, const double *edges, const int32_t *edge_of);
 void dl_tracker_free(dl_tracker *t);
 
-/* The entries below return a number of results, or 1 or 0 for one or none; DL_WRONG_SIZE of what the tracker does not hold. */
-enum { DL_WRONG_SIZE = -2 };
+/* The entries below return a number of results, 1 or 0 for one or none, or a failure. */
+enum dl_failure {
+    /* The frame has more bright places than a dark deck. */
+    DL_TOO_BRIGHT = -1,
+    /* An argument has a size that the tracker is not made for. */
+    DL_WRONG_SIZE = -2,
+};
 
 /* Measure what a frame can show. */
-int32_t dl_frame_quality(const dl_image *image, frame_quality *out);
+int32_t dl_frame_quality(const dl_image *image, dl_quality *out);
 
 /* Draw a plane as seen from above, (n, n, channels) with n = (nodes - 1) between + 1, from where points of it are in an image of
- * three channels, (nodes, nodes, 2) px: the picture, or of one channel the green of it, and 255 where the image shows it, (n, n). Return n. */
+ * three channels, (nodes, nodes, 2) px; of one channel, its green. `shown`, (n, n), is 255 where the image shows it. Return n. */
 int32_t dl_from_above(const dl_image *image, const float *places, int32_t nodes, int32_t between, int32_t channels, uint8_t *out,
     uint8_t *shown);
 
-/* Take from the light of one paint's cells, (cells, 3), what light can make of that paint, and a plane over their places, (cells, 2):
- * out gets the rest, (cells, 3) of the paint's light. white is the light of white; spare has room for two numbers a cell. */
+/* Subtract what light can make of one paint, and a plane over the places, (cells, 2), from the light of its cells, (cells, 3).
+ * `out` gets the rest, (cells, 3) of the paint's light. `white` is the light of white; `spare` has room for two numbers a cell. */
 int32_t dl_paint_rest(const float *light, const float *place, int32_t cells, const float *white, float *out, float *spare);
 
-/* Look at where the pad may lie: register the drawing from a start, verify it there, and bring it to level. outline takes the
- * pixel of every fourth point of the edges; there are outline_points of them. */
-int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, looked_pad *out, double *outline,
+/* Register the drawing from a start, verify it there, and bring it to level. `outline` gets the pixel of every fourth point of the
+ * edges; there are outline_points of them. */
+int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, dl_registered_pad *out, double *outline,
     int64_t outline_points);
 
 /* Align the drawing with a frame from a pose, which moves. */
-int32_t dl_align(dl_tracker *t, const dl_frame *frame, const dl_alignment *how, pad_pose *pose, aligned_pad *out);
+int32_t dl_align(dl_tracker *t, const dl_frame *frame, const dl_alignment *how, dl_pad_pose *pose, dl_aligned_pad *out);
 
 /* Find circles, most prominent first: of edges in a grey image, or if that is null outlines of areas of a frame at full and half
- * size. rays are those of the corners of the image's blocks, (rows + 1, columns + 1, 2). */
+ * size. `rays` are those of the corners of the image's blocks, (rows + 1, columns + 1, 2). */
 int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *grey, const float *rays,
-    const dl_circle_search *how, search_circle *out);
+    const dl_circle_search *how, dl_circle *out);
 
-/* Guess poses from circles, likeliest first. rated has for each circle how many guesses of it are in before, one circle's after
- * the other's, or -1; it gets that number for each circle whose guesses were computed and are complete. */
+/* Guess poses from circles, likeliest first. `rated` has for each circle how many guesses of it are in `before`, one circle's after
+ * the other's, or DL_NONE; it gets that number for each circle whose guesses were computed and are complete. */
 int32_t dl_search_guesses(dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles,
-    const search_circle *circle, int64_t *rated, const search_guess *before, search_guess *out);
+    const dl_circle *circle, int64_t *rated, const dl_guess *before, dl_guess *out);
 
-/* Find the heading of the drawing at a pose, in an image step times smaller than the frame. side is null, or the direction on the
+/* Find the heading of the drawing at a pose, in an image step times smaller than the frame. `side` is null, or the direction on the
  * pad of the half of the disc that counts. */
-int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
-    polar_fit *out);
+int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
+    dl_polar_fit *out);
 
 /* Find the strokes of the H in an image, likeliest places first. */
-int32_t dl_search_strokes(dl_tracker *t, const dl_image *image, const dl_stroke_search *how, search_guess *out);
+int32_t dl_search_strokes(dl_tracker *t, const dl_image *image, const dl_stroke_search *how, dl_guess *out);
 
-/* Look for lamps where the pad is expected, and in the whole frame if it is not there, or at is null. Return -1 if the frame has
- * more bright places than a dark deck. */
-int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const lamp_pattern *pad, const tilt_prior *prior,
-    const lamps_expected *at, lamps_seen *out);
+/* Look for lamps where the pad is expected, and in the whole frame if it is not there, or if `at` is null. */
+int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_pattern *pad, const dl_tilt_prior *prior,
+    const dl_expected_lamps *at, dl_found_lamps *out);
 
 #endif

@@ -164,8 +164,10 @@ class Door:
         return known
 
     def _dtype(self, kind: Any) -> np.dtype[Any]:
+        if kind.kind == "enum":
+            return np.dtype("u4")
         if kind.kind == "primitive":
-            return np.dtype({"double": "f8", "float": "f4"}.get(kind.cname) or kind.cname.removesuffix("_t"))
+            return np.dtype({"double": "f8", "float": "f4", "_Bool": "?"}.get(kind.cname) or kind.cname.removesuffix("_t"))
         if kind.kind == "array":
             return np.dtype((self._dtype(kind.item), (kind.length,)))
         members = dict(kind.fields)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.core.abi import TEMPLATE_ONE
+from estimator.core.abi import DL_TEMPLATE_ONE
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.pyramid import FrameView, Pyramid
@@ -113,7 +113,7 @@ def _shares(pad: Pad, blur: int) -> F32:
     """Return the coverage of each cell by each paint, (cells, 4), at one of `BLURS_M`."""
     maps = template(pad).coverage[blur]
     at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
-    return np.asarray(maps[at[:, 0], at[:, 1]], np.float32) / np.float32(TEMPLATE_ONE)
+    return np.asarray(maps[at[:, 0], at[:, 1]], np.float32) / np.float32(DL_TEMPLATE_ONE)
 
 
 @lru_cache(maxsize=8)

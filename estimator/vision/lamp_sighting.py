@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.contracts.estimates import Feature, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
-from estimator.core.abi import LAMP_PAIRS
+from estimator.core.abi import DL_LAMP_PAIRS_MAX
 from estimator.core.library import CORE
 from estimator.vision.by_paint import TrackerMemory
 from estimator.vision.camera import Camera
@@ -55,13 +55,18 @@ def detect_lamps(
     px = np.ascontiguousarray(frame.px, np.uint8)
     if px.shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
-    out, at = CORE.record("lamps_seen"), CORE.ffi.NULL
+    out, at = CORE.record("dl_found_lamps"), CORE.ffi.NULL
     if expected is not None:
         pose = (expected.R_cam_pad.matrix.ravel().tolist(), expected.t_cam_pad.tolist())
-        at = CORE.ffi.new("lamps_expected *", (pose, reach_px))
-    prior = CORE.ffi.new("tilt_prior *", native_prior(orientation))
+        at = CORE.ffi.new("dl_expected_lamps *", (pose, reach_px))
+    prior = CORE.ffi.new("dl_tilt_prior *", native_prior(orientation))
     found = CORE.lib.dl_find_lamps(
-        tracker_of(camera), image_of(px), CORE.array("lamp_pattern", pattern_of(pad)), prior, at, CORE.array("lamps_seen", out)
+        tracker_of(camera),
+        image_of(px),
+        CORE.array("dl_lamp_pattern", pattern_of(pad)),
+        prior,
+        at,
+        CORE.array("dl_found_lamps", out),
     )
     return _sighting(frame, out) if checked(found) == _SEEN else None
 
@@ -73,10 +78,10 @@ def _sighting(frame: Frame, seen: NDArray[Any]) -> Sighting:
 
 @lru_cache(maxsize=8)
 def pattern_of(pad: Pad) -> NDArray[Any]:
-    """Return the core's `lamp_pattern`."""
+    """Return the core's `dl_lamp_pattern`."""
     places, pairs = places_of(pad.lamps), tried_pairs(pad.lamps)
     return CORE.record(
-        "lamp_pattern", lamps=len(pad.lamps), pairs=len(pairs), pair=pairs, x_m=places[:, 0], y_m=places[:, 1],
+        "dl_lamp_pattern", lamps=len(pad.lamps), pairs=len(pairs), pair=pairs, x_m=places[:, 0], y_m=places[:, 1],
         radius_m=[lamp.radius_m for lamp in pad.lamps], size_sigma_m=pad.size_sigma_m,
     )  # fmt: skip
 
@@ -94,7 +99,7 @@ def tried_pairs(lamps: Sequence[Lamp]) -> NDArray[np.int64]:
 
 def _farthest(places: F64, among: Sequence[int]) -> list[tuple[int, int]]:
     pairs = sorted(combinations(among, 2), key=lambda pair: -float(np.linalg.norm(places[pair[0]] - places[pair[1]])))
-    return pairs[: LAMP_PAIRS // 2]
+    return pairs[: DL_LAMP_PAIRS_MAX // 2]
 
 
 def is_dark(frame: Frame) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import DL_WRONG_SIZE, PAD_CONTRASTS, POINTER_MARKS, TEMPLATE_BLURS
+from estimator.core.abi import DL_NONE, DL_PAD_CONTRASTS, DL_POINTER_MARKS, DL_TEMPLATE_BLURS, DL_WRONG_SIZE
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera, ray_map
 from estimator.vision.detect.colour import disc_has_colour
@@ -32,23 +32,22 @@ from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone, linear_light
 
 _STRIPS = 6
 _FAR_M = 1e6
-_SURROUNDINGS = _NONE = -1
-_H_FIGURE, _POINTER_FIGURE, _PANEL_FIGURE, _UPPER_FIGURE, _NO_FIGURE = 0, 1, 2, 3, -1
+_H_FIGURE, _POINTER_FIGURE, _PANEL_FIGURE, _UPPER_FIGURE = range(4)
 
 
 def pad_shape(pad: Pad) -> Mapping[str, Any]:
-    """Return the members of the core's `pad_shape`. A kind of edge that the pad lacks has no contrast."""
+    """Return the members of the core's `dl_pad_shape`. A kind of edge that the pad lacks has no contrast."""
     marks = pad.markings
     arrow = marks.arrowhead()[:, :2] if marks.triangle is None else marks.triangle.corners()
     field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
-    disc = _region((field_m,) if field_m else (), _NO_FIGURE if marks.panel is None else _PANEL_FIGURE)
+    disc = _region((field_m,) if field_m else (), DL_NONE if marks.panel is None else _PANEL_FIGURE)
     has_lettering = bool(marks.letters) or marks.triangle is not None
-    h, upper = _region((), _H_FIGURE if has_lettering else _NO_FIGURE), _region((), _UPPER_FIGURE if marks.upper else _NO_FIGURE)
+    h, upper = _region((), _H_FIGURE if has_lettering else DL_NONE), _region((), _UPPER_FIGURE if marks.upper else DL_NONE)
     painted: dict[str, dict[str, Any]] = {}
     if marks.has_ground:
         painted["disc"] = disc
     if ring or marks.arrow is not None:
-        painted["ring"] = _region(ring, _POINTER_FIGURE if marks.arrow is not None else _NO_FIGURE)
+        painted["ring"] = _region(ring, _POINTER_FIGURE if marks.arrow is not None else DL_NONE)
     if has_lettering:
         painted["h"] = h
     if marks.rim_width_m:
@@ -56,23 +55,23 @@ def pad_shape(pad: Pad) -> Mapping[str, Any]:
     if marks.upper:
         painted["upper"] = upper
     at = {name: index for index, name in enumerate(painted)}
-    below = {"disc": _SURROUNDINGS, "rim": _SURROUNDINGS}
+    below = {"disc": DL_NONE, "rim": DL_NONE}
     if marks.upper_on_letters:
         below["upper"] = at["h"]
-    lies_on = [below.get(name, at.get("disc", _SURROUNDINGS)) for name in painted]
-    pointer = at["ring"] if marks.arrow is not None else at["h"] if marks.triangle is not None else _NONE
+    lies_on = [below.get(name, at.get("disc", DL_NONE)) for name in painted]
+    pointer = at["ring"] if marks.arrow is not None else at["h"] if marks.triangle is not None else DL_NONE
     return {
-        "contrast_count": len(painted), "pointer_kind": EdgeKind.ARROW if pointer != _NONE else _NONE,
+        "contrast_count": len(painted), "pointer_kind": EdgeKind.ARROW if pointer != DL_NONE else DL_NONE,
         "pointer_contrast": pointer, "pointer_figure": _POINTER_FIGURE,
-        "lies_on": [*lies_on, *[_SURROUNDINGS] * (PAD_CONTRASTS - len(lies_on))],
+        "lies_on": [*lies_on, *[DL_NONE] * (DL_PAD_CONTRASTS - len(lies_on))],
         "contrast_of_kind": (
-            at.get("disc", _NONE), at.get("ring", _NONE) if ring else _NONE, pointer, at["h"] if marks.letters else _NONE,
-            at.get("upper", _NONE),
+            at.get("disc", DL_NONE), at.get("ring", DL_NONE) if ring else DL_NONE, pointer, at["h"] if marks.letters else DL_NONE,
+            at.get("upper", DL_NONE),
         ),
         "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, _paint_of_pointer(marks), EdgeKind.H, EdgeKind.UPPER),
         "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * marks.lettering_m[0] or pad.disc_radius_m,
         "pointer_clear_m": marks.ring_inner_m if marks.triangle is None else 0.0, "gap_m": _gap(marks),
-        "pointer_marks_m": [*arrow, arrow.mean(axis=0)] if len(arrow) else np.zeros((POINTER_MARKS, 2)),
+        "pointer_marks_m": [*arrow, arrow.mean(axis=0)] if len(arrow) else np.zeros((DL_POINTER_MARKS, 2)),
         "nominal": _contrasts(marks), "zones": _zones(pad), "contrasts": list(painted.values()),
         "kinds": [
             disc, _region(ring), _region(ring, has_wedge=marks.arrow is not None) if marks.triangle is None else h, h, upper,
@@ -139,7 +138,7 @@ def _panel_figure(marks: Markings) -> dict[str, Any]:
     return _figure([(-x, x, -y, y)])
 
 
-def _region(radii_m: Sequence[float], figure: int = _NO_FIGURE, has_wedge: bool = False) -> dict[str, Any]:
+def _region(radii_m: Sequence[float], figure: int = DL_NONE, has_wedge: bool = False) -> dict[str, Any]:
     """Return a region within the first circle and outside of the second, with what else belongs to it."""
     return {
         "circles": len(radii_m), "radius_m": radii_m, "sign": (1.0, -1.0)[: len(radii_m)], "figure": figure,
@@ -215,7 +214,7 @@ def _zones(pad: Pad) -> list[dict[str, Any]]:
     def zone(inside: float, outside: float, box: tuple[float, ...] = (_FAR_M,) * 4, radius: float = _FAR_M) -> dict[str, Any]:
         return {
             "inside_m": inside, "outside_m": outside, "thinnest_m": _FAR_M, "box_m": box, "box_radius_m": radius,
-            "on_figure": _NO_FIGURE, "beside_figure": _NO_FIGURE,
+            "on_figure": DL_NONE, "beside_figure": DL_NONE,
         }  # fmt: skip
 
     disc = zone(marks.ring_outer_m or reach_m, _FAR_M)
@@ -282,7 +281,7 @@ def _made(lib: Any, camera: Camera, pad: Pad | None) -> Any:
         arrays += [CORE.ffi.NULL] * 5
     else:
         drawn, edges = template(pad), edge_points(pad)
-        cells = 4 * TEMPLATE_BLURS * len(drawn.coverage[0]) ** 2
+        cells = 4 * DL_TEMPLATE_BLURS * len(drawn.coverage[0]) ** 2
         arrays += [
             CORE.array("dl_pad", CORE.record("dl_pad", **_drawing(pad, len(edges.at)))),
             CORE.array("int16_t", drawn.coverage, cells), CORE.array("int16_t", drawn.local, cells),
@@ -314,8 +313,8 @@ def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:
     """Return the core's `dl_pad`."""
     marks, polar = pad.markings, polar_drawing(pad)
     return {
-        "shape": pad_shape(pad), "drawn": template(pad).lengths, "judge": _judge(pad), "size_sigma_m": pad.size_sigma_m,
-        "edge_points": edge_points,
+        "shape": pad_shape(pad), "drawn": template(pad).lengths, "verification": _verification(pad),
+        "size_sigma_m": pad.size_sigma_m, "edge_points": edge_points,
         "polar": {
             "xy_m": polar.xy_m, "area_inside": polar.area_inside, "ring": polar.ring, "h_marking": polar.h_marking,
             "arrow": polar.arrow, "polarity": 1.0 if marks.is_bright else -1.0, "radius_m": pad.disc_radius_m,
@@ -327,8 +326,8 @@ def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-def _judge(pad: Pad) -> Mapping[str, Any]:
-    """Return the core's `pad_judge`."""
+def _verification(pad: Pad) -> Mapping[str, Any]:
+    """Return the core's `dl_pad_verification`."""
     marks = pad.markings
     ring, h_marking, disc = (LINEAR_LIGHT[list(rgb[::-1])] for rgb in (marks.colours.ring, marks.colours.h, marks.colours.disc))
     side = np.where(h_marking - disc <= -_LEAST_SPAN, -1.0, 1.0)
@@ -393,17 +392,17 @@ def checked(count: int) -> int:
 
 
 def native_pose(pose: PadPose) -> Any:
-    """Return a pose as the core's `pad_pose`."""
-    return CORE.ffi.new("pad_pose *", (pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()))
+    """Return a pose as the core's `dl_pad_pose`."""
+    return CORE.ffi.new("dl_pad_pose *", (pose.R_cam_pad.matrix.ravel().tolist(), pose.t_cam_pad.tolist()))
 
 
 def pose_of(made: Any) -> PadPose:
-    """Return the core's `pad_pose`."""
+    """Return the core's `dl_pad_pose`."""
     return PadPose(Rotation(np.array(CORE.ffi.unpack(made.R, 9)).reshape(3, 3)), np.array(CORE.ffi.unpack(made.t, 3)))
 
 
 def native_prior(prior: Orientation | None) -> tuple[Any, ...]:
-    """Return the members of the core's `tilt_prior`, which says whether there is one."""
+    """Return the members of the core's `dl_tilt_prior`, which says whether there is one."""
     if prior is None:
         return (0, 0.0, 0.0, (0.0,) * 4, 0.0)
     return (1, prior.roll_rad, prior.pitch_rad, prior.cov_tilt.ravel().tolist(), prior.sigma_deck_rad)

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.core.abi import FIGURE_CUTS, FIGURE_RECTANGLES, FIGURE_SIDES
+from estimator.core.abi import DL_FIGURE_CUTS, DL_FIGURE_RECTANGLES, DL_FIGURE_SIDES
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
 from estimator.vision.markings import Rgb, layers_of
@@ -35,7 +35,7 @@ from estimator.vision.regions import (
 )
 from estimator.vision.srgb import linear_light
 
-RECTANGLES_MOST, CUTS_MOST, SIDES_MOST = FIGURE_RECTANGLES, FIGURE_CUTS, FIGURE_SIDES
+RECTANGLES_MOST, CUTS_MOST, SIDES_MOST = DL_FIGURE_RECTANGLES, DL_FIGURE_CUTS, DL_FIGURE_SIDES
 """Limits for lettering of one paint: number of rectangles, of their limits along one axis, and of sides of slanted parts."""
 _LEAST_CONTRAST = 0.03
 """Least distance of two paints in linear light, full scale 1 in each channel: less drowns in a worn deck's own variation."""

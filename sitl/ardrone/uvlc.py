@@ -41,9 +41,9 @@ def encode(px: NDArray[np.uint8], number: int, quantizer: int = FINEST) -> bytes
     px = np.ascontiguousarray(px)
     out = np.empty(DATAGRAM_MAX, np.uint8)
     for steps in (quantizer, *_COARSER):
-        picture = SIM.ffi.new("sim_uvlc_picture *", (width, height, steps, number % 2**32))
+        picture = SIM.ffi.new("dl_sim_uvlc_picture *", (width, height, steps, number % 2**32))
         coded = SIM.array("uint8_t", out)
-        size = SIM.lib.sim_uvlc_encode(SIM.array("uint8_t", px, 3 * width * height), px.size, picture, coded, len(out))
+        size = SIM.lib.dl_sim_uvlc_encode(SIM.array("uint8_t", px, 3 * width * height), px.size, picture, coded, len(out))
         if size < 0:
             raise ValueError(f"UVLC has no picture of {width}x{height} px with quantizer {steps}")
         if size > 0:

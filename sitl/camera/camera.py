@@ -24,7 +24,7 @@ from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
 from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
 from sitl.camera.render.sea import SeaPainter
 from sitl.camera.surroundings import Surroundings
-from sitl.core.abi import GAIN_ONE, PAD_EDGE, PAD_NONE
+from sitl.core.abi import DL_GAIN_ONE, DL_PAD_EDGE, DL_PAD_NONE
 
 U8 = NDArray[np.uint8]
 
@@ -103,7 +103,7 @@ class Renderer:
         self._own_lamps = pad.lamps if pad is not None and self.lamps.own_level > 0.0 else ()
         self._development = self.development(self.light, self.sensor)
         self._vignette = vignette(self._lens, self.light.vignetting)
-        self._even = np.full_like(self._vignette, GAIN_ONE)
+        self._even = np.full_like(self._vignette, DL_GAIN_ONE)
         self._darkened, self._dark_part = self._vignette.copy(), (slice(0), slice(0))
         # The largest arrays of a frame: requesting their memory each time costs as much as filling it.
         self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
@@ -172,7 +172,7 @@ class Renderer:
         blur = development.pad_blur(view.scene, even, view.pad, self._pad_scene) if self.drops is None else None
         if self.lamps.floods:
             gains = self._gains(gain, development, *view.pose)
-            cv2.multiply(light, gains, dst=light, scale=1.0 / GAIN_ONE)
+            cv2.multiply(light, gains, dst=light, scale=1.0 / DL_GAIN_ONE)
             blur = blur.under(gains) if blur is not None else None
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
@@ -233,11 +233,11 @@ class Renderer:
             if len(uv) > 2:
                 cv2.fillPoly(over, [fixed_point(uv)], 1, cv2.LINE_8, SHIFT)
         kinds, hidden = pad.kinds, over.ravel()[pad.edges] > 0
-        kinds[(over > 0) & (kinds != PAD_EDGE)] = PAD_NONE
+        kinds[(over > 0) & (kinds != DL_PAD_EDGE)] = DL_PAD_NONE
         for shares in (pad.shares, pad.parts):
             if shares is not None:
                 shares[hidden] = 0.0
-                shares[hidden, PAD_NONE] = 1.0
+                shares[hidden, DL_PAD_NONE] = 1.0
         return pad
 
     def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U16, I16, F32 | None]:
@@ -329,11 +329,11 @@ class Renderer:
         depth, rows, cols = cast
         if mask is not None:
             depth = np.asarray(cv2.multiply(depth, mask[rows, cols], scale=1.0 / 255.0), dtype=np.uint8)
-        left = np.asarray(np.round(GAIN_ONE * (1.0 - share * np.arange(256) / 255.0)), dtype=np.int16)
+        left = np.asarray(np.round(DL_GAIN_ONE * (1.0 - share * np.arange(256) / 255.0)), dtype=np.int16)
         if gain is self._vignette:
             gain = gain.copy()
         part = gain[rows, cols]
-        cv2.multiply(part, cv2.LUT(depth, left), dst=part, scale=1.0 / GAIN_ONE)
+        cv2.multiply(part, cv2.LUT(depth, left), dst=part, scale=1.0 / DL_GAIN_ONE)
         return gain
 
     def _add_glint(self, added: F32 | None, shot: Exposure, R_cam_pad: F64, deck_plane: F64 | None, mask: U8 | None) -> F32:

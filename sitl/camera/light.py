@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from estimator.contracts.errors import BadInput
 from sitl.camera.projection import F32
 from sitl.core.abi import (
-    CELL_PX,
-    COUNTS_BY_EIGHT,
-    GAIN_ONE,
-    GRAIN_LEVELS,
-    LENS_BLOCK,
-    LEVELS_BY_EIGHT,
-    LEVELS_BY_ONE,
-    LIGHT_LEVELS,
-    PAD_PAINTS,
-    SCENE_ONE,
+    DL_CELL_PX,
+    DL_COUNTS_BY_EIGHT,
+    DL_GAIN_ONE,
+    DL_GRAIN_LEVELS,
+    DL_LENS_BLOCK,
+    DL_LEVELS_BY_EIGHT,
+    DL_LEVELS_BY_ONE,
+    DL_LIGHT_LEVELS,
+    DL_PAD_PAINTS,
+    DL_SCENE_ONE,
 )
 from sitl.core.library import SIM
 
@@ -187,21 +187,21 @@ _GRAIN_STEP = 0.25
 def _noise_bank() -> U8:
     """Return 4194304 levels of normal noise, always the same; a frame uses a part from a random place on."""
     bank = np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
-    levels = np.round(bank * np.float32(1.0 / _GRAIN_STEP)) + GRAIN_LEVELS // 2
-    return np.asarray(np.clip(levels, 0, GRAIN_LEVELS - 1), dtype=np.uint8)
+    levels = np.round(bank * np.float32(1.0 / _GRAIN_STEP)) + DL_GRAIN_LEVELS // 2
+    return np.asarray(np.clip(levels, 0, DL_GRAIN_LEVELS - 1), dtype=np.uint8)
 
 
 def _level_light() -> NDArray[np.float64]:
-    """Return the light (LIGHT_LEVELS,) in the middle of each level, 1 at full scale."""
-    level = np.arange(LIGHT_LEVELS)
-    by_four = LEVELS_BY_ONE + 4 * (level - LEVELS_BY_ONE) + 1.5
-    by_eight = COUNTS_BY_EIGHT + 8 * (level - LEVELS_BY_EIGHT) + 3.5
-    return np.asarray(np.select([level < LEVELS_BY_ONE, level < LEVELS_BY_EIGHT], [level, by_four], by_eight) / FULL_SCALE)
+    """Return the light (DL_LIGHT_LEVELS,) in the middle of each level, 1 at full scale."""
+    level = np.arange(DL_LIGHT_LEVELS)
+    by_four = DL_LEVELS_BY_ONE + 4 * (level - DL_LEVELS_BY_ONE) + 1.5
+    by_eight = DL_COUNTS_BY_EIGHT + 8 * (level - DL_LEVELS_BY_EIGHT) + 3.5
+    return np.asarray(np.select([level < DL_LEVELS_BY_ONE, level < DL_LEVELS_BY_EIGHT], [level, by_four], by_eight) / FULL_SCALE)
 
 
 @lru_cache(maxsize=16)
 def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
-    """Return the values of the frame (LIGHT_LEVELS, GRAIN_LEVELS) by light and noise, or None if noise is less than a step.
+    """Return the values of the frame (DL_LIGHT_LEVELS, DL_GRAIN_LEVELS) by light and noise, or None if noise is less than a step.
 
     Noise is added to light transformed by g(L) = 2 F (sqrt(L / F + r^2) - r), whose slope is one over the standard deviation
     where the variance is L / F + r^2: its own deviation is one at every light. Source: Anscombe, The transformation of Poisson,
@@ -215,7 +215,7 @@ def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
     even = 2.0 * well * (deviation - read) if math.isfinite(well) else light / read
     # Rounding to levels adds a twelfth of a step squared to the variance (Sheppard, Proc. London Math. Soc. 29, 1897).
     step = _GRAIN_STEP / math.sqrt(1.0 + _GRAIN_STEP**2 / 12.0)
-    g = even[:, None] + step * (np.arange(GRAIN_LEVELS) - GRAIN_LEVELS // 2)
+    g = even[:, None] + step * (np.arange(DL_GRAIN_LEVELS) - DL_GRAIN_LEVELS // 2)
     back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
     # Below the vertex of the parabola, some read noise under black, everything is black.
     return _encode(blend, np.where(g < -2.0 * well * read, 0.0, back))
@@ -240,14 +240,14 @@ def _taps(sigma_px: float) -> U16:
 
 @lru_cache(maxsize=2)
 def _reflected(blend: str) -> U16:
-    """Return what a paint value reflects, (256,), parts of `SCENE_ONE`."""
-    return np.round(SCENE_ONE * _decode(blend)).astype(np.uint16)
+    """Return what a paint value reflects, (256,), parts of `DL_SCENE_ONE`."""
+    return np.round(DL_SCENE_ONE * _decode(blend)).astype(np.uint16)
 
 
 def scene_of(bgr: U8 | Sequence[int], blend: str) -> U16:
     """Return pixels of a scene (..., 4), without wear, for paint values (..., 3) in blue, green, red."""
     light = _reflected(blend)[np.asarray(bgr, dtype=np.intp)]
-    return np.concatenate([light, np.full((*light.shape[:-1], 1), SCENE_ONE, np.uint16)], axis=-1)
+    return np.concatenate([light, np.full((*light.shape[:-1], 1), DL_SCENE_ONE, np.uint16)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,11 +255,11 @@ class PadInImage:
     """The pad in one frame."""
 
     kinds: U8
-    """(H, W) paint of each pixel in the order of `pad_paint_kind`, or `PAD_EDGE` where there are several."""
+    """(H, W) paint of each pixel in the order of `dl_sim_paint`, or `DL_PAD_EDGE` where there are several."""
     edges: NDArray[np.int32]
-    """(N,) numbers of the pixels that edges touch, by bands of `CELL_PX` rows from the top of the frame to its bottom."""
+    """(N,) numbers of the pixels that edges touch, by bands of `DL_CELL_PX` rows from the top of the frame to its bottom."""
     shares: F32
-    """(N, 6) coverage of these by the paints in the order of `pad_paint_kind`; each row sums to 1."""
+    """(N, 6) coverage of these by the paints in the order of `dl_sim_paint`; each row sums to 1."""
     fine: int = 1
     """Each of these is divided into `fine` x `fine` parts."""
     parts: F32 | None = None
@@ -276,9 +276,9 @@ class PadBlur:
     """(rows, 3, columns) light to add to the blurred one, in counts."""
 
     def under(self, gains: I16) -> PadBlur:
-        """Return the same under a light that differs by factors (H, W, 3), parts of `GAIN_ONE`."""
+        """Return the same under a light that differs by factors (H, W, 3), parts of `DL_GAIN_ONE`."""
         x, y, columns, rows = self.window.tolist()
-        here = gains[y : y + rows, x : x + columns].transpose(0, 2, 1) * np.float32(1.0 / GAIN_ONE)
+        here = gains[y : y + rows, x : x + columns].transpose(0, 2, 1) * np.float32(1.0 / DL_GAIN_ONE)
         return PadBlur(self.window, np.asarray(np.round(self.added * here), dtype=np.int16))
 
 
@@ -318,7 +318,7 @@ class Development:
         """Factors by which `exposure` holds more than the light of the sky, where lamps add to it."""
         if most_bgr is not None:
             self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
-        gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / SCENE_ONE)
+        gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / DL_SCENE_ONE)
         self._exposure: F32 = np.append(gains, np.float32(0.0)).astype(np.float32)
         self._noisy = _noisy(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
         self._clean = _clean(sensor.blend)
@@ -332,8 +332,8 @@ class Development:
         """Return the light of a scene, (H, W, 3) in counts.
 
         Args:
-            scene: (H, W, 4) what blue, green and red reflect, and the wear of the paint, parts of `SCENE_ONE`.
-            gain: (H, W) factors on the light, parts of `GAIN_ONE`.
+            scene: (H, W, 4) what blue, green and red reflect, and the wear of the paint, parts of `DL_SCENE_ONE`.
+            gain: (H, W) factors on the light, parts of `DL_GAIN_ONE`.
             pad: the pad on top of the scene, if it is in the frame.
             pad_scene: (6, 4) the pad's paints, as pixels of a scene, if there is a pad.
             room: (H, W, 3) room for the result; a new one if it is None.
@@ -341,8 +341,8 @@ class Development:
         h, w = gain.shape
         light = np.empty((h, w, 3), np.int16) if room is None else room
         seen, out = self._seen(scene, gain, pad, pad_scene), SIM.array("int16_t", light, 3 * h * w)
-        SIM.lib.sim_render_expose(seen, out)
-        SIM.lib.sim_render_mix(seen, out)
+        SIM.lib.dl_sim_render_expose(seen, out)
+        SIM.lib.dl_sim_render_mix(seen, out)
         return light
 
     def image(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None, rng: np.random.Generator) -> U8:
@@ -351,7 +351,7 @@ class Development:
         frame = np.empty((h, w, 3), np.uint8)
         blur = self.pad_blur(scene, gain, pad, pad_scene)
         seen, tone = self._seen(scene, gain, pad, pad_scene), self._tone(frame.size, rng)
-        _hold(SIM.lib.sim_render_image(seen, self._lens(w, blur), tone, SIM.array("uint8_t", frame)))
+        _hold(SIM.lib.dl_sim_render_image(seen, self._lens(w, blur), tone, SIM.array("uint8_t", frame)))
         return frame
 
     def pad_blur(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> PadBlur | None:
@@ -367,15 +367,15 @@ class Development:
         if wide * high > _LENS_PX_MOST:
             return None
         window, added = np.array([x0, y0, wide, high], np.int32), np.empty((high, 3, wide), np.int16)
-        blocks = -(-wide // LENS_BLOCK)
-        places = np.empty(high * blocks * (LENS_BLOCK + 1), np.int32)
-        room = np.empty((pad.fine + 1) * (LENS_BLOCK * blocks * (high + 1) + 2 * reach), np.float32)
+        blocks = -(-wide // DL_LENS_BLOCK)
+        places = np.empty(high * blocks * (DL_LENS_BLOCK + 1), np.int32)
+        room = np.empty((pad.fine + 1) * (DL_LENS_BLOCK * blocks * (high + 1) + 2 * reach), np.float32)
         kernels = SIM.new(
-            "sim_lens_kernels", reach=reach, exact=exact, sampled=sampled,
+            "dl_sim_lens_kernels", reach=reach, exact=exact, sampled=sampled,
             floats=room.size, numbers=places.size, room=room, places=places,
         )  # fmt: skip
         seen, where = self._seen(scene, gain, pad, pad_scene), SIM.array("int32_t", window)
-        _hold(SIM.lib.sim_render_pad_lens(seen, where, kernels, SIM.array("int16_t", added)))
+        _hold(SIM.lib.dl_sim_render_pad_lens(seen, where, kernels, SIM.array("int16_t", added)))
         return PadBlur(window, added)
 
     def _seen(self, scene: U16, gain: I16, pad: PadInImage | None, pad_scene: U16 | None) -> Any:
@@ -387,12 +387,12 @@ class Development:
         h, w = gain.shape
         if scene.shape != (h, w, 4):
             raise ValueError(f"a scene of {scene.shape} under factors of {gain.shape}")
-        if pad_scene is not None and pad_scene.shape != (PAD_PAINTS, 4):
+        if pad_scene is not None and pad_scene.shape != (DL_PAD_PAINTS, 4):
             raise ValueError(f"paints of {pad_scene.shape}")
-        seen = SIM.new("sim_lit_scene", h=h, w=w, scene=scene, gain=gain, exposure=self._exposure, pad_scene=pad_scene)
+        seen = SIM.new("dl_sim_lit_scene", h=h, w=w, scene=scene, gain=gain, exposure=self._exposure, pad_scene=pad_scene)
         if pad is not None:
             edges = len(pad.edges)
-            if pad.kinds.shape != (h, w) or pad.shares.shape != (edges, PAD_PAINTS):
+            if pad.kinds.shape != (h, w) or pad.shares.shape != (edges, DL_PAD_PAINTS):
                 raise ValueError(f"a pad of {pad.kinds.shape}, shares {pad.shares.shape}, in a frame of {(h, w)}")
             SIM.fill(seen, edges=edges, fine=pad.fine, kinds=pad.kinds, where=pad.edges, shares=pad.shares, parts=pad.parts)
         return seen
@@ -401,7 +401,7 @@ class Development:
         """Return the light (H, W, 3) after the blur of the lens."""
         h, w = light.shape[:2]
         blurred = np.empty_like(light)
-        _hold(SIM.lib.sim_render_blur(h, w, SIM.array("int16_t", light), self._lens(w, pad), SIM.array("int16_t", blurred)))
+        _hold(SIM.lib.dl_sim_render_blur(h, w, SIM.array("int16_t", light), self._lens(w, pad), SIM.array("int16_t", blurred)))
         return blurred
 
     def sensor_image(self, light: I16, rng: np.random.Generator, pad: PadBlur | None = None) -> U8:
@@ -412,32 +412,32 @@ class Development:
         h, w = light.shape[:2]
         frame = np.empty((h, w, 3), np.uint8)
         lens, tone = self._lens(w, pad), self._tone(frame.size, rng)
-        _hold(SIM.lib.sim_render_frame(h, w, SIM.array("int16_t", light), lens, tone, SIM.array("uint8_t", frame)))
+        _hold(SIM.lib.dl_sim_render_frame(h, w, SIM.array("int16_t", light), lens, tone, SIM.array("uint8_t", frame)))
         return frame
 
     def _tone(self, size: int, rng: np.random.Generator) -> Any:
         """Return the core's view of the sensor for a frame of this many values: noise, and tone curve."""
         if self._noisy is None:
-            return SIM.new("sim_sensor_tone", codes=self._clean)
+            return SIM.new("dl_sim_sensor_tone", codes=self._clean)
         bank = _noise_bank()
         start = int(rng.integers(bank.size - size))
-        return SIM.new("sim_sensor_tone", noise=bank[start : start + size], codes=self._noisy)
+        return SIM.new("dl_sim_sensor_tone", noise=bank[start : start + size], codes=self._noisy)
 
     def _lens(self, width: int, pad: PadBlur | None) -> Any:
         """Return the core's view of the lens: weights of the blur, what the pad's edges add, and room for rows."""
         radius, values = len(self._taps) - 1, 3 * width
         if self._room is None or self._room_width != width:
-            self._room = np.zeros((2 * radius + 4 + CELL_PX) * values + 6 * radius + 1, np.uint16)
+            self._room = np.zeros((2 * radius + 4 + DL_CELL_PX) * values + 6 * radius + 1, np.uint16)
             self._room_width = width
-        lens = SIM.new("sim_lens_blur", radius=radius, numbers=self._room.size, taps=self._taps, scratch=self._room)
+        lens = SIM.new("dl_sim_lens_blur", radius=radius, numbers=self._room.size, taps=self._taps, scratch=self._room)
         if pad is not None:
             SIM.fill(lens, window=pad.window, added=pad.added)
         return lens
 
 
-def _hold(result: int) -> None:
+def _hold(has_room: bool) -> None:
     """Raise if the core had no room for its work."""
-    if result < 0:
+    if not has_room:
         raise ValueError("the core has no room for a frame of this size")
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from sitl.core.abi import CELL_PX
+from sitl.core.abi import DL_CELL_PX
 from sitl.core.library import SIM
 
 F32 = NDArray[np.float32]
@@ -41,7 +41,7 @@ class Lens:
         self.rays: F32 = rays.reshape(h, w, 2).astype(np.float32)
         self.jacobian: F32 = _ray_change(camera, rays).reshape(h, w, 2, 2).astype(np.float32)
         """Change of the ray for one pixel to the right and one down, (H, W, 2, 2)."""
-        at = [CELL_PX * np.arange(-1, -(-size // CELL_PX) + 1) + (CELL_PX - 1) / 2 for size in (w, h)]
+        at = [DL_CELL_PX * np.arange(-1, -(-size // DL_CELL_PX) + 1) + (DL_CELL_PX - 1) / 2 for size in (w, h)]
         middles = np.stack(np.meshgrid(*at), axis=-1).reshape(-1, 2)
         self.coarse: F32 = camera.rays(middles).reshape(len(at[1]), -1, 2).astype(np.float32)
         """Rays of the middles of cells of 8 x 8 pixels, with one cell more on each side than the frame has, (R, C, 2)."""
@@ -86,7 +86,7 @@ class Lens:
         places = np.empty((rows, columns, 2), np.float32)
         H = np.ascontiguousarray(plane_from_ray, dtype=np.float64)
         plane = SIM.array("double", H, 9)
-        SIM.lib.sim_render_meet(rows * columns, self._coarse, plane, most, SIM.array("float", places))
+        SIM.lib.dl_sim_render_meet(rows * columns, self._coarse, plane, most, SIM.array("float", places))
         return places
 
     def meet(self, plane_from_ray: F64, part: tuple[slice, slice] | None = None) -> F32:
@@ -107,17 +107,19 @@ class Lens:
     def spread(self, cells: F32) -> F32:
         """Return values of the cells of `coarse`, (R, C) or (R, C, 2), for every pixel, (H, W) or (H, W, 2)."""
         c = self.camera
-        size = (cells.shape[1] * CELL_PX, cells.shape[0] * CELL_PX)
-        whole = cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR)[CELL_PX : CELL_PX + c.height, CELL_PX : CELL_PX + c.width]
+        size = (cells.shape[1] * DL_CELL_PX, cells.shape[0] * DL_CELL_PX)
+        whole = cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR)[
+            DL_CELL_PX : DL_CELL_PX + c.height, DL_CELL_PX : DL_CELL_PX + c.width
+        ]
         return np.ascontiguousarray(whole, dtype=np.float32)
 
     def _around(self, plane_from_ray: F64, rows: slice, cols: slice, coarser: int) -> tuple[F32, int, int]:
         """Return where rays meet a plane, a little more than the part, and the row and column at which the part begins."""
-        r0, r1 = rows.start // CELL_PX, -(-rows.stop // CELL_PX) + 2
-        c0, c1 = cols.start // CELL_PX, -(-cols.stop // CELL_PX) + 2
+        r0, r1 = rows.start // DL_CELL_PX, -(-rows.stop // DL_CELL_PX) + 2
+        c0, c1 = cols.start // DL_CELL_PX, -(-cols.stop // DL_CELL_PX) + 2
         places = cv2.perspectiveTransform(np.ascontiguousarray(self.coarse[r0:r1, c0:c1]), plane_from_ray)
         np.clip(places, -FAR_M, FAR_M, out=places)
-        cell = CELL_PX // coarser
+        cell = DL_CELL_PX // coarser
         whole = cv2.resize(places, ((c1 - c0) * cell, (r1 - r0) * cell), interpolation=cv2.INTER_LINEAR)
         y, x = rows.start // coarser - (r0 - 1) * cell, cols.start // coarser - (c0 - 1) * cell
         return np.asarray(whole, dtype=np.float32), y, x

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from companion.guidance.law.policy import STEP_S
 from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
-from sitl.core.abi import ACTION_NUMBERS, VIEW_NUMBERS
+from sitl.core.abi import DL_ACTION_NUMBERS, DL_VIEW_NUMBERS
 from sitl.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import Scenario, camera_model, load
 from sitl.world.stage import renderer, sea_and_vessel
@@ -51,8 +51,8 @@ def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: 
 
 
 def _spaces() -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
-    high = np.full(VIEW_NUMBERS, _MOST, np.float32)
-    return Box(-high, high, dtype=np.float32), Box(-1.0, 1.0, (ACTION_NUMBERS,), np.float32)
+    high = np.full(DL_VIEW_NUMBERS, _MOST, np.float32)
+    return Box(-high, high, dtype=np.float32), Box(-1.0, 1.0, (DL_ACTION_NUMBERS,), np.float32)
 
 
 def _info(worlds: TrainingWorlds, index: int) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
     def step(self, action: F32) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one step of 20 ms."""
         w = self.worlds
-        w.step(np.asarray(action, np.float32).reshape(1, ACTION_NUMBERS))
+        w.step(np.asarray(action, np.float32).reshape(1, DL_ACTION_NUMBERS))
         end = int(w.ends[0])
         over = end != _FLYING
         observed = self._observed(w.last_views[0] if over else w.views[0])

@@ -20,7 +20,7 @@ from companion.guidance.law.policy import STEP_S, TRIM_TIME_S
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2
-from sitl.core.abi import ACTION_NUMBERS, HARMONICS_MAX, REWARD_TERMS, VIEW_NUMBERS, VIEWS_MAX
+from sitl.core.abi import DL_ACTION_NUMBERS, DL_HARMONICS_MAX, DL_REWARD_TERMS, DL_VIEW_NUMBERS, DL_VIEWS_MAX
 from sitl.core.library import SIM
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal
 from sitl.scenario.wrong_model import SPREADS
@@ -36,9 +36,9 @@ Observations = Literal["estimate", "truth"]
 _PHYSICS_STEPS = 4
 DOWN_MAX_M_S, YAW_RATE_MAX_RAD_S = 0.5, 0.6
 """Values of a full action: the velocity down against the deck, the turn rate."""
-ENDS = tuple(name.removeprefix("EPISODE_").lower() for name in SIM.names("episode_end"))
+ENDS = tuple(name.removeprefix("DL_EPISODE_").lower() for name in SIM.names("dl_sim_episode"))
 """Endings of an episode, by the core's number."""
-TERMS = tuple(name.removeprefix("REWARD_").lower() for name in list(SIM.names("reward_term"))[:-1])
+TERMS = tuple(name.removeprefix("DL_REWARD_").lower() for name in list(SIM.names("dl_sim_reward"))[:-1])
 """The terms of the reward, in order."""
 WEIGHTS: Mapping[str, float] = {
     "nearer": 1.0, "outside": 2.0, "effort": 0.002, "time": 0.05, "landed": 5.0, "missed_by": 3.0, "speed": 1.0, "failed": 5.0,
@@ -50,7 +50,7 @@ over the pad in which the camera keeps it in view. effort: -the squared change o
 contact on the pad. missed_by: -the distance from the centre at the contact over the pad's radius. speed: -the speeds at the
 contact over their limits. failed: -1 where an episode ends otherwise, but not at its time limit.
 """
-_WRONG = tuple(name.removeprefix("WRONG_").lower() for name in list(SIM.names("wrong_number"))[:-1])
+_WRONG = tuple(name.removeprefix("DL_WRONG_").lower() for name in list(SIM.names("dl_sim_wrong"))[:-1])
 """The differences of a wrong model that are drawn for each episode."""
 
 
@@ -65,7 +65,7 @@ class EstimateErrors(Struct, frozen=True, kw_only=True):
     tilt_deg: Annotated[float, number("standard deviation of the attitude's constant error", "deg", 0.0, 10.0)] = 0.5
     lost_per_s: Annotated[float, number("losses of the pad", "1/s", 0.0, 50.0)] = 0.05
     lost_for_s: Annotated[float, number("mean length of a loss", "s", 0.02, 5.0)] = 0.3
-    delay_steps: Annotated[int, number("steps by which an observation is late", "1", 0, VIEWS_MAX - 1)] = 1
+    delay_steps: Annotated[int, number("steps by which an observation is late", "1", 0, DL_VIEWS_MAX - 1)] = 1
 
 
 class TrainingOptions(Struct, frozen=True, kw_only=True):
@@ -99,10 +99,10 @@ class TrainingWorlds:
         threads: number of threads that share the worlds. The results do not depend on it.
 
     Attributes:
-        views: (count, VIEW_NUMBERS) the newest observations; of a world whose episode ended those of its next one.
-        terms: (count, REWARD_TERMS) of the last step's reward.
+        views: (count, DL_VIEW_NUMBERS) the newest observations; of a world whose episode ended those of its next one.
+        terms: (count, DL_REWARD_TERMS) of the last step's reward.
         ends: (count,) how the episodes ended with the last step, numbers of `ENDS`.
-        last_views: (count, VIEW_NUMBERS) the last observations of episodes that ended with the last step.
+        last_views: (count, DL_VIEW_NUMBERS) the last observations of episodes that ended with the last step.
         touchdowns: (count, 3) of those which ended with a contact: distance from the centre, m, and speeds down and along the
             deck, m/s; else NaN.
 
@@ -115,14 +115,14 @@ class TrainingWorlds:
         self.options = o = options or TrainingOptions()
         self.scenario, self.count = scenario, count
         self._rules = _rules(scenario, o)
-        self._kept = np.zeros(count, SIM.dtype("sim_training_world"))
-        self._worlds = SIM.array("sim_training_world", self._kept)
-        self.views: F32 = np.zeros((count, VIEW_NUMBERS), np.float32)
-        self.last_views: F32 = np.zeros((count, VIEW_NUMBERS), np.float32)
-        self.terms: F32 = np.zeros((count, REWARD_TERMS), np.float32)
+        self._kept = np.zeros(count, SIM.dtype("dl_sim_training_world"))
+        self._worlds = SIM.array("dl_sim_training_world", self._kept)
+        self.views: F32 = np.zeros((count, DL_VIEW_NUMBERS), np.float32)
+        self.last_views: F32 = np.zeros((count, DL_VIEW_NUMBERS), np.float32)
+        self.terms: F32 = np.zeros((count, DL_REWARD_TERMS), np.float32)
         self.touchdowns: F32 = np.full((count, 3), np.nan, np.float32)
         self.ends: NDArray[np.int8] = np.zeros(count, np.int8)
-        self._actions: F32 = np.zeros((count, ACTION_NUMBERS), np.float32)
+        self._actions: F32 = np.zeros((count, DL_ACTION_NUMBERS), np.float32)
         edges = np.linspace(0, count, min(threads, count) + 1).astype(int)
         self._parts = [self._part(int(a), int(b)) for a, b in pairwise(edges)]
         self._pool = ThreadPoolExecutor(len(self._parts) - 1, "worlds") if len(self._parts) > 1 else None
@@ -130,14 +130,14 @@ class TrainingWorlds:
     def _part(self, first: int, end: int) -> tuple[int, Any, Any, Any]:
         rows = slice(first, end)
         out = SIM.new(
-            "sim_training_step",
+            "dl_sim_training_step",
             views=self.views[rows], terms=self.terms[rows], last_views=self.last_views[rows], touchdowns=self.touchdowns[rows],
             ends=self.ends[rows],
         )  # fmt: skip
         return end - first, self._worlds + first, SIM.array("float", self._actions[rows]), out
 
     def begin(self, seeds: Sequence[int]) -> F32:
-        """Begin an episode in every world and return the first observations (count, VIEW_NUMBERS).
+        """Begin an episode in every world and return the first observations (count, DL_VIEW_NUMBERS).
 
         Args:
             seeds: one a world; equal seeds give equal worlds for good, wherever they stand.
@@ -149,7 +149,7 @@ class TrainingWorlds:
             raise ValueError(f"{len(seeds)} seeds for {self.count} worlds")
         for world, seed in zip(self._kept, seeds, strict=True):
             world["random"] = np.random.SeedSequence(seed).generate_state(4, np.uint64)
-        SIM.lib.sim_training_begin(self._rules, self.count, self._worlds, SIM.array("float", self.views))
+        SIM.lib.dl_sim_training_begin(self._rules, self.count, self._worlds, SIM.array("float", self.views))
         return self.views
 
     @property
@@ -159,18 +159,18 @@ class TrainingWorlds:
 
     @property
     def truth(self) -> NDArray[Any]:
-        """The core's `sim_training_world` of every world, (count,), whose members are read by name."""
+        """The core's `dl_sim_training_world` of every world, (count,), whose members are read by name."""
         return self._kept
 
     def snapshot(self, index: int) -> NDArray[Any]:
-        """Return the core's `sim_training_world` of one world, whose members are read by name."""
+        """Return the core's `dl_sim_training_world` of one world, whose members are read by name."""
         return self._kept[index]  # type: ignore[no-any-return]
 
     def step(self, actions: F32) -> None:
         """Take one step in every world; a world whose episode ends begins the next one.
 
         Args:
-            actions: (count, ACTION_NUMBERS), each -1 to 1; more is cut off, and NaN is 0.
+            actions: (count, DL_ACTION_NUMBERS), each -1 to 1; more is cut off, and NaN is 0.
         """
         self._actions[:] = actions
         waiting = [self._pool.submit(self._step, part) for part in self._parts[1:]] if self._pool else []
@@ -180,11 +180,11 @@ class TrainingWorlds:
 
     def _step(self, part: tuple[int, Any, Any, Any]) -> None:
         count, worlds, actions, out = part
-        SIM.lib.sim_training_step_all(self._rules, count, worlds, actions, out)
+        SIM.lib.dl_sim_training_step_all(self._rules, count, worlds, actions, out)
 
 
 def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
-    """Return the core's `sim_training`.
+    """Return the core's `dl_sim_training`.
 
     Raises:
         BadInput: as `TrainingWorlds`.
@@ -193,8 +193,8 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
     if type(vessel) is not Vessel:
         raise BadInput("training worlds need a vessel on a steady course")
     harmonics = vessel.harmonics[0]
-    if len(harmonics) > HARMONICS_MAX:
-        raise BadInput(f"the scenario has {len(harmonics)} waves, and training worlds hold {HARMONICS_MAX}")
+    if len(harmonics) > DL_HARMONICS_MAX:
+        raise BadInput(f"the scenario has {len(harmonics)} waves, and training worlds hold {DL_HARMONICS_MAX}")
     physics_s = STEP_S / _PHYSICS_STEPS
     shape = deck_shape(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
     vehicle = Vehicle(airframe(scenario), shape, physics_s, flight_seeds(0).flight, wind(scenario), air(scenario, vessel.hull))
@@ -203,7 +203,7 @@ def _rules(scenario: Scenario, o: TrainingOptions) -> Any:
     e = o.errors
     keep, fresh = keep_and_fresh(1.0, e.time_s, STEP_S)
     rules = SIM.new(
-        "sim_training",
+        "dl_sim_training",
         harmonics=len(harmonics), physics_steps=_PHYSICS_STEPS, steps_max=round(o.time_limit_s / STEP_S),
         velocity_actions=o.action == "velocity", true_view=o.observation == "truth", view_delay=e.delay_steps, step_s=STEP_S,
         cos_course=math.cos(vessel.heading_rad[0]), sin_course=math.sin(vessel.heading_rad[0]),

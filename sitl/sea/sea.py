@@ -271,8 +271,8 @@ class Waves:
         return np.asarray((self.amplitude_m * np.cos(self._angle(p_ne, t_s))).sum(axis=-1).transpose(self._order(p_ne, t_s)))
 
     def packed(self, index: int = 0) -> NDArray[Any]:
-        """Return one sea as the core's `sim_wave`s, (N,), with frequencies as seen."""
-        waves = np.empty(self.amplitude_m.shape[1], SIM.dtype("sim_wave"))
+        """Return one sea as the core's `dl_sim_wave`s, (N,), with frequencies as seen."""
+        waves = np.empty(self.amplitude_m.shape[1], SIM.dtype("dl_sim_wave"))
         waves["amplitude_m"], waves["k"] = self.amplitude_m[index], self.k_ne[index]
         waves["w_rad_s"], waves["phase_rad"] = self.seen_rad_s[index], self.phase_rad[index]
         return waves

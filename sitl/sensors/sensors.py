@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
-from sitl.core.abi import ECHOES_MAX, SENSOR_NOISE
+from sitl.core.abi import DL_ECHOES_MAX, DL_SENSOR_NOISE
 from sitl.core.library import SIM
 from sitl.faults.corrupted import Corruptions, Signal
 from sitl.faults.fault import Fault
@@ -96,14 +96,14 @@ class Sensors:
         of_pressure = keep_and_fresh(s.pressure_drift_sigma_pa, _PRESSURE_TIME_S, step_s)
         echo_every = max(1, round(1.0 / (s.ultrasound_rate_hz * step_s)))
         echo_delay = round(s.ultrasound_delay_s / step_s)
-        if echo_delay >= echo_every * (ECHOES_MAX - 1):
+        if echo_delay >= echo_every * (DL_ECHOES_MAX - 1):
             raise ValueError(
-                f"more than {ECHOES_MAX} echoes would be under way: every {echo_every} steps, {echo_delay} steps late"
+                f"more than {DL_ECHOES_MAX} echoes would be under way: every {echo_every} steps, {echo_delay} steps late"
             )
         each = rotors(vehicle.airframe)
         names = [rotor.name for rotor in each]
         self.params = SIM.new(
-            "sim_sensor_params",
+            "dl_sim_sensor_params",
             echo_every=echo_every, echo_delay=echo_delay, motor=[names.index(name) for name in _MOTORS], step_s=step_s,
             accel_scale=scales[0], gyro_scale=scales[1], vibration=vehicle.airframe.effects.vibration_m_s2,
             accel_sigma=(s.accel_rest_sigma_m_s2, s.accel_noise_sigma_m_s2),
@@ -118,23 +118,23 @@ class Sensors:
             echo_min_m=s.ultrasound_min_m, echo_max_m=s.ultrasound_max_m, battery_life_s=s.battery_life_s,
             hover_n=vehicle.airframe.mass_kg * G_M_S2 / len(each),
         )  # fmt: skip
-        """The core's `sim_sensor_params`."""
+        """The core's `dl_sim_sensor_params`."""
         block = _NoiseBlocks(imu, field, pressure, heading, ultrasound, echo_every)
         drift = heading_sigma * heading.standard_normal()
         self.noise = NoiseRows(block.draw)
         """The numbers of all sensors."""
         row = self.noise.next()
         self.state = SIM.new(
-            "sim_sensors", heading_drift=drift, noise=row, battery=s.battery_start, echo_m=math.nan,
+            "dl_sim_sensors", heading_drift=drift, noise=row, battery=s.battery_start, echo_m=math.nan,
             pressure_drift=s.pressure_drift_sigma_pa * block.first,
         )  # fmt: skip
-        """The core's `sim_sensors`."""
-        self._read = SIM.new("sim_readings")
+        """The core's `dl_sim_sensors`."""
+        self._read = SIM.new("dl_sim_readings")
 
     def read(self, at: MonoNs) -> Readings:
         """Return the readings of the newest step. Reading changes nothing."""
         v, read = self._vehicle, self._read
-        SIM.lib.sim_sensors_read(v.params, v.state, self.params, self.state, read)
+        SIM.lib.dl_sim_sensors_read(v.params, v.state, self.params, self.state, read)
         (fx, fy, fz), (p, q, r), (roll, pitch, yaw), (ahead, aside) = read.f_body, read.w_body, read.rpy_rad, read.v_level_m_s
         (mx, my, mz), (front_left, front_right, rear_right, rear_left) = read.magnetometer, read.motors_pwm
         echo_m = read.ultrasound_m
@@ -169,8 +169,8 @@ class _NoiseBlocks:
         self.first = 0.0
 
     def draw(self) -> F64:
-        """Return the next (BLOCK, SENSOR_NOISE) numbers; the ultrasound has one where it measures."""
-        rows = np.zeros((BLOCK, SENSOR_NOISE))
+        """Return the next (BLOCK, DL_SENSOR_NOISE) numbers; the ultrasound has one where it measures."""
+        rows = np.zeros((BLOCK, DL_SENSOR_NOISE))
         rows[:, 0:6] = self._imu.standard_normal((BLOCK, 6))
         rows[:, 6:9] = self._field.standard_normal((BLOCK, 3))
         rows[:, 9] = self._pressure.standard_normal(BLOCK)

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
-from sitl.core.abi import COMMANDS_MAX, EFFECT_NOISE, FLIGHT_NOISE, ROTORS_MAX, TOUCHED_DECK, TOUCHED_SEA
+from sitl.core.abi import DL_COMMANDS_MAX, DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_ROTORS_MAX, DL_TOUCHED_DECK, DL_TOUCHED_SEA
 from sitl.core.library import SIM
 from sitl.core.members import Number, Numbers
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
@@ -21,7 +21,7 @@ from sitl.vehicle.effects import EffectSettings
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 
-DECK, SEA = TOUCHED_DECK, TOUCHED_SEA
+DECK, SEA = DL_TOUCHED_DECK, DL_TOUCHED_SEA
 """Codes of `Vehicle.touched_what`; 0 before any contact."""
 
 _KAIMAL_LAGS = (0.4444, 0.5448, 0.6623)
@@ -44,7 +44,7 @@ class VehiclePhase(IntEnum):
     EMERGENCY = 5
 
 
-assert {f"PHASE_{phase.name}": phase.value for phase in VehiclePhase} == SIM.names("flight_phase")
+assert {f"DL_PHASE_{phase.name}": phase.value for phase in VehiclePhase} == SIM.names("dl_sim_phase")
 _CAN_LAND = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 
@@ -123,33 +123,33 @@ class Vehicle:
     ) -> None:
         if not 0.0 < step_s <= 0.01:
             raise ValueError(f"step_s must lie in (0, 0.01] s, got {step_s!r}")
-        if airframe.command_delay_s > COMMANDS_MAX * step_s:
-            raise ValueError(f"a delay of {airframe.command_delay_s} s is more than {COMMANDS_MAX} steps of {step_s} s")
+        if airframe.command_delay_s > DL_COMMANDS_MAX * step_s:
+            raise ValueError(f"a delay of {airframe.command_delay_s} s is more than {DL_COMMANDS_MAX} steps of {step_s} s")
         self.airframe, self.shape, self.step_s = airframe, shape, step_s
         self.limits = StickLimits()
         self.wind = wind or Wind()
         self.params = _packed_params(airframe, shape, self.wind, step_s)
-        """The core's `sim_vehicle_params`."""
+        """The core's `dl_sim_vehicle_params`."""
         self.state = SIM.new(
-            "sim_vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3), attached_q=(1.0, 0.0, 0.0, 0.0),
+            "dl_sim_vehicle", q=(1.0, 0.0, 0.0, 0.0), R=np.eye(3), attached_q=(1.0, 0.0, 0.0, 0.0),
             touched_s=math.nan, touched_d=math.nan, touched_v=math.nan, touched_R=math.nan, touched_w=math.nan,
         )  # fmt: skip
-        """The core's `sim_vehicle`."""
-        self._deck = SIM.new("sim_deck")
-        self.noise = NoiseRows.of(seed, FLIGHT_NOISE)
+        """The core's `dl_sim_vehicle`."""
+        self._deck = SIM.new("dl_sim_deck")
+        self.noise = NoiseRows.of(seed, DL_FLIGHT_NOISE)
         """The numbers of its own errors and of the gusts."""
         self.effect_noise: NoiseRows | None = None
         """The numbers of the unkind effects, where there are any."""
         if self.params.effects.on:
             child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _EFFECT_SEED))
-            self.effect_noise = NoiseRows.of(child, EFFECT_NOISE)
+            self.effect_noise = NoiseRows.of(child, DL_EFFECT_NOISE)
         self._begin_errors()
         self.air_noise: NoiseRows | None = None
         """The numbers of the air, where it is more than a uniform wind."""
         if air is not None:
             self.params.air = air.packed(step_s)[0]
             self.air_noise = NoiseRows.of(
-                np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _AIR_SEED)), FLIGHT_NOISE
+                np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _AIR_SEED)), DL_FLIGHT_NOISE
             )
             self._begin_air(self.air_noise, air.turbulence == "kaimal")
 
@@ -202,7 +202,7 @@ class Vehicle:
             thrust_n=0.0, airborne_s=0.0, a=0.0,
         )  # fmt: skip
         ground.write_deck(self._deck)
-        SIM.lib.sim_vehicle_carry(self.state, self._deck)
+        SIM.lib.dl_sim_vehicle_carry(self.state, self._deck)
 
     def command(self, roll: float, pitch: float, gaz: float, yaw: float, progressive: bool) -> None:
         """Stick fractions -1..1 with PCMD's signs: right, nose up, up, clockwise; ignored without `progressive` (hover)."""
@@ -248,7 +248,7 @@ class Vehicle:
 
     @rotor_health.setter
     def rotor_health(self, shares: Sequence[float]) -> None:
-        missing = ROTORS_MAX - len(shares)
+        missing = DL_ROTORS_MAX - len(shares)
         self._rotor_health = (*shares, *[1.0] * missing)
         self.params.all_healthy = all(share == 1.0 for share in shares)
 
@@ -301,7 +301,7 @@ class Vehicle:
         rows = tuple(dict.fromkeys((self.noise, air, effects)))
         for noise in rows:
             noise.prepare()
-        SIM.lib.sim_vehicle_step(
+        SIM.lib.dl_sim_vehicle_step(
             self.params, self.state, self._deck, ground.sea_z, ground.sea_vz, self.noise.row, air.row, effects.row
         )
         for noise in rows:
@@ -314,9 +314,9 @@ def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> Sequence[float]:
 
 
 def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> Any:
-    """Return the core's `sim_vehicle_params`, without the stick's limits and the air."""
+    """Return the core's `dl_sim_vehicle_params`, without the stick's limits and the air."""
     k, av, feet, each = f.loops, f.avionics, f.feet, rotors(f)
-    spare = [0.0] * (ROTORS_MAX - len(each))
+    spare = [0.0] * (DL_ROTORS_MAX - len(each))
     cos_yaw, sin_yaw, middle, half = shape.turned
     gust, flow, tilt = (
         keep_and_fresh(*process, step_s)
@@ -336,7 +336,7 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
         "climb_p", "climb_d", "climb_i", "climb_i_max_m_s2", "height_p",
     )  # fmt: skip
     return SIM.new(
-        "sim_vehicle_params",
+        "dl_sim_vehicle_params",
         **{name: getattr(f, name) for name in same},
         **{name: getattr(k, name) for name in gains},
         quad_x=f.layout == "quad_x", rotors=len(each), effect_by_rotor=f.ground_effect == "rotors",
@@ -360,7 +360,7 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
 
 
 def _packed_effects(f: Airframe, step_s: float) -> dict[str, Any]:
-    """Return the members of the core's `sim_effects`."""
+    """Return the members of the core's `dl_sim_effects`."""
     e, weight_n, each = f.effects, f.mass_kg * G_M_S2, len(rotors(f))
     downwash, climb = keep_and_fresh(1.0, _DOWNWASH_S, step_s), keep_and_fresh(e.loop_climb_sigma_m_s, _CLIMB_S, step_s)
     area_m2 = each * math.pi * f.rotor_radius_m**2

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from estimator.contracts.keys import choice, number
-from sitl.core.abi import GUSTS_MAX
+from sitl.core.abi import DL_GUSTS_MAX
 from sitl.core.library import SIM
 from sitl.vessel.seakeeping import Hull, Superstructure
 
@@ -63,15 +63,15 @@ class AirModel:
     pad_yaw_rad: float = 0.0
 
     def packed(self, step_s: float) -> Any:
-        """Return the core's `sim_air_params`.
+        """Return the core's `dl_sim_air_params`.
 
         Raises:
             ValueError: there are more gusts than the core takes.
         """
-        if len(self.gusts) > GUSTS_MAX:
-            raise ValueError(f"the air takes {GUSTS_MAX} single gusts, got {len(self.gusts)}")
+        if len(self.gusts) > DL_GUSTS_MAX:
+            raise ValueError(f"the air takes {DL_GUSTS_MAX} single gusts, got {len(self.gusts)}")
         made = SIM.new(
-            "sim_air_params",
+            "dl_sim_air_params",
             on=1, logarithmic=self.logarithmic, dryden=self.turbulence == "dryden", kaimal=self.turbulence == "kaimal",
             wake=self.wake is not None, hull_wake=self.hull is not None, gusts=len(self.gusts),
             speed_m_s=self.speed_m_s, along=(math.cos(self.towards_rad), math.sin(self.towards_rad)),

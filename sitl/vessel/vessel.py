@@ -129,7 +129,7 @@ class Vessel:
             coefficient = np.concatenate([coefficient, slow], axis=-1)
             w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
         c = coefficient.transpose(1, 2, 0)
-        self.harmonics = np.empty(w.shape, SIM.dtype("sim_harmonic"))
+        self.harmonics = np.empty(w.shape, SIM.dtype("dl_sim_harmonic"))
         """(B, N) of the motion."""
         self.harmonics["w_rad_s"], self.harmonics["re"], self.harmonics["im"] = w, c.real, c.imag
 
@@ -141,10 +141,10 @@ class Vessel:
         """Return the motion about the steady course at times (...): arrays (B, ..., 6) with exact derivatives."""
         t = np.asarray(t_s, dtype=float)
         flat = np.ascontiguousarray(t).reshape(-1)
-        out = np.empty((self.batch, flat.size), SIM.dtype("sim_vessel_motion"))
+        out = np.empty((self.batch, flat.size), SIM.dtype("dl_sim_vessel_motion"))
         for harmonics, moved in zip(self.harmonics, out, strict=True):
-            numbers, times = SIM.array("sim_harmonic", harmonics), SIM.array("double", flat)
-            SIM.lib.sim_vessel_moved(len(harmonics), numbers, flat.size, times, SIM.array("sim_vessel_motion", moved))
+            numbers, times = SIM.array("dl_sim_harmonic", harmonics), SIM.array("double", flat)
+            SIM.lib.dl_sim_vessel_moved(len(harmonics), numbers, flat.size, times, SIM.array("dl_sim_vessel_motion", moved))
         whole = out.reshape(self.batch, *t.shape)
         return Motion(whole["eta"], whole["eta_dot"], whole["eta_ddot"])
 
@@ -175,13 +175,13 @@ class Vessel:
         d = np.asarray(d_vessel_m, dtype=float)
         p0, v0, a0, heading, m = self.origin(t)
         shape = (self.batch, *t.shape)
-        origin, motion = np.empty(shape, SIM.dtype("sim_vessel_origin")), np.empty(shape, SIM.dtype("sim_vessel_motion"))
+        origin, motion = np.empty(shape, SIM.dtype("dl_sim_vessel_origin")), np.empty(shape, SIM.dtype("dl_sim_vessel_motion"))
         origin["p"], origin["v"], origin["a"], origin["heading_rad"] = p0, v0, a0, heading
         motion["eta"], motion["eta_dot"], motion["eta_ddot"] = m.eta, m.eta_dot, m.eta_ddot
-        mount = SIM.new("sim_mount", d=d, R=_EYE if R_vessel is None else R_vessel.matrix)
-        out = np.empty(shape, SIM.dtype("sim_mounted"))
-        given = SIM.array("sim_vessel_origin", origin), SIM.array("sim_vessel_motion", motion)
-        SIM.lib.sim_vessel_mounted(out.size, *given, mount, SIM.array("sim_mounted", out))
+        mount = SIM.new("dl_sim_mount", d=d, R=_EYE if R_vessel is None else R_vessel.matrix)
+        out = np.empty(shape, SIM.dtype("dl_sim_mounted"))
+        given = SIM.array("dl_sim_vessel_origin", origin), SIM.array("dl_sim_vessel_motion", motion)
+        SIM.lib.dl_sim_vessel_mounted(out.size, *given, mount, SIM.array("dl_sim_mounted", out))
         return Mounted(out["p"], out["v"], out["a"], out["R"].reshape(*shape, 3, 3), out["w"])
 
     def pad(self, t_s: ArrayLike) -> Mounted:

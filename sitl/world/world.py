@@ -69,9 +69,9 @@ class Physics:
         self._air = v.air_noise or v.noise
         self._effects = v.effect_noise or v.noise
         self._noises = tuple(dict.fromkeys((v.noise, self._air, self._effects, s.noise)))
-        self._sea, core_waves = SIM.new("sim_water", every=_SEA_EVERY), waves.packed()
+        self._sea, core_waves = SIM.new("dl_sim_water", every=_SEA_EVERY), waves.packed()
         self._flight = SIM.new(
-            "sim_flight", vehicle_params=v.params, vehicle=v.state, sensor_params=s.params, sensors=s.state,
+            "dl_sim_flight", vehicle_params=v.params, vehicle=v.state, sensor_params=s.params, sensors=s.state,
             water=self._sea, waves=core_waves, harmonics=len(core_waves),
         )  # fmt: skip
         self._decks: NDArray[Any] = np.empty(0)
@@ -89,7 +89,7 @@ class Physics:
             IndexError: there are not this many decks.
         """
         if decks is not self._decks:
-            self._decks, self._first_deck = decks, SIM.array("sim_deck", decks)
+            self._decks, self._first_deck = decks, SIM.array("dl_sim_deck", decks)
         if not 0 <= first <= len(decks) - at_most:
             raise IndexError(f"{at_most} steps from {first} on, but {len(decks)} decks")
         n, vehicle = at_most, self._vehicle
@@ -98,7 +98,7 @@ class Physics:
             if ready < n:
                 n = ready
         vehicle.keep_limits()
-        done: int = SIM.lib.sim_run(
+        done: int = SIM.lib.dl_sim_run(
             self._flight,
             n,
             self._first_deck + first,
@@ -113,8 +113,8 @@ class Physics:
 
 
 def decks_of(pads: Mounted) -> NDArray[Any]:
-    """Return one vessel's pad at T instants as the core's `sim_deck`s, (T,)."""
-    decks = np.empty(pads.p_ned.shape[1], SIM.dtype("sim_deck"))
+    """Return one vessel's pad at T instants as the core's `dl_sim_deck`s, (T,)."""
+    decks = np.empty(pads.p_ned.shape[1], SIM.dtype("dl_sim_deck"))
     decks["p"], decks["v"], decks["R"], decks["w"] = pads.p_ned[0], pads.v_ned[0], pads.R_ned[0].reshape(-1, 9), pads.w[0]
     return decks
 

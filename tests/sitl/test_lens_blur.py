@@ -16,7 +16,7 @@ from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, PadBlur, Sensor
 from sitl.camera.render.light import Lamps
 from sitl.camera.surroundings import Surroundings
-from sitl.core.abi import GAIN_ONE
+from sitl.core.abi import DL_GAIN_ONE
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 
@@ -107,8 +107,8 @@ def test_edges_of_a_floodlit_pad_are_blurred_as_by_day() -> None:
 
 def test_light_that_is_added_follows_factors_on_it() -> None:
     window, added = np.array([2, 1, 3, 2], np.int32), np.full((2, 3, 3), 100, np.int16)
-    gains = np.full((5, 6, 3), GAIN_ONE, np.int16)
-    gains[1, 3] = GAIN_ONE // 2, GAIN_ONE, 0
+    gains = np.full((5, 6, 3), DL_GAIN_ONE, np.int16)
+    gains[1, 3] = DL_GAIN_ONE // 2, DL_GAIN_ONE, 0
     under = PadBlur(window, added).under(gains).added
     assert under[0, :, 1].tolist() == [50, 100, 0]
     assert (np.delete(under[0], 1, axis=1) == 100).all()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.core.library import Door
 from sitl.core import abi
-from sitl.core.abi import PAD_EDGE, PAD_PAINTS
+from sitl.core.abi import DL_PAD_EDGE, DL_PAD_PAINTS
 from sitl.core.library import SIM
 from supply import core
 
@@ -23,50 +23,51 @@ def deck(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     texels = rng.integers(0, 65536, (32, 40, 4)).astype(np.uint16)
     mask = rng.integers(0, 256, (H, W)).astype(np.uint8)
     scene = rng.integers(0, 65536, (H, W, 4)).astype(np.uint16)
-    part, drawn = library.new("sim_frame_part", w=W, x1=W, y1=H), library.new("sim_drawing", texels=texels, h=32, w=40)
-    where = library.new("sim_plane_cells", at=cells, columns=cells.shape[1])
-    library.lib.sim_render_deck(part, where, drawn, library.array("uint8_t", mask), library.array("uint16_t", scene))
+    part, drawn = library.new("dl_sim_frame_part", w=W, x1=W, y1=H), library.new("dl_sim_drawing", texels=texels, h=32, w=40)
+    where = library.new("dl_sim_plane_cells", at=cells, columns=cells.shape[1])
+    library.lib.dl_sim_render_deck(part, where, drawn, library.array("uint8_t", mask), library.array("uint16_t", scene))
     return scene
 
 
 def lit(library: Door, rng: np.random.Generator) -> Any:
     """Return a scene in a light with a pad's paints and edges on it."""
     kinds, edges = (
-        rng.integers(0, PAD_PAINTS, (H, W)).astype(np.uint8),
+        rng.integers(0, DL_PAD_PAINTS, (H, W)).astype(np.uint8),
         np.sort(rng.choice(H * W, 40, replace=False)).astype(np.int32),
     )
-    kinds.flat[edges] = PAD_EDGE
+    kinds.flat[edges] = DL_PAD_EDGE
     return library.new(
-        "sim_lit_scene", h=H, w=W, edges=len(edges), where=edges, kinds=kinds,
+        "dl_sim_lit_scene", h=H, w=W, edges=len(edges), where=edges, kinds=kinds,
         scene=rng.integers(0, 65536, (H, W, 4)).astype(np.uint16), gain=rng.integers(0, 16385, (H, W)).astype(np.int16),
-        exposure=np.array([0.3, 0.9, 3.0, 0.0], np.float32), pad_scene=rng.integers(0, 65536, (PAD_PAINTS, 4)).astype(np.uint16),
-        shares=rng.dirichlet(np.ones(PAD_PAINTS), len(edges)).astype(np.float32),
+        exposure=np.array([0.3, 0.9, 3.0, 0.0], np.float32),
+        pad_scene=rng.integers(0, 65536, (DL_PAD_PAINTS, 4)).astype(np.uint16),
+        shares=rng.dirichlet(np.ones(DL_PAD_PAINTS), len(edges)).astype(np.float32),
     )  # fmt: skip
 
 
 def exposed(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     light = np.zeros(H * W * 3, np.int16)
-    library.lib.sim_render_expose(lit(library, rng), library.array("int16_t", light))
+    library.lib.dl_sim_render_expose(lit(library, rng), library.array("int16_t", light))
     return light
 
 
 def imaged(library: Door, rng: np.random.Generator) -> NDArray[Any]:
-    """Return a frame by `sim_render_image`, which the frame of the light by `sim_render_expose` equals."""
+    """Return a frame by `dl_sim_render_image`, which the frame of the light by `dl_sim_render_expose` equals."""
     seen, light = lit(library, rng), library.array("int16_t", np.zeros(H * W * 3, np.int16))
     blur = library.new(
-        "sim_lens_blur", radius=2, numbers=20 * 3 * W, taps=TAPS, scratch=np.zeros(20 * 3 * W, np.uint16),
+        "dl_sim_lens_blur", radius=2, numbers=20 * 3 * W, taps=TAPS, scratch=np.zeros(20 * 3 * W, np.uint16),
         window=np.array([3, 2, 20, 5], np.int32), added=rng.integers(-400, 400, (5, 3, 20)).astype(np.int16),
     )  # fmt: skip
     noise, codes = rng.integers(0, 32, (H, W, 3)).astype(np.uint8), rng.integers(0, 256, 65536).astype(np.uint8)
-    tone = library.new("sim_sensor_tone", noise=noise, codes=codes)
+    tone = library.new("dl_sim_sensor_tone", noise=noise, codes=codes)
     frame, again = np.zeros((H, W, 3), np.uint8), np.zeros((H, W, 3), np.uint8)
-    assert library.lib.sim_render_image(seen, blur, tone, library.array("uint8_t", frame)) == 0
-    library.lib.sim_render_expose(seen, light)
-    library.lib.sim_render_mix(seen, light)
-    assert library.lib.sim_render_frame(H, W, light, blur, tone, library.array("uint8_t", again)) == 0
+    assert library.lib.dl_sim_render_image(seen, blur, tone, library.array("uint8_t", frame))
+    library.lib.dl_sim_render_expose(seen, light)
+    library.lib.dl_sim_render_mix(seen, light)
+    assert library.lib.dl_sim_render_frame(H, W, light, blur, tone, library.array("uint8_t", again))
     assert np.array_equal(frame, again)
     blur.numbers = 3 * W
-    assert library.lib.sim_render_image(seen, blur, tone, library.array("uint8_t", frame)) == -1
+    assert not library.lib.dl_sim_render_image(seen, blur, tone, library.array("uint8_t", frame))
     return frame
 
 
@@ -75,8 +76,8 @@ def smeared(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     shifts, weights = np.array([(-2, 1), (0, 0), (2, -1)], np.int32), np.array([20000, 25000, 20000], np.uint16)
     weighed = library.array("int32_t", shifts), library.array("uint16_t", weights)
     seen, (first, second) = library.array("uint16_t", scene), (library.array("uint16_t", each) for each in out)
-    library.lib.sim_render_smear(H, W, seen, 3, *weighed, first)
-    library.lib.sim_render_average(H, W, seen, weighed[0], second)
+    library.lib.dl_sim_render_smear(H, W, seen, 3, *weighed, first)
+    library.lib.dl_sim_render_average(H, W, seen, weighed[0], second)
     return out
 
 

@@ -7,15 +7,21 @@ from estimator.vision.pad import Pad
 from estimator.vision.regions import covers, part_of
 from sitl.camera.projection import lens_of
 from sitl.camera.render.pad import PadPainter, Stroke
-from sitl.core.abi import PAD_PAINTS
+from sitl.core.abi import DL_PAD_PAINTS
 from sitl.core.library import SIM
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.shipped import shipped_pad
 
 FINE = 24
 """Rays along a pixel's side that the coverage is counted with."""
-PAINTS = SIM.names("pad_paint_kind")
-_PART = {"rim": "PAD_RIM", "disc": "PAD_DISC", "ring": "PAD_ORANGE", "letter": "PAD_WHITE", "triangle": "PAD_WHITE"}
+PAINTS = SIM.names("dl_sim_paint")
+_PART = {
+    "rim": "DL_PAD_RIM",
+    "disc": "DL_PAD_DISC",
+    "ring": "DL_PAD_ORANGE",
+    "letter": "DL_PAD_WHITE",
+    "triangle": "DL_PAD_WHITE",
+}
 SLANTED = Pad.from_mapping({
     "name": "slanted", "paints": {"grey": [60, 60, 60], "white": [240, 240, 240]},
     "regions": [
@@ -31,7 +37,7 @@ def painted(pad: Pad, at: np.ndarray) -> np.ndarray:
     out = np.zeros(len(at), int)
     for region in pad.regions:
         upper = region in pad.markings.upper
-        out[covers(region, at)] = PAINTS["PAD_UPPER" if upper else _PART[part_of(region)]]
+        out[covers(region, at)] = PAINTS["DL_PAD_UPPER" if upper else _PART[part_of(region)]]
     return out
 
 
@@ -53,7 +59,7 @@ def test_each_paint_has_its_share_of_a_pixel(pad: Pad, height_m: float) -> None:
     d = R.T @ t
     at = rays[..., :2] * (d[2] / rays[..., 2])[..., None] - d[:2]
     kinds = painted(pad, at.reshape(-1, 2)).reshape(len(some), -1)
-    counted = np.stack([(kinds == k).mean(axis=1) for k in range(PAD_PAINTS)], axis=1)
+    counted = np.stack([(kinds == k).mean(axis=1) for k in range(DL_PAD_PAINTS)], axis=1)
     off = np.abs(image.shares[some] - counted)
     assert off.max() < 0.09, "corners are cut into products of their sides"
     assert off.mean() < 0.004

@@ -15,54 +15,54 @@ enum {
     LEVEL_ZEROS_MAX = 9
 };
 
-static int32_t picture_header(bit_reader *in, dl_uvlc_picture *picture)
+static enum dl_uvlc_result picture_header(bit_reader *in, dl_uvlc_picture *picture)
 {
     if (take_bits(in, UVLC_START_BITS) != UVLC_START) {
-        return UVLC_NO_PICTURE;
+        return DL_UVLC_NO_PICTURE;
     }
     const uint32_t format = take_bits(in, 2), resolution = take_bits(in, 3), type = take_bits(in, 3);
     picture->quantizer = take_bits(in, 5);
     picture->number = take_bits(in, 32);
     picture->intra = type == 0;
     if ((format != UVLC_CIF && format != UVLC_VGA) || resolution == 0 || picture->quantizer == 0) {
-        return UVLC_NO_PICTURE;
+        return DL_UVLC_NO_PICTURE;
     }
     picture->width = (format == UVLC_CIF ? CIF_WIDTH : VGA_WIDTH) << (resolution - 1);
     picture->height = (format == UVLC_CIF ? CIF_HEIGHT : VGA_HEIGHT) << (resolution - 1);
-    if (picture->width > UVLC_WIDTH_MAX || picture->height > UVLC_HEIGHT_MAX || picture->width % UVLC_MACROBLOCK ||
+    if (picture->width > DL_UVLC_WIDTH_MAX || picture->height > DL_UVLC_HEIGHT_MAX || picture->width % UVLC_MACROBLOCK ||
         picture->height % UVLC_MACROBLOCK) {
-        return UVLC_SIZE;
+        return DL_UVLC_SIZE;
     }
-    return picture->intra ? UVLC_DONE : UVLC_INTER;
+    return picture->intra ? DL_UVLC_DONE : DL_UVLC_INTER;
 }
 
 /* Read where a picture says what it is. Width and height are those of a picture that can be decoded, or the result says why not. */
-int32_t dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture)
+enum dl_uvlc_result dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_picture *picture)
 {
     memset(picture, 0, sizeof *picture);
     if (bytes < HEADER_BYTES) {
-        return UVLC_SHORT;
+        return DL_UVLC_SHORT;
     }
     bit_reader in = read_bits_of(data, bytes);
     return picture_header(&in, picture);
 }
 
 /* Find the next start code, which begins with a byte, and return its number in `number`. More zeros than its own may precede it. */
-static int32_t next_start(bit_reader *in, int32_t *number)
+static enum dl_uvlc_result next_start(bit_reader *in, int32_t *number)
 {
     to_next_byte(in);
     if (peek_32(in) >> 16) {
-        return overrun(in) ? UVLC_TORN : UVLC_BAD_CODE;
+        return overrun(in) ? DL_UVLC_TORN : DL_UVLC_BAD_CODE;
     }
     while (!(peek_32(in) >> 10)) {
         skip_bits(in, 8);
         if (overrun(in)) {
-            return UVLC_TORN;
+            return DL_UVLC_TORN;
         }
     }
     const uint32_t code = take_bits(in, UVLC_START_BITS);
     *number = code & UVLC_START_NUMBER;
-    return overrun(in) ? UVLC_TORN : (code & ~(uint32_t)UVLC_START_NUMBER) == UVLC_START ? UVLC_DONE : UVLC_BAD_CODE;
+    return overrun(in) ? DL_UVLC_TORN : (code & ~(uint32_t)UVLC_START_NUMBER) == UVLC_START ? DL_UVLC_DONE : DL_UVLC_BAD_CODE;
 }
 
 /* Read one run of zeros and the level after it. Return 0 at the block's end, 1 if there is one, -1 for no code of the format. */
@@ -93,7 +93,7 @@ static int32_t run_and_level(bit_reader *in, int32_t *run, int32_t *level)
 }
 
 /* Read a block's coefficients, times their steps. */
-static int32_t read_block(bit_reader *in, int32_t more, int32_t quantizer, float coefficients[UVLC_COEFFICIENTS])
+static enum dl_uvlc_result read_block(bit_reader *in, int32_t more, int32_t quantizer, float coefficients[UVLC_COEFFICIENTS])
 {
     memset(coefficients, 0, UVLC_COEFFICIENTS * sizeof *coefficients);
     coefficients[0] = (float)((int32_t)take_bits(in, UVLC_DC_BITS) * uvlc_step(0, quantizer));
@@ -101,16 +101,16 @@ static int32_t read_block(bit_reader *in, int32_t more, int32_t quantizer, float
     while (more) {
         const int32_t found = run_and_level(in, &run, &level);
         if (found <= 0) {
-            return found < 0 ? UVLC_BAD_CODE : UVLC_DONE;
+            return found < 0 ? DL_UVLC_BAD_CODE : DL_UVLC_DONE;
         }
         at += run + 1;
         if (at >= UVLC_COEFFICIENTS) {
-            return UVLC_BAD_CODE;
+            return DL_UVLC_BAD_CODE;
         }
         const int32_t place = UVLC_ZIGZAG[at];
         coefficients[place] = (float)(level * uvlc_step(place, quantizer));
     }
-    return UVLC_DONE;
+    return DL_UVLC_DONE;
 }
 
 static int row_is_empty(const float row[UVLC_SIDE])
@@ -144,32 +144,32 @@ static void inverse_transform(const float coefficients[UVLC_COEFFICIENTS], float
 }
 
 /* Read a macroblock's blocks as light and colour; one that is left out is zero throughout, as its coefficients are. */
-static int32_t read_macroblock(bit_reader *in, int32_t *quantizer, float blocks[UVLC_BLOCKS][UVLC_COEFFICIENTS])
+static enum dl_uvlc_result read_macroblock(bit_reader *in, int32_t *quantizer, float blocks[UVLC_BLOCKS][UVLC_COEFFICIENTS])
 {
     static const int8_t CHANGES[] = {-1, -2, 1, 2};
     if (take_bits(in, 1)) {
         memset(blocks, 0, UVLC_BLOCKS * UVLC_COEFFICIENTS * sizeof **blocks);
-        return UVLC_DONE;
+        return DL_UVLC_DONE;
     }
     const uint32_t what = take_bits(in, 8);
     if (!(what & UVLC_ALWAYS)) {
-        return UVLC_BAD_CODE;
+        return DL_UVLC_BAD_CODE;
     }
     if (what & UVLC_HAS_CHANGE) {
         *quantizer += CHANGES[take_bits(in, 2)];
         if (*quantizer < 1 || *quantizer > UVLC_TABLE) {
-            return UVLC_BAD_CODE;
+            return DL_UVLC_BAD_CODE;
         }
     }
     for (int i = 0; i < UVLC_BLOCKS; i++) {
         float coefficients[UVLC_COEFFICIENTS];
-        const int32_t result = read_block(in, what >> i & 1, *quantizer, coefficients);
-        if (result != UVLC_DONE) {
+        const enum dl_uvlc_result result = read_block(in, what >> i & 1, *quantizer, coefficients);
+        if (result != DL_UVLC_DONE) {
             return result;
         }
         inverse_transform(coefficients, blocks[i]);
     }
-    return UVLC_DONE;
+    return DL_UVLC_DONE;
 }
 
 /* Paint a macroblock. Source of the colours: ITU-T T.871 (JFIF), 7; light and colours have the full range. */
@@ -188,28 +188,28 @@ static void paint(float blocks[UVLC_BLOCKS][UVLC_COEFFICIENTS], intptr_t row_byt
     }
 }
 
-static int32_t read_row(bit_reader *in, int32_t quantizer, int32_t width, uint8_t *bgr)
+static enum dl_uvlc_result read_row(bit_reader *in, int32_t quantizer, int32_t width, uint8_t *bgr)
 {
     for (int32_t x = 0; x < width; x += UVLC_MACROBLOCK) {
         float blocks[UVLC_BLOCKS][UVLC_COEFFICIENTS];
-        const int32_t result = read_macroblock(in, &quantizer, blocks);
-        if (result != UVLC_DONE || overrun(in)) {
-            return overrun(in) ? UVLC_TORN : result;
+        const enum dl_uvlc_result result = read_macroblock(in, &quantizer, blocks);
+        if (result != DL_UVLC_DONE || overrun(in)) {
+            return overrun(in) ? DL_UVLC_TORN : result;
         }
         paint(blocks, 3 * (intptr_t)width, bgr + 3 * (intptr_t)x);
     }
-    return UVLC_DONE;
+    return DL_UVLC_DONE;
 }
 
-int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room)
+enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room)
 {
     dl_uvlc_picture header;
-    const int32_t known = dl_uvlc_header(data, bytes, &header);
-    if (known != UVLC_DONE) {
+    const enum dl_uvlc_result known = dl_uvlc_header(data, bytes, &header);
+    if (known != DL_UVLC_DONE) {
         return known;
     }
     if (header.width != picture->width || header.height != picture->height || room != 3 * header.width * header.height) {
-        return UVLC_SIZE;
+        return DL_UVLC_SIZE;
     }
     bit_reader in = read_bits_of(data, bytes);
     (void)picture_header(&in, &header);
@@ -218,25 +218,25 @@ int32_t dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture
     for (int32_t row = 0; row <= rows; row++) {
         int32_t number = 0;
         if (row > 0) {
-            const int32_t result = next_start(&in, &number);
-            if (result != UVLC_DONE) {
+            const enum dl_uvlc_result result = next_start(&in, &number);
+            if (result != DL_UVLC_DONE) {
                 return result;
             }
             if (number != (row < rows ? row : UVLC_END)) {
-                return UVLC_BAD_CODE;
+                return DL_UVLC_BAD_CODE;
             }
             if (row == rows) {
                 break;
             }
             quantizer = (int32_t)take_bits(&in, 5);
             if (quantizer == 0) {
-                return UVLC_BAD_CODE;
+                return DL_UVLC_BAD_CODE;
             }
         }
-        const int32_t result = read_row(&in, quantizer, width, bgr + 3 * (intptr_t)width * UVLC_MACROBLOCK * row);
-        if (result != UVLC_DONE) {
+        const enum dl_uvlc_result result = read_row(&in, quantizer, width, bgr + 3 * (intptr_t)width * UVLC_MACROBLOCK * row);
+        if (result != DL_UVLC_DONE) {
             return result;
         }
     }
-    return UVLC_DONE;
+    return DL_UVLC_DONE;
 }

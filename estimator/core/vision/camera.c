@@ -62,7 +62,7 @@ static inline double fisheye_ray(const double d[5], double u, double v, double t
     return theta;
 }
 
-void camera_project(const camera_lens *c, const double p[3], double uv[2])
+void camera_project(const dl_lens *c, const double p[3], double uv[2])
 {
     const double z = p[2] > NEAREST_M ? p[2] : NAN;
     double xy[2] = {p[0] / z, p[1] / z};
@@ -76,7 +76,7 @@ void camera_project(const camera_lens *c, const double p[3], double uv[2])
     uv[1] = xy[1] * c->fy + c->cy;
 }
 
-void camera_ray(const camera_lens *c, double u, double v, double ray[2])
+void camera_ray(const dl_lens *c, double u, double v, double ray[2])
 {
     const double x = (u - c->cx) / c->fx, y = (v - c->cy) / c->fy;
     if (c->fisheye) {
@@ -112,7 +112,7 @@ static void undistorted_row(const double d[5], int n, const double u[2], double 
     }
 }
 
-void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *y)
+void camera_rays(const dl_lens *c, const frame_part *part, float *x, float *y)
 {
     const double k = (double)(1 << part->level);
     const int w = (int)part->width, h = (int)part->height;
@@ -138,7 +138,7 @@ void camera_rays(const camera_lens *c, const frame_part *part, float *x, float *
     }
 }
 
-void add_focal_doubt(const camera_lens *c, const double t[3], double cov_pose[36])
+void add_focal_doubt(const dl_lens *c, const double t[3], double cov_pose[36])
 {
     const double sigma_m = c->focal_sigma * t[2];
     cov_pose[2 * 6 + 2] += sigma_m * sigma_m;

@@ -44,7 +44,7 @@ static double quantile(const int32_t *counts, int largest, double share, int pla
     return value - 0.5 + (counts[value] > 0 ? (share * places - below) / counts[value] : 0.0);
 }
 
-int32_t dl_frame_quality(const dl_image *image, frame_quality *out)
+int32_t dl_frame_quality(const dl_image *image, dl_quality *out)
 {
     if (!is_image(image, CHANNELS)) {
         return DL_WRONG_SIZE;

@@ -14,7 +14,7 @@ int is_frame(const dl_tracker *t, const dl_frame *frame)
     if (!is_image(&frame->level[0], 3) || frame->level[0].stride != 3 * w) {
         return 0;
     }
-    for (int k = 0; k <= FRAME_LEVELS; k++) {
+    for (int k = 0; k <= DL_FRAME_LEVELS; k++) {
         const dl_image *one = &frame->level[k];
         const int64_t wide = w >> k > 0 ? w >> k : 1, high = h >> k > 0 ? h >> k : 1;
         if (one->px != NULL && (!is_image(one, 3) || one->width != wide || one->height != high)) {

@@ -24,7 +24,7 @@ typedef struct {
 } tilt_share;
 
 /* An error e of roll and pitch turns the normal by (axes e) x z = A e; what remains is the deck's own tilt, by their variances. */
-static void share_tilt(const camera_sighting *in, tilt_share *out)
+static void share_tilt(const dl_camera_sighting *in, tilt_share *out)
 {
     const double c = cos(in->pitch_rad), deck_var = in->sigma_deck_rad * in->sigma_deck_rad + LEAST_TILT_VAR;
     const double *C = in->cov_tilt, CA[TILT][TILT] = {{-C[1], C[0] * c}, {-C[3], C[2] * c}};
@@ -72,8 +72,8 @@ static void spread(int m, int n, const double *M, const double *P, double *out)
 /* Errors of (place, rotation) in the camera's axes and of the attitude map to those in level.
  *
  * normal: the pad's before the attitude was corrected by it. */
-static void level_covariance(const camera_sighting *in, const tilt_share *share, const double R_level_cam[9],
-                             const double normal[3], level_sighting *out)
+static void level_covariance(const dl_camera_sighting *in, const tilt_share *share, const double R_level_cam[9],
+                             const double normal[3], dl_level_sighting *out)
 {
     double across_d[9], across_normal[9], by_rotation[9], by_tilt[POSE][TILT], M[POSE][POSE] = {{0.0}};
     skew(out->d, across_d);
@@ -104,7 +104,7 @@ static void level_covariance(const camera_sighting *in, const tilt_share *share,
 }
 
 /* The covariance of place and heading; the heading is less by what turns the arrow's azimuth. */
-static void heading_covariance(level_sighting *out)
+static void heading_covariance(dl_level_sighting *out)
 {
     const double x = out->R_level_pad[0], y = out->R_level_pad[3], z = out->R_level_pad[6];
     const double flat = fmax(x * x + y * y, LEAST_FLAT);
@@ -118,7 +118,7 @@ static void heading_covariance(level_sighting *out)
     out->yaw_rad = -atan2(y, x);
 }
 
-void dl_sighting_in_level(const camera_sighting *in, level_sighting *out)
+void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out)
 {
     double R_level_body[9], before[9], turn[9], R_level_cam[9], normal[3], lever[3], turned[3];
     const double axis[3] = {in->R_cam_pad[2], in->R_cam_pad[5], in->R_cam_pad[8]};

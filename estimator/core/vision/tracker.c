@@ -25,36 +25,36 @@ static int all_within(const int64_t *values, int64_t count, int64_t least, int64
     return 1;
 }
 
-static int is_region(const pad_region *region)
+static int is_region(const dl_pad_region *region)
 {
-    return lies_within(region->circles, 0, REGION_CIRCLES) && lies_within(region->figure, -1, PAD_FIGURES - 1);
+    return lies_within(region->circles, 0, DL_REGION_CIRCLES) && lies_within(region->figure, DL_NONE, DL_PAD_FIGURES - 1);
 }
 
-static int is_figure(const pad_figure *f)
+static int is_figure(const dl_pad_figure *f)
 {
     const int64_t n = f->rectangles;
-    return lies_within(n, 0, FIGURE_RECTANGLES) && lies_within(f->x_cuts, 0, FIGURE_CUTS)
-        && lies_within(f->y_cuts, 0, FIGURE_CUTS)
-           && lies_within(f->sides, 0, FIGURE_SIDES) && all_within(f->x0, n, 0, f->x_cuts - 1)
+    return lies_within(n, 0, DL_FIGURE_RECTANGLES) && lies_within(f->x_cuts, 0, DL_FIGURE_CUTS)
+        && lies_within(f->y_cuts, 0, DL_FIGURE_CUTS)
+           && lies_within(f->sides, 0, DL_FIGURE_SIDES) && all_within(f->x0, n, 0, f->x_cuts - 1)
            && all_within(f->x1, n, 0, f->x_cuts - 1)
            && all_within(f->y0, n, 0, f->y_cuts - 1) && all_within(f->y1, n, 0, f->y_cuts - 1);
 }
 
-static int is_shape(const pad_shape *s)
+static int is_shape(const dl_pad_shape *s)
 {
-    int all = lies_within(s->contrast_count, 1, PAD_CONTRASTS) && lies_within(s->pointer_kind, -1, EDGE_KINDS - 1)
-              && lies_within(s->pointer_contrast, -1, PAD_CONTRASTS - 1) && lies_within(s->pointer_figure, -1, PAD_FIGURES - 1)
-              && all_within(s->lies_on, PAD_CONTRASTS, -1, PAD_CONTRASTS - 1)
-              && all_within(s->contrast_of_kind, EDGE_KINDS, -1, PAD_CONTRASTS - 1)
-              && all_within(s->paint_of_kind, EDGE_KINDS, 0, EDGE_KINDS - 1) && lies_within(s->wedge.sides, 0, WEDGE_SIDES);
-    for (int k = 0; k < PAD_CONTRASTS; k++) {
+    int all = lies_within(s->contrast_count, 1, DL_PAD_CONTRASTS) && lies_within(s->pointer_kind, DL_NONE, DL_EDGE_KINDS - 1)
+              && lies_within(s->pointer_contrast, DL_NONE, DL_PAD_CONTRASTS - 1) && lies_within(s->pointer_figure, -1, DL_PAD_FIGURES - 1)
+              && all_within(s->lies_on, DL_PAD_CONTRASTS, DL_NONE, DL_PAD_CONTRASTS - 1)
+              && all_within(s->contrast_of_kind, DL_EDGE_KINDS, DL_NONE, DL_PAD_CONTRASTS - 1)
+              && all_within(s->paint_of_kind, DL_EDGE_KINDS, 0, DL_EDGE_KINDS - 1) && lies_within(s->wedge.sides, 0, DL_WEDGE_SIDES);
+    for (int k = 0; k < DL_PAD_CONTRASTS; k++) {
         all &= is_region(&s->contrasts[k]);
     }
-    for (int k = 0; k < EDGE_KINDS; k++) {
-        all &= is_region(&s->kinds[k]) && lies_within(s->zones[k].on_figure, -1, PAD_FIGURES - 1)
-               && lies_within(s->zones[k].beside_figure, -1, PAD_FIGURES - 1);
+    for (int k = 0; k < DL_EDGE_KINDS; k++) {
+        all &= is_region(&s->kinds[k]) && lies_within(s->zones[k].on_figure, DL_NONE, DL_PAD_FIGURES - 1)
+               && lies_within(s->zones[k].beside_figure, DL_NONE, DL_PAD_FIGURES - 1);
     }
-    for (int k = 0; k < PAD_FIGURES; k++) {
+    for (int k = 0; k < DL_PAD_FIGURES; k++) {
         all &= is_figure(&s->figures[k]);
     }
     return all;
@@ -63,14 +63,14 @@ static int is_shape(const pad_shape *s)
 /* Whether a drawing's numbers of parts are some that there can be. */
 static int is_drawing(const dl_pad *pad, const int32_t *edge_of)
 {
-    const pad_template *p = &pad->drawn;
+    const dl_pad_template *p = &pad->drawn;
     if (!is_shape(&pad->shape) || !lies_within(p->n, 5, MAP_MAX) || !lies_within(p->disc_channel, 0, 2)
         || !lies_within(pad->edge_points, 0, POINTS_MAX)
         || !lies_within(p->arrow_rows, 0, MAP_MAX) || !lies_within(p->arrow_columns, 0, MAP_MAX)) {
         return 0;
     }
     for (int64_t i = 0; i < pad->edge_points; i++) {
-        if (!lies_within(edge_of[2 * i], 0, EDGE_KINDS - 1) || !lies_within(edge_of[2 * i + 1], 0, POINTS_MAX)) {
+        if (!lies_within(edge_of[2 * i], 0, DL_EDGE_KINDS - 1) || !lies_within(edge_of[2 * i + 1], 0, POINTS_MAX)) {
             return 0;
         }
     }
@@ -86,8 +86,8 @@ static int64_t larger(int64_t one, int64_t other)
  * more at either end, and what a search of a whole frame and its registration take. */
 static int64_t scratch_of(const dl_tracker *t)
 {
-    const camera_lens *c = &t->camera.lens;
-    const int64_t highest = (c->width * c->height) >> (2 * FRAME_LEVELS), around = 2 * (c->width + c->height) + 4;
+    const dl_lens *c = &t->camera.lens;
+    const int64_t highest = (c->width * c->height) >> (2 * DL_FRAME_LEVELS), around = 2 * (c->width + c->height) + 4;
     const int64_t samples = larger(FINAL_SAMPLES, highest) + around;
     const int64_t aligned = larger((int64_t)align_room(samples, 1), (int64_t)FIT_ROWS * t->row) + c->width;
     return larger(aligned, larger(search_most(c->width, c->height), lamps_room(c)));
@@ -105,7 +105,7 @@ static void read_light(dl_tracker *t)
 dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl_pad *pad, const int16_t *coverage,
                            const int16_t *local, const double *edges, const int32_t *edge_of)
 {
-    const camera_lens *c = &camera->lens;
+    const dl_lens *c = &camera->lens;
     if (!lies_within(c->width, 1, FRAME_SIDE_MAX) || !lies_within(c->height, 1, FRAME_SIDE_MAX) || (c->distorted
         && rays == NULL)) {
         return NULL;

@@ -102,14 +102,14 @@ def align(
     Returns:
         The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
-    at, out = native_pose(pose), np.zeros((), CORE.dtype("aligned_pad"))
+    at, out = native_pose(pose), np.zeros((), CORE.dtype("dl_aligned_pad"))
     one_side = side is not None
     how = CORE.ffi.new("dl_alignment *", {
         "steps": steps, "local": local, "one_side": one_side, "sigma_tilt_rad": sigma_tilt_rad, "cut": cut.tolist(),
         "side": side.tolist() if side is not None else (0.0, 0.0),
     })  # fmt: skip
     pyramid, camera, pad = view
-    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, at, CORE.array("aligned_pad", out))):
+    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, at, CORE.array("dl_aligned_pad", out))):
         return None
     return _aligned(pose_of(at) if steps > 0 else pose, out)
 
@@ -119,7 +119,7 @@ def cover(view: FrameView, pose: PadPose) -> Cover | None:
 
     There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.
     """
-    how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("aligned_pad *")
+    how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("dl_aligned_pad *")
     pyramid, camera, pad = view
     if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, native_pose(pose), out)):
         return None

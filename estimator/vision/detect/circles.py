@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import SEARCH_BLOCK
+from estimator.core.abi import DL_SEARCH_BLOCK
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.plane import Plane
@@ -41,7 +41,7 @@ class EdgeCircle:
     """A circle of edges in a plane at unit distance."""
 
     record: NDArray[Any]
-    """The core's structure `search_circle`, an array of one, with the edges on its outline."""
+    """The core's structure `dl_circle`, an array of one, with the edges on its outline."""
 
     @property
     def centre(self) -> F64:
@@ -86,9 +86,9 @@ def edge_circles(
         "step": step, "margin": margin_px, "radii": radii.count, "most": most, "only_bright": only_bright,
         "least": radii.least_px * step / camera.fx, "ratio": radii.ratio, "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out, rays = np.empty(most, CORE.dtype("search_circle")), _corner_rays(camera.optics, step, w, h)
+    out, rays = np.empty(most, CORE.dtype("dl_circle")), _corner_rays(camera.optics, step, w, h)
     found = CORE.lib.dl_search_circles(
-        tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, CORE.array("search_circle", out, most)
+        tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, CORE.array("dl_circle", out, most)
     )
     return _each(out, found)
 
@@ -96,7 +96,7 @@ def edge_circles(
 @lru_cache(maxsize=16)
 def _corner_rays(camera: Camera, step: int, width: int, height: int) -> F32:
     """Return the rays of the corners of the blocks, (rows + 1, columns + 1, 2)."""
-    u, v = (np.arange(-(-side // SEARCH_BLOCK) + 1) * SEARCH_BLOCK for side in (width, height))
+    u, v = (np.arange(-(-side // DL_SEARCH_BLOCK) + 1) * DL_SEARCH_BLOCK for side in (width, height))
     uv: F64 = np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2).astype(float)
     rays = camera.rays(np.asarray((uv + 0.5) * step - 0.5)).reshape(len(v), len(u), 2).astype(np.float32)
     rays.setflags(write=False)
@@ -112,10 +112,8 @@ def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane, most: int = _MO
     how = CORE.ffi.new("dl_circle_search *", {
         "most": most, "grey": pyramid.monochrome, "R_cam_plane": plane.R_cam_plane.ravel().tolist()
     })  # fmt: skip
-    out, none = np.empty(most, CORE.dtype("search_circle")), CORE.ffi.NULL
-    found = CORE.lib.dl_search_circles(
-        tracker_of(camera), pyramid.native, none, none, how, CORE.array("search_circle", out, most)
-    )
+    out, none = np.empty(most, CORE.dtype("dl_circle")), CORE.ffi.NULL
+    found = CORE.lib.dl_search_circles(tracker_of(camera), pyramid.native, none, none, how, CORE.array("dl_circle", out, most))
     return _each(out, found)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import SEARCH_LEVELS
+from estimator.core.abi import DL_NONE, DL_SEARCH_LEVELS
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.circles import EdgeCircle
@@ -102,19 +102,22 @@ def guesses_from(
         return []
     rated = {} if rated is None else rated
     known = [rated.get(id(circle)) for circle in circles]
-    counts = np.array([-1 if rows is None else len(rows) for rows in known], np.int64)
+    counts = np.array([DL_NONE if rows is None else len(rows) for rows in known], np.int64)
     some = [rows for rows in known if rows is not None and len(rows)]
-    pyramid[SEARCH_LEVELS - 1]
-    found, out = np.concatenate([circle.record for circle in circles]), np.empty(most, CORE.dtype("search_guess"))
-    before = np.concatenate(some) if some else out[:0]
+    pyramid[DL_SEARCH_LEVELS - 1]
+    found, out = (
+        np.concatenate([c.record for c in circles], dtype=CORE.dtype("dl_circle")),
+        np.empty(most, CORE.dtype("dl_guess")),
+    )
+    before = np.concatenate(some, dtype=out.dtype) if some else out[:0]
     (radius_m, sign) = _circles(pad, of)
     how = CORE.ffi.new("dl_guess_search *", {
         "plane_known": plane.known, "radii": len(radius_m), "most": most, "before": len(before),
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(), "radius_m": radius_m, "sign": sign,
     })  # fmt: skip
     n = checked(CORE.lib.dl_search_guesses(
-        tracker_of(camera, pad), pyramid.native, how, len(found), CORE.array("search_circle", found),
-        CORE.array("int64_t", counts, len(found)), CORE.array("search_guess", before), CORE.array("search_guess", out, most),
+        tracker_of(camera, pad), pyramid.native, how, len(found), CORE.array("dl_circle", found),
+        CORE.array("int64_t", counts, len(found)), CORE.array("dl_guess", before), CORE.array("dl_guess", out, most),
     ))  # fmt: skip
     first = 0
     for circle, count in zip(circles, counts.tolist(), strict=True):
@@ -126,7 +129,7 @@ def guesses_from(
 
 
 def guesses_of(rows: NDArray[Any], by_support: float = _BY_SUPPORT) -> list[Guess]:
-    """Return the guesses in structures `search_guess` of the core, (n,).
+    """Return the guesses in structures `dl_guess` of the core, (n,).
 
     Args:
         by_support: weight of the circle's support beside the drawing's score.
@@ -218,7 +221,7 @@ def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected
     on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
     radius_px = expected.disc_px(camera, pad)
     depth = float((plane.R_cam_plane.T @ expected.t_cam_pad)[2])
-    out, half = np.zeros(len(offsets), CORE.dtype("search_circle")), np.isfinite(offsets[:, 2])
+    out, half = np.zeros(len(offsets), CORE.dtype("dl_circle")), np.isfinite(offsets[:, 2])
     out["bright_inside"] = 1
     out["points"] = np.where(half, _OUTLINE, 0)
     out["centre"] = on_plane[:, :2] / on_plane[:, 2:]

@@ -41,6 +41,6 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
         px: the frame, `step` times smaller than the camera's.
         side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
     """
-    out, half = CORE.ffi.new("polar_fit *"), CORE.ffi.NULL if side is None else CORE.array("double", np.array(side, float), 2)
+    out, half = CORE.ffi.new("dl_polar_fit *"), CORE.ffi.NULL if side is None else CORE.array("double", np.array(side, float), 2)
     found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image_of(px), step, native_pose(pose), half, out)
     return Heading(out.turn_rad, out.score, out.arrow, out.in_view) if checked(found) else None

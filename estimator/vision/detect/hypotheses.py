@@ -311,8 +311,8 @@ def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane
         "step": step, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out = np.empty(most, CORE.dtype("search_guess"))
-    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(px), how, CORE.array("search_guess", out, most))
+    out = np.empty(most, CORE.dtype("dl_guess"))
+    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(px), how, CORE.array("dl_guess", out, most))
     return guesses_of(out[: checked(n)])
 
 

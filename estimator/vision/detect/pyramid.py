@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.core.abi import FRAME_LEVELS
+from estimator.core.abi import DL_FRAME_LEVELS
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.colour import in_grey
@@ -30,7 +30,7 @@ class Pyramid:
         """The core's `dl_frame` of the levels that were made, for as long as this pyramid lives."""
         if self._native is None:
             self._native = CORE.ffi.new("dl_frame *")
-            for level, px in enumerate(self._levels[: FRAME_LEVELS + 1]):
+            for level, px in enumerate(self._levels[: DL_FRAME_LEVELS + 1]):
                 put_image(px, self._native.level[level])
             checked(CORE.lib.dl_frame_quality(self._native.level, CORE.ffi.addressof(self._native, "quality")))
         return self._native
@@ -60,7 +60,7 @@ class Pyramid:
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
             self._levels.append(_halved(self._levels[-1]))
-            if self._native is not None and len(self._levels) <= FRAME_LEVELS + 1:
+            if self._native is not None and len(self._levels) <= DL_FRAME_LEVELS + 1:
                 put_image(self._levels[-1], self._native.level[len(self._levels) - 1])
         return self._levels[level]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import POLAR_ANGLES, POLAR_RADII, TEMPLATE_ONE
+from estimator.core.abi import DL_POLAR_ANGLES, DL_POLAR_RADII, DL_TEMPLATE_ONE
 from estimator.vision.pad import Pad
 from estimator.vision.regions import Lettering, covers, is_slanted, rectangles_of
 from estimator.vision.srgb import LUMA, linear_light
@@ -19,7 +19,7 @@ from estimator.vision.srgb import LUMA, linear_light
 F32 = NDArray[np.float32]
 I16 = NDArray[np.int16]
 
-ANGLES, _RADII = POLAR_ANGLES, POLAR_RADII
+ANGLES, _RADII = DL_POLAR_ANGLES, DL_POLAR_RADII
 _FINE = 4
 """Sub-samples per polar cell and axis: coverage to about 2 %."""
 STEP_M = 0.004
@@ -148,7 +148,7 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
 class Template:
     """The drawing as the native core takes it: coverage by each paint over the pad's plane, blurred, and its lengths.
 
-    Maps are (`BLURS_M`, n, n, 4): row by x, column by y, the centre in the middle, full coverage is `TEMPLATE_ONE`.
+    Maps are (`BLURS_M`, n, n, 4): row by x, column by y, the centre in the middle, full coverage is `DL_TEMPLATE_ONE`.
     """
 
     coverage: I16
@@ -166,8 +166,8 @@ def template(pad: Pad) -> Template:
     coverage, local = (np.empty((len(BLURS_M), *sharp.shape), np.int16) for _ in range(2))
     for k, blur_m in enumerate(BLURS_M):
         blurred = _blurred(sharp, blur_m)
-        coverage[k] = np.rint(blurred * TEMPLATE_ONE)
-        local[k] = np.rint((blurred - _blurred(blurred, LOCAL_M)) * TEMPLATE_ONE)
+        coverage[k] = np.rint(blurred * DL_TEMPLATE_ONE)
+        local[k] = np.rint((blurred - _blurred(blurred, LOCAL_M)) * DL_TEMPLATE_ONE)
     for maps in (coverage, local):
         maps.setflags(write=False)
     return Template(coverage, local, _lengths(pad, len(sharp)))

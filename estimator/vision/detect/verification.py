@@ -11,49 +11,47 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.library import CORE
 
-FEATURES = tuple(name.removeprefix("FEATURE_").lower() for name in CORE.names("align_feature") if name != "FEATURES")
-"""Names of the model's inputs, in order. A part counts by the better half of the directions from the centre, so that an occluder
-on one side of the pad does not count against it, and by all directions (`_all`).
+_WEIGHTS = {
+    "one": -0.592,
+    "h_marking": 1.004,
+    "ring": 0.455,
+    "edge": -0.079,
+    "h_marking_all": 0.155,
+    "ring_all": -0.082,
+    "edge_all": 0.059,
+    "h_and_ring": 1.197,
+    "h_and_edge": 0.625,
+    "ring_and_edge": 1.123,
+    "two_of_three": -0.661,
+    "some_ring": 1.009,
+    "some_edge": 0.378,
+    "some_two": 0.164,
+    "h_alone": 0.928,
+    "no_h": 0.423,
+    "no_ring": 1.020,
+    "no_edge": 2.702,
+    "ring_lags": 0.498,
+    "flanks": 0.993,
+    "arrow": 1.156,
+    "no_arrow": 1.171,
+    "template_gain": -1.284,
+    "inliers": 0.425,
+    "white": 0.000,
+    "orange_place": 3.352,
+    "orange_odd": 0.546,
+    "disc_place": 0.000,
+    "size": -1.006,
+    "in_view": 0.280,
+    "tilt": 0.147,
+}
+"""Weight of each input, in the order of the core's `align_feature` (`estimator/core/vision/align/align.h`).
+
+A part counts by the better half of the directions from the centre, so that an occluder on one side of the pad does not count
+against it, and by all directions (`_all`). Fitted by `python -m benches.verification_fit --frames 3000` (6130 candidates).
 """
-
-COEFFICIENTS = np.array(
-    [
-        -0.592,
-        1.004,
-        0.455,
-        -0.079,
-        0.155,
-        -0.082,
-        0.059,
-        1.197,
-        0.625,
-        1.123,
-        -0.661,
-        1.009,
-        0.378,
-        0.164,
-        0.928,
-        0.423,
-        1.020,
-        2.702,
-        0.498,
-        0.993,
-        1.156,
-        1.171,
-        -1.284,
-        0.425,
-        0.000,
-        3.352,
-        0.546,
-        0.000,
-        -1.006,
-        0.280,
-        0.147,
-    ]
-)
-"""Weights in the order of `FEATURES`. Fitted by `python -m benches.verification_fit --frames 3000` (6130 candidates)."""
+FEATURES, COEFFICIENTS = tuple(_WEIGHTS), np.array(list(_WEIGHTS.values()))
+"""Names and weights of the inputs, in order."""
 
 
 TRACKED_LOG_ODDS = 3.0

@@ -3,20 +3,35 @@
 A helipad of other proportions resembles the pad while the drawing is aligned roughly. Once the H fits to a fraction of a pixel,
 its ring or the disc's edge does not.
 
-The native core computes the model's inputs (`estimator/core/vision/look/evidence.c`); their weights are here.
+The native core computes the model's inputs (`estimator/core/vision/look/evidence.c`) in the order of `look_evidence`
+(`look.h` beside it); their weights are here.
 """
 
 import math
 
 import numpy as np
 
-from estimator.core.abi import EVIDENCE_FITTED
-from estimator.core.library import CORE
+_FITTED = {
+    "one": 0.167,
+    "template_score": 2.068,
+    "inliers": 1.423,
+    "disc_off": 0.878,
+    "ring_off": 0.000,
+    "h_off": 0.000,
+    "ring_unseen": 0.760,
+    "h_unseen": 1.500,
+    "dense": -0.107,
+    "dense_inliers": 1.009,
+    "rms": 0.000,
+    "visible": -0.560,
+    "dense_template_score": -0.542,
+    "dense_disc": 0.337,
+    "dense_orange": 1.462,
+}
+"""Weights fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526 registrations.
 
-EVIDENCE = tuple(name.removeprefix("EVIDENCE_").lower() for name in CORE.names("look_evidence") if name != "EVIDENCE")
-"""Names of the inputs, in order."""
-FITTED, HAND_SET = EVIDENCE[:EVIDENCE_FITTED], EVIDENCE[EVIDENCE_FITTED:]
-"""Inputs with fitted weights, and inputs with weights set by hand."""
+The weight of `h_unseen` is set and not fitted: glare on a green disc with a ring may hide the H.
+"""
 _HAND_SET = {
     "no_ring": -3.0,
     "no_h": -2.5,
@@ -66,16 +81,11 @@ h_disagrees: half of a distant pad's pixels disagree with the drawing, by the fr
 _UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_disagrees", "no_h_in_view", "h_disagrees")
 """Inputs that count only while no track has confirmed the pad before."""
 
-_COEFFICIENTS = np.array(
-    [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
-)
-"""Weights in the order of `FITTED`. Fitted by
-`python -m benches.verification_fit --registered --frames 2400`: 2526 registrations. The weight of `h_unseen`
-is set and not fitted: glare on a green disc with a ring may hide the H.
-"""
-SEARCHED = np.array([*_COEFFICIENTS, *(_HAND_SET[name] for name in HAND_SET)])
+FITTED, EVIDENCE = tuple(_FITTED), (*_FITTED, *_HAND_SET)
+"""Names of the inputs with fitted weights, and of all, in the order of the core's `look_evidence`."""
+SEARCHED = np.array([*_FITTED.values(), *_HAND_SET.values()])
 """Weights in the order of `EVIDENCE` of a drawing where a search or a cue led to."""
-TRACKED = np.array([*_COEFFICIENTS, *(0.0 if name in _UNTRACKED else _HAND_SET[name] for name in HAND_SET)])
+TRACKED = np.where([name in _UNTRACKED for name in EVIDENCE], 0.0, SEARCHED)
 """Weights in the order of `EVIDENCE` where a track has confirmed the pad before."""
 
 
@@ -87,8 +97,8 @@ def support_log_odds(times_least: float) -> float:
     """Return the most log-odds that the support of a drawing allows.
 
     Args:
-        times_least: support times the share that follows the drawing (the core's `drawing_support`), over the least of the pad.
-            Few pixels give little support, and hidden ones none.
+        times_least: support times the share that follows the drawing (the core's `dl_drawing_support`), over the pad's
+            least. Few pixels give little support, and hidden ones none.
     """
     return _BY_SUPPORT * (times_least - 1.0)
 

@@ -38,7 +38,7 @@ class Looked:
     """Result of a look: a registration, the evidence that it is the pad, and its sighting in level."""
 
     record: NDArray[Any]
-    """The core's `looked_pad`."""
+    """The core's `dl_registered_pad`."""
     outline: F64
     """Pixels of the outline's points, (N, 2)."""
     pad: Pad
@@ -67,7 +67,7 @@ class Looked:
 
     @property
     def in_level(self) -> NDArray[Any]:
-        """The core's `level_sighting`."""
+        """The core's `dl_level_sighting`."""
         return np.asarray(self.record["seen"])
 
     @property
@@ -120,7 +120,7 @@ def look(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    given, out = native_start(start, orientation, options, cut, paint), np.zeros((), CORE.dtype("looked_pad"))
+    given, out = native_start(start, orientation, options, cut, paint), np.zeros((), CORE.dtype("dl_registered_pad"))
     given.tracked = tracked
     outline = looked_at(view, given, out)
     if outline is None:

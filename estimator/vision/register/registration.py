@@ -129,7 +129,7 @@ def register(
         ValueError: the frame is not of the camera's size.
     """
     options = options if options is not None else RegistrationOptions()
-    given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("looked_pad"))
+    given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("dl_registered_pad"))
     given.alone = True
     outline = looked_at(FrameView(pyramid or Pyramid(px), camera, pad), given, out)
     return None if outline is None else registration_of(out["found"], pad, prior)
@@ -153,7 +153,7 @@ def looked_at(view: FrameView, given: Any, out: NDArray[Any]) -> F64 | None:
 
     Args:
         given: the core's `dl_start`.
-        out: the core's `looked_pad`, which it writes.
+        out: the core's `dl_registered_pad`, which it writes.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -164,26 +164,31 @@ def looked_at(view: FrameView, given: Any, out: NDArray[Any]) -> F64 | None:
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {shape}")
     outline = np.empty((edge_points(pad).shown[-1].stop, 2))
     found = CORE.lib.dl_look(
-        tracker_of(camera, pad), pyramid.native, given, CORE.array("looked_pad", out), CORE.array("double", outline), len(outline)
+        tracker_of(camera, pad),
+        pyramid.native,
+        given,
+        CORE.array("dl_registered_pad", out),
+        CORE.array("double", outline),
+        len(outline),
     )
     return outline if checked(found) else None
 
 
 def supports(found: NDArray[Any]) -> Mapping[EdgeKind, EdgeSupport]:
-    """Return the support of the frame for each kind of edge, from the core's `registration`."""
+    """Return the support of the frame for each kind of edge, from the core's `dl_registration`."""
     each = found["edges"].tolist()
     return MappingProxyType({kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, each, strict=True)})
 
 
 def is_ambiguous(found: NDArray[Any], pad: Pad) -> bool:
-    """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `registration`."""
+    """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `dl_registration`."""
     if pad.markings.fiducials:
         return not supports(found)[EdgeKind.H].seen
     return bool(found["yaw_ambiguous"])
 
 
 def registration_of(found: NDArray[Any], pad: Pad, prior: Orientation | None) -> Registration:
-    """Return the core's `registration` as a value."""
+    """Return the core's `dl_registration` as a value."""
     return Registration(
         PadPose(Rotation(found["R"].reshape(3, 3)), found["t"]), found["cov"].reshape(6, 6),
         found["information"].reshape(6, 6), prior, supports(found), is_ambiguous(found, pad), found["blur_px2"],

@@ -54,13 +54,13 @@ def sighting_of(
         ambiguous: whether the heading may be half a turn off.
         confidence: the sighting's, 0..1.
     """
-    o, mount, out = orientation, camera.T_body_cam, np.empty((), CORE.dtype("level_sighting"))
+    o, mount, out = orientation, camera.T_body_cam, np.empty((), CORE.dtype("dl_level_sighting"))
     seen = CORE.record(
-        "camera_sighting", roll_rad=o.roll_rad, pitch_rad=o.pitch_rad, cov_tilt=o.cov_tilt, sigma_deck_rad=o.sigma_deck_rad,
+        "dl_camera_sighting", roll_rad=o.roll_rad, pitch_rad=o.pitch_rad, cov_tilt=o.cov_tilt, sigma_deck_rad=o.sigma_deck_rad,
         R_body_cam=mount.R.matrix, t_body_cam=mount.t, R_cam_pad=pose.R_cam_pad.matrix, t_cam_pad=pose.t_cam_pad,
         cov_pose=cov_pose,
     )  # fmt: skip
-    CORE.lib.dl_sighting_in_level(CORE.array("camera_sighting", seen), CORE.array("level_sighting", out))
+    CORE.lib.dl_sighting_in_level(CORE.array("dl_camera_sighting", seen), CORE.array("dl_level_sighting", out))
     return sighting_in_level(frame, out, ambiguous, confidence)
 
 
@@ -71,7 +71,7 @@ def sighting_in_level(
     """Return the sighting of a pose that the core has brought to level; arguments as for `sighting_of`.
 
     Args:
-        level: the core's `level_sighting`; it becomes read-only.
+        level: the core's `dl_level_sighting`; it becomes read-only.
     """
     level.setflags(write=False)
     d, R_level_pad, cov_pose6, cov = (level[name] for name in ("d", "R_level_pad", "cov_pose", "cov"))

@@ -16,7 +16,7 @@ from sitl.camera.light import I16, U16, Light, scene_of
 from sitl.camera.projection import F32, SHIFT, Lens, fixed_point
 from sitl.camera.render.textures import grain
 from sitl.camera.surroundings import Deck, draw_deck
-from sitl.core.abi import SCENE_ONE
+from sitl.core.abi import DL_SCENE_ONE
 from sitl.core.library import SIM
 
 U8 = NDArray[np.uint8]
@@ -66,7 +66,7 @@ def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, se
     step = 2.0 / texels_per_m
     y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
     gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
-    each = cv2.resize(np.clip(gain, 0.05, 64000.0 / SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
+    each = cv2.resize(np.clip(gain, 0.05, 64000.0 / DL_SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
     return np.asarray(np.round(scene_of(paint, blend) * each[..., None]), dtype=np.uint16)
 
 
@@ -126,11 +126,11 @@ class DeckPainter:
         cells = self._lens.cells(texel_from_deck.dot(deck_from_ray))
         rows, columns = part
         h, w = scene.shape[:2]
-        place = SIM.new("sim_frame_part", w=w, x0=columns.start, x1=columns.stop, y0=rows.start, y1=rows.stop)
-        where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
-        drawn = SIM.new("sim_drawing", texels=image, h=image.shape[0], w=image.shape[1])
+        place = SIM.new("dl_sim_frame_part", w=w, x0=columns.start, x1=columns.stop, y0=rows.start, y1=rows.stop)
+        where = SIM.new("dl_sim_plane_cells", at=cells, columns=cells.shape[1])
+        drawn = SIM.new("dl_sim_drawing", texels=image, h=image.shape[0], w=image.shape[1])
         covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, h * w)
-        SIM.lib.sim_render_deck(place, where, drawn, covered, SIM.array("uint16_t", scene, 4 * h * w))
+        SIM.lib.dl_sim_render_deck(place, where, drawn, covered, SIM.array("uint16_t", scene, 4 * h * w))
 
     def _near(self, deck_from_ray: F64) -> bool:
         """Return whether all of the frame shows the pad's surroundings."""
@@ -166,7 +166,7 @@ def bounds(mask: U8) -> tuple[Part, Part]:
     A part without pixels ends at zero.
     """
     found = np.empty((2, 4), np.int32)
-    SIM.lib.sim_render_bounds(*mask.shape, SIM.array("uint8_t", mask), *(SIM.array("int32_t", each) for each in found))
+    SIM.lib.dl_sim_render_bounds(*mask.shape, SIM.array("uint8_t", mask), *(SIM.array("int32_t", each) for each in found))
     covered, around = ((slice(y0, y1), slice(x0, x1)) for x0, x1, y0, y1 in found.tolist())
     return covered, around
 
@@ -213,10 +213,10 @@ def drone_shadow(
     cells = lens.cells(body_from_pad.dot(pad_from_ray), 8.0)
     # A smooth step has the deviation of a Gaussian edge if it is so much wider.
     soft_m = math.sqrt(20.0) * sigma_px * depth_m / lens.camera.fx
-    part, shade = np.empty(4, np.int32), SIM.new("sim_drone_shade", **_DRONE, soft_m=soft_m, share=share)
+    part, shade = np.empty(4, np.int32), SIM.new("dl_sim_drone_shade", **_DRONE, soft_m=soft_m, share=share)
     covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, gain.size)
-    where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
-    SIM.lib.sim_render_shadow(*gain.shape, where, shade, covered, SIM.array("int16_t", gain), SIM.array("int32_t", part))
+    where = SIM.new("dl_sim_plane_cells", at=cells, columns=cells.shape[1])
+    SIM.lib.dl_sim_render_shadow(*gain.shape, where, shade, covered, SIM.array("int16_t", gain), SIM.array("int32_t", part))
     x0, x1, y0, y1 = part.tolist()
     return slice(y0, y1), slice(x0, x1)
 
@@ -281,8 +281,8 @@ def draw(scene: U16, lens: Lens, points_cam: F64, colour: U16) -> None:
         return
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.fillPoly(mask, [fixed_point(uv - (x0, y0))], 255, cv2.LINE_AA, SHIFT)
-    place = SIM.new("sim_frame_part", w=w, x0=x0, x1=x1, y0=y0, y1=y1)
-    SIM.lib.sim_render_fill(place, SIM.array("uint8_t", mask), SIM.array("uint16_t", colour, 4), SIM.array("uint16_t", scene))
+    place = SIM.new("dl_sim_frame_part", w=w, x0=x0, x1=x1, y0=y0, y1=y1)
+    SIM.lib.dl_sim_render_fill(place, SIM.array("uint8_t", mask), SIM.array("uint16_t", colour, 4), SIM.array("uint16_t", scene))
 
 
 _SIDE = (74, 58, 46)

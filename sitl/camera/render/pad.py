@@ -35,15 +35,15 @@ from estimator.vision.regions import (
 from sitl.camera.light import I16, U16, PadInImage
 from sitl.camera.projection import F32, Lens, planes_from_rays
 from sitl.core.abi import (
-    CELL_PX,
-    GAIN_ONE,
-    PAD_ANNULUS,
-    PAD_ARROW,
-    PAD_PAINTS,
-    PAD_POLYGON,
-    PAD_RECTANGLE,
-    PAD_REGION,
-    STROKE_NUMBERS,
+    DL_CELL_PX,
+    DL_GAIN_ONE,
+    DL_PAD_ANNULUS,
+    DL_PAD_ARROW,
+    DL_PAD_PAINTS,
+    DL_PAD_POLYGON,
+    DL_PAD_RECTANGLE,
+    DL_PAD_REGION,
+    DL_STROKE_NUMBERS,
 )
 from sitl.core.library import SIM
 
@@ -51,7 +51,7 @@ _BUDGET = 16_000
 """Aim for the number of subsamples of a frame: 3 x 3 a pixel at 5 m, 5 x 5 at 20 m, 8 x 8 at 30 m, one from near by."""
 
 _PAINT_OF = {"rim": 1, "disc": 2, "panel": 2, "ring": 3, "arrow": 3, "triangle": 4, "letter": 4, "fiducial": 4}
-"""Index in `pad_paint_kind` of the paint of each part."""
+"""Index in `dl_sim_paint` of the paint of each part."""
 _UPPER = 5
 """Index of the upper side of lettering of a second paint."""
 
@@ -93,7 +93,7 @@ class PadPainter:
         self._edges = np.empty(lens.camera.height * lens.camera.width, np.int32)
         self._kinds = np.empty((lens.camera.height, lens.camera.width), np.uint8)
         self._view = SIM.new(
-            "sim_pad_view", h=lens.camera.height, w=lens.camera.width, bent=lens.camera.distorted, regions=len(self._regions),
+            "dl_sim_pad_view", h=lens.camera.height, w=lens.camera.width, bent=lens.camera.distorted, regions=len(self._regions),
             rays=lens.rays, change=self._change, middles=lens.coarse, pad=self._regions,
         )  # fmt: skip
 
@@ -115,17 +115,19 @@ class PadPainter:
         whole = _numbers([Stroke(strokes[0].first, middle.middle, strokes[-1].last, middle.rows)])
         kinds, edges = self._kinds, self._edges
         where = SIM.array("int32_t", edges)
-        count = SIM.lib.sim_render_pad_kinds(view, SIM.array("float", whole, STROKE_NUMBERS), SIM.array("uint8_t", kinds), where)
-        shares, fine, parts = np.empty((count, PAD_PAINTS), np.float32), 1, None
+        count = SIM.lib.dl_sim_render_pad_kinds(
+            view, SIM.array("float", whole, DL_STROKE_NUMBERS), SIM.array("uint8_t", kinds), where
+        )
+        shares, fine, parts = np.empty((count, DL_PAD_PAINTS), np.float32), 1, None
         if count:
             samples = _BUDGET / (count * len(strokes))
             fine = 8 if samples >= 64 else 5 if samples >= 20 else 3 if samples >= 7 else 2 if samples >= 5 else 1
             numbers = _numbers(strokes) if len(strokes) > 1 else whole
             if fine > 1:
-                parts = np.empty((count, PAD_PAINTS, fine * fine), np.float32)
+                parts = np.empty((count, DL_PAD_PAINTS, fine * fine), np.float32)
             each = SIM.array("float", shares), SIM.ffi.NULL if parts is None else SIM.array("float", parts)
-            exposed = SIM.array("float", numbers, len(strokes) * STROKE_NUMBERS)
-            SIM.lib.sim_render_pad_shares(view, len(strokes), exposed, fine, count, where, *each)
+            exposed = SIM.array("float", numbers, len(strokes) * DL_STROKE_NUMBERS)
+            SIM.lib.dl_sim_render_pad_shares(view, len(strokes), exposed, fine, count, where, *each)
         return PadInImage(kinds, edges[:count], shares, fine, parts)
 
     def travel_px(self, first: Pose, last: Pose) -> F64:
@@ -139,32 +141,32 @@ class PadPainter:
 
 
 def regions_of(pad: Pad) -> F32:
-    """Return the regions of a pad, the lowest first, (N, `PAD_REGION`)."""
+    """Return the regions of a pad, the lowest first, (N, `DL_PAD_REGION`)."""
     rows: list[tuple[float, ...]] = []
     below = _PAINT_OF["disc"] if pad.markings.has_ground else 0
     for region in pad.regions:
         paint = _PAINT_OF[part_of(region)]
         match region:
             case PaintedDisc():
-                rows.append((PAD_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
+                rows.append((DL_PAD_ANNULUS, paint, 0, 0.0, region.radius_m, -1.0, region.radius_m))
             case PaintedPanel():
                 x, y = 0.5 * region.length_m, 0.5 * region.width_m
-                rows.append((PAD_RECTANGLE, paint, 0, *_rectangle((-x, x, -y, y))))
+                rows.append((DL_PAD_RECTANGLE, paint, 0, *_rectangle((-x, x, -y, y))))
             case PaintedRing():
                 around = 0 if region.part == "rim" else below
-                rows.append((PAD_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))
+                rows.append((DL_PAD_ANNULUS, paint, around, region.inner_m, region.outer_m, region.inner_m, region.outer_m))
             case PaintedArrowhead():
                 slant = math.hypot(region.half_base_m, region.depth_m)
                 sides = region.half_base_m / slant, region.depth_m / slant
                 base = region.tip_m - region.depth_m
                 far = max(region.tip_m, math.hypot(base, region.half_base_m))
-                rows.append((PAD_ARROW, paint, below, base, far, region.tip_m, base, *sides))
+                rows.append((DL_PAD_ARROW, paint, below, base, far, region.tip_m, base, *sides))
             case _:
                 pass
     marks, letter = pad.markings, _PAINT_OF["letter"]
     rows += _lettering([*marks.letters, *([] if marks.triangle is None else [marks.triangle])], letter, below)
     rows += _lettering(marks.upper, _UPPER, letter if marks.upper_on_letters else below)
-    return np.array([(*row, *[0.0] * (PAD_REGION - len(row))) for row in rows], np.float32)
+    return np.array([(*row, *[0.0] * (DL_PAD_REGION - len(row))) for row in rows], np.float32)
 
 
 def _lettering(shapes: Sequence[Region], paint: int, below: int) -> list[tuple[float, ...]]:
@@ -172,8 +174,8 @@ def _lettering(shapes: Sequence[Region], paint: int, below: int) -> list[tuple[f
     upright = [s for s in shapes if not isinstance(s, PaintedTriangle) and not is_slanted(s)]
     pieces = [piece for s in shapes if is_slanted(s) for piece in convex_pieces_of(s)]
     return [
-        *((PAD_RECTANGLE, paint, below, *_rectangle(limits)) for limits in rectangles_of(upright)),  # type: ignore[arg-type]
-        *((PAD_POLYGON, paint, below, *_polygon(piece)) for piece in pieces),
+        *((DL_PAD_RECTANGLE, paint, below, *_rectangle(limits)) for limits in rectangles_of(upright)),  # type: ignore[arg-type]
+        *((DL_PAD_POLYGON, paint, below, *_polygon(piece)) for piece in pieces),
     ]
 
 
@@ -194,7 +196,7 @@ def _rectangle(limits: Rectangle) -> tuple[float, ...]:
 
 def _numbers(strokes: Sequence[Stroke]) -> F32:
     """Return the homographies of parts of the exposure, (N, 36): in the middle, change, in the first row, in the last."""
-    out = np.zeros((len(strokes), STROKE_NUMBERS), np.float32)
+    out = np.zeros((len(strokes), DL_STROKE_NUMBERS), np.float32)
     for numbers, s in zip(out.reshape(-1, 4, 9), strokes, strict=True):
         numbers[0] = pad_from_ray(s.middle).ravel()
         if s.first is not s.last:
@@ -241,7 +243,7 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
     h, w = scene.shape[:2]
     smeared = np.empty_like(scene)
     weights = SIM.array("int32_t", shifts, 2 * len(taps)), SIM.array("uint16_t", taps)
-    SIM.lib.sim_render_smear(h, w, SIM.array("uint16_t", scene), len(taps), *weights, SIM.array("uint16_t", smeared))
+    SIM.lib.dl_sim_render_smear(h, w, SIM.array("uint16_t", scene), len(taps), *weights, SIM.array("uint16_t", smeared))
     spare = np.empty_like(scene) if doublings else smeared
     off = np.zeros(2)
     for apart in steps:
@@ -249,7 +251,7 @@ def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64,
         off += first + apart / 2
         pair = np.concatenate([first, first + apart]).astype(np.int32)
         both = SIM.array("uint16_t", smeared), SIM.array("int32_t", pair, 4)
-        SIM.lib.sim_render_average(h, w, *both, SIM.array("uint16_t", spare))
+        SIM.lib.dl_sim_render_average(h, w, *both, SIM.array("uint16_t", spare))
         smeared, spare = spare, smeared
     return smeared
 
@@ -284,7 +286,7 @@ def vignette(lens: Lens, loss: float) -> I16:
     """Return the (H, W) vignetting: the fourth power of the cosine of the angle off the axis, scaled to the corners' loss."""
     r2 = (lens.rays**2).sum(axis=-1)
     fall = 1.0 - (1.0 + r2) ** -2
-    return np.asarray(np.round(GAIN_ONE * (1.0 - loss * fall / fall.max())), dtype=np.int16)
+    return np.asarray(np.round(DL_GAIN_ONE * (1.0 - loss * fall / fall.max())), dtype=np.int16)
 
 
 def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
@@ -302,14 +304,14 @@ def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
     if not float(R[:, 2] @ t) > 0.02:
         return None
     coarse, c = lens.coarse, lens.camera
-    s = (CELL_PX * np.arange(-1, len(coarse) - 1) + (CELL_PX - 1) / 2) * 2.0 / (c.height - 1) - 1.0
+    s = (DL_CELL_PX * np.arange(-1, len(coarse) - 1) + (DL_CELL_PX - 1) / 2) * 2.0 / (c.height - 1) - 1.0
     M = in_row(pad_from_ray(first, middle, last), s.astype(np.float32)[:, None])
     x, y = coarse[..., 0], coarse[..., 1]
     q = [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
     there = np.stack([R[:, 0], R[:, 1], t], axis=1).astype(np.float32) @ np.stack(q).reshape(3, -1)
     uv = c.project(there.T.astype(float) / np.maximum(there[2:].T, 1e-6)).reshape(*coarse.shape)
     # Beyond the horizon no pixel meets the plane: those keep their own place.
-    at = np.stack(np.meshgrid(*(CELL_PX * np.arange(-1, n - 1) + (CELL_PX - 1) / 2 for n in coarse.shape[1::-1])), axis=-1)
+    at = np.stack(np.meshgrid(*(DL_CELL_PX * np.arange(-1, n - 1) + (DL_CELL_PX - 1) / 2 for n in coarse.shape[1::-1])), axis=-1)
     sane = np.isfinite(uv).all(axis=-1) & (np.abs(uv - at).max(axis=-1) < 60.0) & (q[2] > 0) & (there[2] > 0).reshape(q[2].shape)
     return np.where(sane[..., None], uv, at).astype(np.float32)
 
@@ -318,9 +320,9 @@ def moved_scene(scene: U16, cells: F32) -> U16:
     """Return a scene (H, W, 4) as the rows of a rolling shutter see it; `cells` are the result of `row_map`."""
     h, w = scene.shape[:2]
     seen = np.empty_like(scene)
-    whole, drawn = SIM.new("sim_frame_part", w=w, x1=w, y1=h), SIM.new("sim_drawing", texels=scene, h=h, w=w)
-    where = SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
-    SIM.lib.sim_render_deck(whole, where, drawn, SIM.ffi.NULL, SIM.array("uint16_t", seen))
+    whole, drawn = SIM.new("dl_sim_frame_part", w=w, x1=w, y1=h), SIM.new("dl_sim_drawing", texels=scene, h=h, w=w)
+    where = SIM.new("dl_sim_plane_cells", at=cells, columns=cells.shape[1])
+    SIM.lib.dl_sim_render_deck(whole, where, drawn, SIM.ffi.NULL, SIM.array("uint16_t", seen))
     return seen
 
 

@@ -37,7 +37,7 @@ class SeaPainter:
         self._lens, self._around = lens, surroundings
         waves = surroundings.waves
         swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
-        self._swell = swell.packed() if swell is not None else np.empty(0, SIM.dtype("sim_wave"))
+        self._swell = swell.packed() if swell is not None else np.empty(0, SIM.dtype("dl_sim_wave"))
         hs = 0.0 if waves is None else float(waves.hs_m[0])
         self._roughness = 0.55 + 0.45 * math.tanh(hs)
         self._whitecaps = 2.6 - 0.9 * math.tanh((hs - 0.6) / 2.0) if hs > 0.6 else math.inf
@@ -80,7 +80,7 @@ class SeaPainter:
         ]
         breaking = math.isfinite(self._whitecaps)
         sea = SIM.new(
-            "sim_sea_surface",
+            "dl_sim_sea_surface",
             weights=(
                 0.6 * self._roughness, 0.8 * self._roughness, self._whitecaps if breaking else 0.0, 120.0 * breaking,
                 _SHADE, beside, behind,
@@ -90,12 +90,14 @@ class SeaPainter:
         sea.small, sea.large, sea.caps, sea.streaks = (layer[0] for layer in layers)
         codes, (height, width) = np.zeros((h, w), np.uint8), scene.shape[:2]
         covered = SIM.ffi.NULL if mask is None else SIM.array("uint8_t", mask, height * width)
-        coded, where = SIM.array("uint8_t", codes), SIM.new("sim_plane_cells", at=cells, columns=cells.shape[1])
-        squares = SIM.new("sim_frame_part", w=width, x0=cols.start // 2, x1=cols.stop // 2, y0=rows.start // 2, y1=rows.stop // 2)
-        SIM.lib.sim_render_sea(height, squares, where, sea, covered, coded)
-        pixels = SIM.new("sim_frame_part", w=width, x0=cols.start, x1=cols.stop, y0=rows.start, y1=rows.stop)
+        coded, where = SIM.array("uint8_t", codes), SIM.new("dl_sim_plane_cells", at=cells, columns=cells.shape[1])
+        squares = SIM.new(
+            "dl_sim_frame_part", w=width, x0=cols.start // 2, x1=cols.stop // 2, y0=rows.start // 2, y1=rows.stop // 2
+        )
+        SIM.lib.dl_sim_render_sea(height, squares, where, sea, covered, coded)
+        pixels = SIM.new("dl_sim_frame_part", w=width, x0=cols.start, x1=cols.stop, y0=rows.start, y1=rows.stop)
         colours, painted = SIM.array("uint16_t", self._table, 256 * 4), SIM.array("uint16_t", scene, 4 * height * width)
-        SIM.lib.sim_render_water(pixels, coded, colours, covered, painted)
+        SIM.lib.dl_sim_render_water(pixels, coded, colours, covered, painted)
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
             down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
@@ -106,17 +108,17 @@ class SeaPainter:
         coarse, swell = self._lens.coarse, self._swell
         light = np.empty((coarse.shape[0] // 2 + 1, coarse.shape[1] // 2 + 1, 2), np.float32)
         under = SIM.new(
-            "sim_swell", R_ned_cam=R_ned_cam, plane_from_ray=inverse, to_sun=self._to_sun, t_s=t_s,
+            "dl_sim_swell", R_ned_cam=R_ned_cam, plane_from_ray=inverse, to_sun=self._to_sun, t_s=t_s,
             waves=swell, harmonics=len(swell),
         )  # fmt: skip
-        SIM.lib.sim_render_swell(*coarse.shape[:2], SIM.array("float", coarse), under, SIM.array("float", light))
+        SIM.lib.dl_sim_render_swell(*coarse.shape[:2], SIM.array("float", coarse), under, SIM.array("float", light))
         return light
 
 
 def _layer(texels: NDArray[np.int16], drift: Sequence[float]) -> Any:
     """Return a texture for the core; its texels have the first row and column repeated."""
     per_m, shift_x, shift_y = drift
-    return SIM.new("sim_sea_layer", texels=texels, n=len(texels) - 1, per_m=per_m, shift_x=shift_x, shift_y=shift_y)
+    return SIM.new("dl_sim_sea_layer", texels=texels, n=len(texels) - 1, per_m=per_m, shift_x=shift_x, shift_y=shift_y)
 
 
 def _on_water(ship: list[F64], footprint_m: float) -> tuple[F64, NDArray[np.int32], F32]:

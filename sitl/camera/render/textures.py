@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.camera.projection import F32
-from sitl.core.abi import TILE_ONE
+from sitl.core.abi import DL_TILE_ONE
 
 I16 = NDArray[np.int16]
 
@@ -42,14 +42,14 @@ class Tile:
         return min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))
 
     def layer(self, footprint_m: float, stretch: float, shift_m: tuple[float, float]) -> tuple[I16, tuple[float, float, float]]:
-        """Return `level` in parts of `TILE_ONE`, for the core, and what turns positions on the plane into periods of the tile.
+        """Return `level` in parts of `DL_TILE_ONE`, for the core, and what turns positions on the plane into periods of the tile.
 
         Returns:
             The texels, (n + 1, n + 1); then periods a metre, and the shift.
         """
         number, side_m = self._number(footprint_m, stretch), self.side_m * stretch
         if number not in self._layers:
-            rounded = np.clip(np.round(TILE_ONE * self._levels[number]), -32767, 32767)
+            rounded = np.clip(np.round(DL_TILE_ONE * self._levels[number]), -32767, 32767)
             self._layers[number] = rounded.astype(np.int16)
         return self._layers[number], (1.0 / side_m, shift_m[0] / side_m, shift_m[1] / side_m)
 

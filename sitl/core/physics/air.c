@@ -14,7 +14,7 @@ static const double DEFICIT_MAX = 0.9;
 static const double WAKE_TURBULENCE = 0.32;
 
 /* Source: logarithmic profile of neutral air, U = U10 ln(h / z0) / ln(10 / z0), as in DNV-RP-C205 (2010), 2.3.2.4. */
-static double mean_wind(const sim_air_params *o, double height)
+static double mean_wind(const dl_sim_air_params *o, double height)
 {
     if (!o->logarithmic) {
         return o->speed_m_s;
@@ -41,7 +41,7 @@ static double shaped(const double state[2])
  * Source: MIL-F-8785C, 3.7.1.2 and 3.7.3.4 (low altitude): sigma_w = 0.1 W20, sigma_u = sigma_w / (0.177 + 0.000823 h)^0.4,
  * L_w = h, L_u = h / (0.177 + 0.000823 h)^1.2 in feet, from 10 to 1000 ft. Spectra: along, first order; across and vertical,
  * (1 + sqrt(3) T s) / (1 + T s)^2, T being length over airspeed. */
-static void dryden(const sim_air_params *o, double dt, sim_vehicle *v, double mean, double height, const double noise[FLIGHT_NOISE],
+static void dryden(const dl_sim_air_params *o, double dt, dl_sim_vehicle *v, double mean, double height, const double noise[DL_FLIGHT_NOISE],
                    double turbulence[3])
 {
     const double h = clip(height / FOOT_M, 10.0, 1000.0), term = 0.177 + 0.000823 * h;
@@ -73,7 +73,7 @@ static const struct {
 /* Source: Kaimal, Wyngaard, Izumi & Cote, Spectral characteristics of surface-layer turbulence, QJRMS 98 (1972): n S / u*^2 of the
  * frequency f = n z / U is 105 f / (1 + 33 f)^(5/3) along, 17 f / (1 + 9.5 f)^(5/3) across and 2.1 f / (1 + 5.3 f^(5/3)) up. The lags
  * are within 25 % of them from f = 0.005 to 3. Friction velocity of the logarithmic profile, with von Karman's constant 0.4. */
-static void kaimal(const sim_air_params *o, double dt, sim_vehicle *v, double mean, double height, const double noise[FLIGHT_NOISE],
+static void kaimal(const dl_sim_air_params *o, double dt, dl_sim_vehicle *v, double mean, double height, const double noise[DL_FLIGHT_NOISE],
                    double turbulence[3])
 {
     const double friction = 0.4 * o->speed_m_s / o->log10m, x = mean * o->along[0] - v->v[0], y = mean * o->along[1] - v->v[1];
@@ -109,7 +109,7 @@ static double fence_deficit(double far, double z, double decay)
  *
  * Source: a fence's deficit, spread sideways as by Taylor & Salmon, J. Appl. Meteorology 32 (1993), for obstacles of finite width. The
  * spread sideways of a tenth of the distance is assumed. */
-static double wake_deficit(const sim_air_params *o, const relative *r, double ahead, double aside, double speed)
+static double wake_deficit(const dl_sim_air_params *o, const relative *r, double ahead, double aside, double speed)
 {
     const double cy = o->pad_yaw[0], sy = o->pad_yaw[1], ex = ahead / speed, ey = aside / speed;
     const double length = o->block_size[0], broad = o->block_size[1], h = o->block_size[2];
@@ -126,7 +126,7 @@ static double wake_deficit(const sim_air_params *o, const relative *r, double ah
 /* The share that is missing over the deck because the air separates where it meets the hull's edge: that of a fence on the windward edge,
  * as high as the separated flow of a step of the freeboard's height (Sherry, Lo Jacono & Sheridan, An experimental investigation of the
  * recirculation zone formed downstream of a forward facing step, J. Wind Eng. Ind. Aerodyn. 98, 2010; 0.4 of the step assumed). */
-static double hull_deficit(const sim_air_params *o, const relative *r, double ahead, double aside, double speed)
+static double hull_deficit(const dl_sim_air_params *o, const relative *r, double ahead, double aside, double speed)
 {
     const double cy = o->pad_yaw[0], sy = o->pad_yaw[1], ex = ahead / speed, ey = aside / speed;
     const double x = cy * r->d[0] - sy * r->d[1], y = sy * r->d[0] + cy * r->d[1];
@@ -137,7 +137,7 @@ static double hull_deficit(const sim_air_params *o, const relative *r, double ah
 
 /* The wind with what superstructure and hull take from it and the eddies that they shed: added turbulence of 0.32 of the deficit, that
  * of a plane self-preserving wake (Pope, Turbulent Flows, 2000, 5.4), in eddies of half the height. */
-static void wake(const sim_air_params *o, double dt, sim_vehicle *v, const sim_deck *g, const relative *r, const double noise[FLIGHT_NOISE],
+static void wake(const dl_sim_air_params *o, double dt, dl_sim_vehicle *v, const dl_sim_deck *g, const relative *r, const double noise[DL_FLIGHT_NOISE],
                  double wind[3])
 {
     /* The ship's own velocity is that of the deck, smoothed: waves do not move the wake. */
@@ -164,7 +164,7 @@ static void wake(const sim_air_params *o, double dt, sim_vehicle *v, const sim_d
 }
 
 /* The share of its speed that a gust has: "1 - cosine" up, some time at its full speed, and down again (MIL-F-8785C, 3.7.1.3). */
-static double gust_share(const sim_gust *o, double t_s)
+static double gust_share(const dl_sim_gust *o, double t_s)
 {
     const double x = t_s - o->at_s, whole = 2.0 * o->rise_s + o->hold_s;
     if (x <= 0.0 || x >= whole) {
@@ -174,8 +174,8 @@ static double gust_share(const sim_gust *o, double t_s)
     return 0.5 * (1.0 - cos(acos(-1.0) * inside / o->rise_s));
 }
 
-void air_step(const sim_air_params *o, double step_s, sim_vehicle *v, const sim_deck *g, const relative *r, double height,
-              const double noise[FLIGHT_NOISE])
+void air_step(const dl_sim_air_params *o, double step_s, dl_sim_vehicle *v, const dl_sim_deck *g, const relative *r, double height,
+              const double noise[DL_FLIGHT_NOISE])
 {
     const double mean = mean_wind(o, height), c = o->along[0], s = o->along[1];
     double wind[3] = {mean * c, mean * s, 0.0};

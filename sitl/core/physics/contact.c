@@ -10,7 +10,7 @@ static const double AFLOAT_M = 0.06;
 /* Below this cosine of the tilt the upper corners may touch too. */
 static const double ON_ITS_SIDE = 0.7;
 
-void relative_to_deck(const sim_deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
+void relative_to_deck(const dl_sim_deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
 {
     const double to[3] = {p[0] - g->p[0], p[1] - g->p[1], p[2] - g->p[2]};
     const double past[3] = {v[0] - g->v[0], v[1] - g->v[1], v[2] - g->v[2]};
@@ -28,13 +28,13 @@ void relative_to_deck(const sim_deck *g, const double p[3], const double v[3], c
 
 /* Where the fore end of the deck is at a distance from its middle line, as a share of its half width; or where its taper begins, if
  * nothing from `along` on reaches that. */
-static double fore_end(const sim_vehicle_params *o, double share, double along)
+static double fore_end(const dl_sim_vehicle_params *o, double share, double along)
 {
     const double straight = o->deck_fore_m - o->deck_taper_m;
     return along > straight ? o->deck_fore_m - o->deck_taper_m * pow(share * share, 1.1) : straight;
 }
 
-int deck_holds(const sim_vehicle_params *o, double x, double y)
+int deck_holds(const dl_sim_vehicle_params *o, double x, double y)
 {
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
@@ -42,7 +42,7 @@ int deck_holds(const sim_vehicle_params *o, double x, double y)
     return inside && along <= fore_end(o, across / o->deck_half_m, along);
 }
 
-double deck_coverage(const sim_vehicle_params *o, double x, double y, double radius)
+double deck_coverage(const dl_sim_vehicle_params *o, double x, double y, double radius)
 {
     const double along = o->deck_yaw[0] * x - o->deck_yaw[1] * y;
     const double across = o->deck_yaw[1] * x + o->deck_yaw[0] * y - o->deck_middle_m;
@@ -60,7 +60,7 @@ double deck_coverage(const sim_vehicle_params *o, double x, double y, double rad
 }
 
 /* The height of the thing that lies on the deck under a point. */
-static double thing_under(const sim_vehicle_params *o, double x, double y)
+static double thing_under(const dl_sim_vehicle_params *o, double x, double y)
 {
     const double *thing = o->effects.thing, ahead = x - thing[0], aside = y - thing[1];
     return thing[3] > 0.0 && ahead * ahead + aside * aside < thing[2] * thing[2] ? thing[3] : 0.0;
@@ -70,7 +70,7 @@ static double thing_under(const sim_vehicle_params *o, double x, double y)
  * along the deck. The friction would stop the foot within a few steps, but is at most the coefficient times the normal force: it
  * neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so the vehicle ties a
  * resting body to the deck. */
-int contact_force(const sim_vehicle_params *o, const relative *r, double force[3], double torque[3])
+int contact_force(const dl_sim_vehicle_params *o, const relative *r, double force[3], double torque[3])
 {
     const int corners = r->R[8] < ON_ITS_SIDE ? 8 : 4;
     int touching = 0;
@@ -102,7 +102,7 @@ int contact_force(const sim_vehicle_params *o, const relative *r, double force[3
 }
 
 /* The vehicle is full of foam, so it is buoyant, and it is heavily damped. */
-void buoyancy(const sim_vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
+void buoyancy(const dl_sim_vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
               double torque[3])
 {
     const double up = clip(depth / AFLOAT_M, 0.0, 3.0) * GRAVITY_M_S2;

@@ -5,7 +5,7 @@
 #include "base/rotation.h"
 #include "physics/physics.h"
 
-static void quad_thrusts(const sim_vehicle_params *o, double thrust, const double torque[3], double each[ROTORS_MAX])
+static void quad_thrusts(const dl_sim_vehicle_params *o, double thrust, const double torque[3], double each[DL_ROTORS_MAX])
 {
     const double t = 0.25 * thrust, x = torque[0] / (4.0 * o->arm_m), y = torque[1] / (4.0 * o->arm_m);
     const double z = torque[2] / (4.0 * o->yaw_torque_per_thrust_m);
@@ -15,7 +15,7 @@ static void quad_thrusts(const sim_vehicle_params *o, double thrust, const doubl
     each[3] = t + x - y - z;
 }
 
-void rotor_thrusts(const sim_vehicle_params *o, double thrust, const double torque[3], double each[ROTORS_MAX])
+void rotor_thrusts(const dl_sim_vehicle_params *o, double thrust, const double torque[3], double each[DL_ROTORS_MAX])
 {
     if (o->quad_x) {
         quad_thrusts(o, thrust, torque, each);
@@ -30,10 +30,10 @@ void rotor_thrusts(const sim_vehicle_params *o, double thrust, const double torq
 }
 
 /* No rotor is driven harder than to its part of the largest thrust, and none pushes downwards. */
-void delivered(const sim_vehicle_params *o, double *thrust, double torque[3], const double share[ROTORS_MAX])
+void delivered(const dl_sim_vehicle_params *o, double *thrust, double torque[3], const double share[DL_ROTORS_MAX])
 {
     const double most = o->thrust_max_n / (double)o->rotors;
-    double each[ROTORS_MAX], lift = 0.0, x = 0.0, y = 0.0, z = 0.0;
+    double each[DL_ROTORS_MAX], lift = 0.0, x = 0.0, y = 0.0, z = 0.0;
     rotor_thrusts(o, *thrust, torque, each);
     for (int i = 0; i < o->rotors; i++) {
         const double t = share[i] * clip(each[i], 0.0, most);
@@ -51,7 +51,7 @@ void delivered(const sim_vehicle_params *o, double *thrust, double torque[3], co
 /* Source: Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955:
  * T/T_free = 1 / (1 - (R/4z)^2); R is the radius of one disc with the area of all rotors. It overstates close to the ground:
  * below z = 0.7 R the gain is held at 15 % (assumed). */
-double ground_effect(const sim_vehicle_params *o, double height)
+double ground_effect(const dl_sim_vehicle_params *o, double height)
 {
     const double radius = o->effect_radius_m;
     const double ratio = 0.25 * radius / clip(height + o->rotors_above_m, 0.7 * radius, 1e9);
@@ -60,7 +60,7 @@ double ground_effect(const sim_vehicle_params *o, double height)
 
 /* The part of a rotor's disc over the deck feels the deck, the rest the water: a vehicle that comes in over the deck's edge is
  * lifted and tilted by degrees. The weighting by area is assumed. */
-void ground_effect_by_rotor(const sim_vehicle_params *o, const relative *r, double over_water, double factor[ROTORS_MAX])
+void ground_effect_by_rotor(const dl_sim_vehicle_params *o, const relative *r, double over_water, double factor[DL_ROTORS_MAX])
 {
     const double water = ground_effect(o, over_water);
     for (int i = 0; i < o->rotors; i++) {

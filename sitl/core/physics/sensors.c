@@ -14,7 +14,7 @@ static const double HOVER_PWM = 170.0;
 static const double HARMONIC = 4.0, TURN = 6.283185307179586;
 
 /* The distance along a ray (unit, in ned) to the deck or else to the water; infinite where it meets neither. */
-static double reach(const sim_vehicle_params *o, const sim_deck *g, const double d[3], double above_water, const double ray[3])
+static double reach(const dl_sim_vehicle_params *o, const dl_sim_deck *g, const double d[3], double above_water, const double ray[3])
 {
     double u[3];
     rotated_back(g->R, ray, u);
@@ -29,7 +29,7 @@ static double reach(const sim_vehicle_params *o, const sim_deck *g, const double
 
 /* The distance from the body's origin to the nearest surface within a cone about the body's down axis: nine rays as in the thesis'
  * simulator, and the plumb lines of water and deck where they lie in the cone. */
-static double nearest_surface(const sim_vehicle_params *o, const sim_vehicle *v, const sim_deck *g, double sea_z, double cone_rad)
+static double nearest_surface(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const dl_sim_deck *g, double sea_z, double cone_rad)
 {
     const double to[3] = {v->p[0] - g->p[0], v->p[1] - g->p[1], v->p[2] - g->p[2]}, above_water = sea_z - v->p[2];
     const double spread[3] = {tan(-0.5 * cone_rad), 0.0, tan(0.5 * cone_rad)};
@@ -56,46 +56,46 @@ static double nearest_surface(const sim_vehicle_params *o, const sim_vehicle *v,
 }
 
 /* Measure the distance; the echo is known to the telemetry later. */
-static void send_echo(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_sensors *s, const sim_deck *g, double sea_z)
+static void send_echo(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const dl_sim_sensor_params *e, dl_sim_sensors *s, const dl_sim_deck *g, double sea_z)
 {
-    const double heard = nearest_surface(o, v, g, sea_z, e->cone_rad) + e->echo_sigma * s->noise[ECHO_NOISE];
-    const int64_t place = (s->first_echo + s->echoes) % ECHOES_MAX;
+    const double heard = nearest_surface(o, v, g, sea_z, e->cone_rad) + e->echo_sigma * s->noise[DL_ECHO_NOISE];
+    const int64_t place = (s->first_echo + s->echoes) % DL_ECHOES_MAX;
     s->echo_due[place] = (double)(s->tick + e->echo_delay);
     s->echo_under_way_m[place] = e->echo_min_m <= heard && heard <= e->echo_max_m ? heard : NAN;
     s->echoes++;
 }
 
-void sensors_step(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_sensors *s, const sim_deck *g, double sea_z,
-                  const double noise[SENSOR_NOISE])
+void sensors_step(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const dl_sim_sensor_params *e, dl_sim_sensors *s, const dl_sim_deck *g, double sea_z,
+                  const double noise[DL_SENSOR_NOISE])
 {
     memcpy(s->noise, noise, sizeof s->noise);
     s->tick++;
-    s->heading_drift = e->heading_keep * s->heading_drift + e->heading_fresh * noise[HEADING_DRIFT];
-    s->pressure_drift = e->pressure_keep * s->pressure_drift + e->pressure_fresh * noise[PRESSURE_DRIFT];
+    s->heading_drift = e->heading_keep * s->heading_drift + e->heading_fresh * noise[DL_HEADING_DRIFT];
+    s->pressure_drift = e->pressure_keep * s->pressure_drift + e->pressure_fresh * noise[DL_PRESSURE_DRIFT];
     if (motors_turn(v)) {
         s->battery = fmax(0.0, s->battery - e->step_s / e->battery_life_s);
     }
-    if (s->tick % e->echo_every == 0 && s->echoes < ECHOES_MAX) {
+    if (s->tick % e->echo_every == 0 && s->echoes < DL_ECHOES_MAX) {
         send_echo(o, v, e, s, g, sea_z);
     }
     while (s->echoes > 0 && s->echo_due[s->first_echo] <= (double)s->tick) {
         s->echo_m = s->echo_under_way_m[s->first_echo];
-        s->first_echo = (s->first_echo + 1) % ECHOES_MAX;
+        s->first_echo = (s->first_echo + 1) % DL_ECHOES_MAX;
         s->echoes--;
     }
 }
 
 /* Rotor thrust is proportional to the square of the speed, and the speed to the pulse width. */
-static void read_motors(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, sim_readings *out)
+static void read_motors(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const dl_sim_sensor_params *e, dl_sim_readings *out)
 {
-    double thrust[ROTORS_MAX];
+    double thrust[DL_ROTORS_MAX];
     rotor_thrusts(o, v->thrust_n, v->torque_n_m, thrust);
     for (int i = 0; i < 4; i++) {
         out->motors_pwm[i] = fmin(255.0, rint(HOVER_PWM * sqrt(fmax(0.0, thrust[e->motor[i]]) / e->hover_n)));
     }
 }
 
-void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const sim_sensor_params *e, const sim_sensors *s, sim_readings *out)
+void dl_sim_sensors_read(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const dl_sim_sensor_params *e, const dl_sim_sensors *s, dl_sim_readings *out)
 {
     const int turning = motors_turn(v);
     const double felt[3] = {v->a[0], v->a[1], v->a[2] - GRAVITY_M_S2}, *noise = s->noise;
@@ -104,9 +104,9 @@ void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const s
     rotated_back(v->R, EARTH_FIELD_NED_T, field);
     for (int i = 0; i < 3; i++) {
         const double shaken = e->vibration > 0.0 && turning ? e->vibration * sin(HARMONIC * TURN * v->revolutions + (double)i) : 0.0;
-        out->f_body[i] = e->accel_scale * force[i] + shaken + e->accel_bias[i] + e->accel_sigma[turning] * noise[IMU_NOISE + i];
-        out->w_body[i] = e->gyro_scale * v->w[i] + e->gyro_bias[i] + e->gyro_sigma[turning] * noise[IMU_NOISE + 3 + i];
-        out->magnetometer[i] = field[i] + e->field_bias[i] + e->field_sigma * noise[FIELD_NOISE + i];
+        out->f_body[i] = e->accel_scale * force[i] + shaken + e->accel_bias[i] + e->accel_sigma[turning] * noise[DL_IMU_NOISE + i];
+        out->w_body[i] = e->gyro_scale * v->w[i] + e->gyro_bias[i] + e->gyro_sigma[turning] * noise[DL_IMU_NOISE + 3 + i];
+        out->magnetometer[i] = field[i] + e->field_bias[i] + e->field_sigma * noise[DL_FIELD_NOISE + i];
     }
     out->rpy_rad[0] = atan2(v->R[7], v->R[8]) + (v->tilt_bias[0] + v->tilt_drift[0]);
     out->rpy_rad[1] = asin(clip(-v->R[6], -1.0, 1.0)) + (v->tilt_bias[1] + v->tilt_drift[1]);
@@ -115,7 +115,7 @@ void sim_sensors_read(const sim_vehicle_params *o, const sim_vehicle *v, const s
     out->v_level_m_s[1] = v->flow[1];
     out->ultrasound_m = s->echo_m;
     out->pressure_pa = SEA_LEVEL_PA * pow(1.0 - 2.25577e-5 * -v->p[2], 5.25588) + s->pressure_drift
-                       + e->pressure_sigma * noise[PRESSURE_NOISE];
+                       + e->pressure_sigma * noise[DL_PRESSURE_NOISE];
     out->battery = s->battery;
     read_motors(o, v, e, out);
 }

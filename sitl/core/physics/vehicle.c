@@ -20,7 +20,7 @@ static const double CONTACT_M = 0.4;
 
 /* What one step works with besides parameters and state. */
 typedef struct {
-    const sim_deck *g;
+    const dl_sim_deck *g;
     relative r;
     double sea_z, sea_vz;
     double ahead[3], height;
@@ -63,7 +63,7 @@ static void rotation_of(const double q[4], double R[9])
 }
 
 /* Gusts, errors of the optical flow and of the drone's own attitude: first-order Gauss-Markov processes. */
-static void disturb(const sim_vehicle_params *o, sim_vehicle *v, const double noise[FLIGHT_NOISE])
+static void disturb(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double noise[DL_FLIGHT_NOISE])
 {
     const double part[3] = {1.0, 1.0, 0.5};
     if (o->gust_sigma_m_s > 0.0) {
@@ -78,9 +78,9 @@ static void disturb(const sim_vehicle_params *o, sim_vehicle *v, const double no
 }
 
 /* Errors by which the loops fly, turbulence of the own downwash, and the turning of the rotors. */
-static void roughen(const sim_vehicle_params *o, sim_vehicle *v, const double noise[EFFECT_NOISE])
+static void roughen(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double noise[DL_EFFECT_NOISE])
 {
-    const sim_effects *e = &o->effects;
+    const dl_sim_effects *e = &o->effects;
     for (int i = 0; i < 3; i++) {
         v->rough[i] = e->downwash_keep * v->rough[i] + e->downwash_fresh * noise[i];
     }
@@ -89,9 +89,9 @@ static void roughen(const sim_vehicle_params *o, sim_vehicle *v, const double no
 }
 
 /* The share of thrust that the battery leaves: the voltage falls with the load, and thrust goes with its square. */
-static double sagging(const sim_vehicle_params *o, const sim_vehicle *v)
+static double sagging(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v)
 {
-    const sim_effects *e = &o->effects;
+    const dl_sim_effects *e = &o->effects;
     const double voltage = (1.0 - e->sag * v->thrust_n / o->thrust_max_n) / (1.0 - e->sag * e->hover_share);
     return voltage * voltage;
 }
@@ -101,16 +101,16 @@ static double sagging(const sim_vehicle_params *o, const sim_vehicle *v)
  * Source: the inflow of a rotor over moving ground follows with a lag and with the ground's speed (Xin, Prasad & Peters, Dynamic inflow
  * modeling for simulation of a helicopter operating in ground effect, AIAA 99-4114, 1999). The lag of 0.1 s and the push, half of the gap's
  * speed by the induced one, fading over a radius, are assumed. */
-static double cushioned(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double gain)
+static double cushioned(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const step *s, double gain)
 {
-    const sim_effects *e = &o->effects;
+    const dl_sim_effects *e = &o->effects;
     v->cushion = v->cushion > 0.0 ? v->cushion + e->cushion_share * (gain - v->cushion) : gain;
     const double closing = s->over ? clip(s->r.v[2], -3.0, 3.0) : 0.0;
     return v->cushion * (1.0 + 0.5 * closing / e->induced_m_s * exp(-clip(s->height, 0.0, 50.0) / o->effect_radius_m));
 }
 
 /* The turbulence of the own downwash, which the deck throws back: full below 0.5 m, none from 0.7 m on, half as strong upwards. */
-static void stir(const sim_vehicle_params *o, const sim_vehicle *v, const step *s, double a[3])
+static void stir(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const step *s, double a[3])
 {
     const double share = s->over && s->motors && v->contact_s <= 0.0 ? clip((0.7 - s->height) / 0.2, 0.0, 1.0) : 0.0;
     for (int i = 0; i < 3; i++) {
@@ -119,7 +119,7 @@ static void stir(const sim_vehicle_params *o, const sim_vehicle *v, const step *
 }
 
 /* Put the newest stick command on its way and take the one that arrives. */
-static void take_command(const sim_vehicle_params *o, sim_vehicle *v, double command[5])
+static void take_command(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, double command[5])
 {
     memcpy(command, v->command, sizeof v->command);
     if (o->delay_steps == 0) {
@@ -138,7 +138,7 @@ static void take_command(const sim_vehicle_params *o, sim_vehicle *v, double com
  * the loops are those of the thesis' simulator.
  * Source: Smeur, Chu & de Croon, Adaptive incremental nonlinear dynamic inversion for attitude control of micro air vehicles,
  * Journal of Guidance, Control, and Dynamics 39(3), 2016, section III, whose increment of the torque is the same sum. */
-static void observe_torque(const sim_vehicle_params *o, sim_vehicle *v)
+static void observe_torque(const dl_sim_vehicle_params *o, dl_sim_vehicle *v)
 {
     const double *I = o->inertia_kg_m2, *w = v->unasked_w;
     const double gyroscopic[3] = {(I[2] - I[1]) * w[1] * w[2], (I[0] - I[2]) * w[2] * w[0], (I[1] - I[0]) * w[0] * w[1]};
@@ -152,7 +152,7 @@ static void observe_torque(const sim_vehicle_params *o, sim_vehicle *v)
 
 /* The velocity past what the optical flow looks at: past the point of the deck straight below, or past the water.
  * A deck that only tilts carries that point along by its arm on the deck, not by the height of the drone above it. */
-static void velocity_past(const sim_vehicle_params *o, const sim_vehicle *v, const step *s, double seen[2])
+static void velocity_past(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const step *s, double seen[2])
 {
     seen[0] = v->v[0] - o->current[0], seen[1] = v->v[1] - o->current[1];
     if (!s->over || !o->flow_sees_deck) {
@@ -169,7 +169,7 @@ static void velocity_past(const sim_vehicle_params *o, const sim_vehicle *v, con
 }
 
 /* The velocity that the drone itself estimates, by its optical flow against the deck or the water. */
-static void measure_flow(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double cos_psi, double sin_psi)
+static void measure_flow(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const step *s, double cos_psi, double sin_psi)
 {
     if (!o->flow_works) {
         v->flow[0] = v->flow[1] = 0.0;
@@ -184,10 +184,10 @@ static void measure_flow(const sim_vehicle_params *o, sim_vehicle *v, const step
 }
 
 /* Roll, pitch and yaw rate requested: the stick's, or those that hold the vehicle by its optical flow. */
-static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], double cos_psi, double sin_psi,
+static void asked_attitude(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double command[5], double cos_psi, double sin_psi,
                            double asked[3])
 {
-    const int flying = v->phase == PHASE_FLYING;
+    const int flying = v->phase == DL_PHASE_FLYING;
     const double forward = cos_psi * v->a[0] + sin_psi * v->a[1], right = cos_psi * v->a[1] - sin_psi * v->a[0];
     const double gain = flying || v->contact_s > 0.0 ? 0.0 : o->velocity_i * o->step_s, top = o->velocity_i_max_m_s2;
     v->integral[0] = clip(v->integral[0] - gain * v->flow[0], -top, top);
@@ -207,7 +207,7 @@ static void asked_attitude(const sim_vehicle_params *o, sim_vehicle *v, const do
 }
 
 /* Attitude to torque: P and D on roll and pitch, P on the yaw rate, less what the observer found. */
-static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double torque[3])
+static void attitude_loop(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double command[5], const step *s, double torque[3])
 {
     const double sigma = o->effects.on ? o->effects.rate_sigma : 0.0, *noise = s->effect_noise + 4;
     double w[3];
@@ -232,35 +232,35 @@ static void attitude_loop(const sim_vehicle_params *o, sim_vehicle *v, const dou
 }
 
 /* Climb rate to thrust: the stick's, the one that holds the height, or that of take-off and landing. */
-static double climb_loop(const sim_vehicle_params *o, sim_vehicle *v, const double command[5])
+static double climb_loop(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double command[5])
 {
     const double z = v->p[2], vz = v->v[2] + v->climb_error, gaz = command[2];
-    const int flying = v->phase == PHASE_FLYING;
-    const int holding = v->phase == PHASE_HOVERING || (flying && gaz < STICK_MIDDLE && gaz > -STICK_MIDDLE);
+    const int flying = v->phase == DL_PHASE_FLYING;
+    const int holding = v->phase == DL_PHASE_HOVERING || (flying && gaz < STICK_MIDDLE && gaz > -STICK_MIDDLE);
     v->z_hold = holding ? v->z_hold : z + STOP_S * vz;
-    double down = v->phase == PHASE_LANDING ? o->landing_speed_m_s : -o->take_off_speed_m_s;
+    double down = v->phase == DL_PHASE_LANDING ? o->landing_speed_m_s : -o->take_off_speed_m_s;
     if (holding) {
         down = clip(o->height_p * (v->z_hold - z), -o->vz_max_m_s, o->vz_max_m_s);
     } else if (flying) {
         down = -gaz * o->vz_max_m_s;
     }
-    const double e = down - vz, gain = v->contact_s > 0.0 || v->phase == PHASE_LANDED ? 0.0 : o->climb_i * o->step_s;
+    const double e = down - vz, gain = v->contact_s > 0.0 || v->phase == DL_PHASE_LANDED ? 0.0 : o->climb_i * o->step_s;
     v->integral[2] = clip(v->integral[2] + gain * e, -o->climb_i_max_m_s2, o->climb_i_max_m_s2);
     const double acceleration = o->climb_p * e - o->climb_d * v->a[2] + v->integral[2];
     return clip(o->effects.loop_mass_kg * (GRAVITY_M_S2 - acceleration) / clip(v->R[8], 0.5, 1.0), 0.0, o->thrust_max_n);
 }
 
 /* What reaches the body of the motors' thrust and torque where the unkind effects act. */
-static void drive_unkindly(const sim_vehicle_params *o, sim_vehicle *v, const step *s, double *lift, double turn[3])
+static void drive_unkindly(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const step *s, double *lift, double turn[3])
 {
-    const sim_effects *e = &o->effects;
+    const dl_sim_effects *e = &o->effects;
     const double sag = e->lift_share * (e->sag > 0.0 ? sagging(o, v) : 1.0), asked = *lift;
-    double share[ROTORS_MAX], free[ROTORS_MAX], plain = asked, aside[3] = {turn[0], turn[1], turn[2]};
+    double share[DL_ROTORS_MAX], free[DL_ROTORS_MAX], plain = asked, aside[3] = {turn[0], turn[1], turn[2]};
     for (int i = 0; i < o->rotors; i++) {
         free[i] = share[i] = sag * o->rotor_health[i];
     }
     if (o->effect_by_rotor) {
-        double factor[ROTORS_MAX];
+        double factor[DL_ROTORS_MAX];
         ground_effect_by_rotor(o, &s->r, s->sea_z - s->ahead[2], factor);
         for (int i = 0; i < o->rotors; i++) {
             share[i] *= factor[i];
@@ -282,9 +282,9 @@ static void drive_unkindly(const sim_vehicle_params *o, sim_vehicle *v, const st
 }
 
 /* Thrust and torque follow their commands with the motors' lag, and reach the body through weak rotors and the ground effect. */
-static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double command[5], const step *s, double *lift, double turn[3])
+static void drive(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double command[5], const step *s, double *lift, double turn[3])
 {
-    double thrust = v->driven_n, torque[3] = {v->driven_n_m[0], v->driven_n_m[1], v->driven_n_m[2]}, share[ROTORS_MAX];
+    double thrust = v->driven_n, torque[3] = {v->driven_n_m[0], v->driven_n_m[1], v->driven_n_m[2]}, share[DL_ROTORS_MAX];
     if (!o->motor_driven) {
         attitude_loop(o, v, command, s, torque);
         thrust = climb_loop(o, v, command);
@@ -294,7 +294,7 @@ static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double comm
         v->torque_n_m[i] += o->motor_lag * ((s->motors ? torque[i] : 0.0) - v->torque_n_m[i]);
         turn[i] = v->torque_n_m[i];
     }
-    const sim_effects *e = &o->effects;
+    const dl_sim_effects *e = &o->effects;
     *lift = v->thrust_n;
     if (e->on) {
         drive_unkindly(o, v, s, lift, turn);
@@ -315,7 +315,7 @@ static void drive(const sim_vehicle_params *o, sim_vehicle *v, const double comm
 }
 
 /* The acceleration in ned by rotors, air and weight. */
-static void accelerate(const sim_vehicle_params *o, const sim_vehicle *v, double lift, double a[3])
+static void accelerate(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, double lift, double a[3])
 {
     double past[3], body[3];
     for (int i = 0; i < 3; i++) {
@@ -334,7 +334,7 @@ static void accelerate(const sim_vehicle_params *o, const sim_vehicle *v, double
 }
 
 /* What deck and water add to acceleration and torque. */
-static void touch(const sim_vehicle_params *o, const sim_vehicle *v, step *s, double a[3], double turn[3])
+static void touch(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, step *s, double a[3], double turn[3])
 {
     double force[3], torque[3], push[3], moment[3];
     if (s->over && s->height < CONTACT_M) {
@@ -358,7 +358,7 @@ static void touch(const sim_vehicle_params *o, const sim_vehicle *v, step *s, do
 }
 
 /* Newton and Euler over one step. */
-static void integrate(const sim_vehicle_params *o, sim_vehicle *v, const double a[3], const double turn[3])
+static void integrate(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double a[3], const double turn[3])
 {
     const double dt = o->step_s, h = 0.5 * dt, *I = o->inertia_kg_m2, *w = v->w;
     const double rate[3] = {
@@ -382,7 +382,7 @@ static void integrate(const sim_vehicle_params *o, sim_vehicle *v, const double 
     }
 }
 
-void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g)
+void dl_sim_vehicle_carry(dl_sim_vehicle *v, const dl_sim_deck *g)
 {
     const double *w = g->w, *d = v->attached_d;
     const double turned[3] = {w[1] * d[2] - w[2] * d[1], w[2] * d[0] - w[0] * d[2], w[0] * d[1] - w[1] * d[0]};
@@ -401,7 +401,7 @@ void sim_vehicle_carry(sim_vehicle *v, const sim_deck *g)
 }
 
 /* Untie what the deck throws off; tie what lies still with its motors off to the deck. */
-static void rest(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
+static void rest(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const step *s)
 {
     const relative *r = &s->r;
     if (v->tied) {
@@ -424,9 +424,9 @@ static void rest(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
 }
 
 /* The record of a contact after flight. */
-static void record_contact(sim_vehicle *v, const step *s)
+static void record_contact(dl_sim_vehicle *v, const step *s)
 {
-    v->touched_what = s->wet ? TOUCHED_SEA : TOUCHED_DECK;
+    v->touched_what = s->wet ? DL_TOUCHED_SEA : DL_TOUCHED_DECK;
     v->touched_phase = s->phase;
     v->touched_s = v->seconds;
     memcpy(v->touched_d, s->r.d, sizeof v->touched_d);
@@ -436,7 +436,7 @@ static void record_contact(sim_vehicle *v, const step *s)
 }
 
 /* Timers, record of the contact, resting, changes of phase. */
-static void conclude(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
+static void conclude(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const step *s)
 {
     const double dt = o->step_s;
     const int supported = s->touching > 0 || v->tied;
@@ -449,18 +449,18 @@ static void conclude(const sim_vehicle_params *o, sim_vehicle *v, const step *s)
     }
     v->airborne_s = supported || s->wet ? 0.0 : v->airborne_s + dt;
     v->contact_s = supported ? v->contact_s + dt : clip(v->contact_s - dt, 0.0, o->motors_off_after_s);
-    if (v->phase == PHASE_LANDING && v->contact_s > o->motors_off_after_s) {
-        v->phase = PHASE_LANDED;
+    if (v->phase == DL_PHASE_LANDING && v->contact_s > o->motors_off_after_s) {
+        v->phase = DL_PHASE_LANDED;
     }
-    if (v->phase == PHASE_TAKING_OFF && s->height > 0.9 * o->take_off_height_m) {
-        v->phase = PHASE_HOVERING;
+    if (v->phase == DL_PHASE_TAKING_OFF && s->height > 0.9 * o->take_off_height_m) {
+        v->phase = DL_PHASE_HOVERING;
     }
     if (s->wet || (s->tilt_cos < o->tilt_cut_off_cos && s->motors)) {
-        v->phase = PHASE_EMERGENCY;
+        v->phase = DL_PHASE_EMERGENCY;
     }
 }
 
-static void begin(const sim_vehicle_params *o, sim_vehicle *v, step *s, double command[5])
+static void begin(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, step *s, double command[5])
 {
     for (int i = 0; i < 3; i++) {
         s->ahead[i] = v->p[i] + o->step_s * v->v[i];
@@ -470,14 +470,14 @@ static void begin(const sim_vehicle_params *o, sim_vehicle *v, step *s, double c
     s->height = s->over ? -s->r.d[2] : s->sea_z - s->ahead[2];
     s->tilt_cos = v->R[8];
     take_command(o, v, command);
-    if (v->phase == PHASE_HOVERING || v->phase == PHASE_FLYING) {
-        v->phase = command[4] != 0.0 ? PHASE_FLYING : PHASE_HOVERING;
+    if (v->phase == DL_PHASE_HOVERING || v->phase == DL_PHASE_FLYING) {
+        v->phase = command[4] != 0.0 ? DL_PHASE_FLYING : DL_PHASE_HOVERING;
     }
     s->motors = motors_turn(v);
     v->tied = v->tied && !s->motors;
 }
 
-void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_deck *g, double sea_z, double sea_vz, const double *noise,
+void dl_sim_vehicle_step(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const dl_sim_deck *g, double sea_z, double sea_vz, const double *noise,
                   const double *air_noise, const double *effect_noise)
 {
     step s = {.g = g, .sea_z = sea_z, .sea_vz = sea_vz, .phase = v->phase, .effect_noise = effect_noise};
@@ -501,7 +501,7 @@ void sim_vehicle_step(const sim_vehicle_params *o, sim_vehicle *v, const sim_dec
     touch(o, v, &s, a, turn);
     memcpy(before, v->v, sizeof before);
     if (v->tied) {
-        sim_vehicle_carry(v, g);
+        dl_sim_vehicle_carry(v, g);
     } else {
         integrate(o, v, a, turn);
         rotation_of(v->q, v->R);

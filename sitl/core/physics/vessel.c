@@ -23,7 +23,7 @@ static phasor turned_by(double angle)
 }
 
 /* Add Re(c exp(-i w t)) of every mode, and its two derivatives. */
-static void add_harmonic(const sim_harmonic *h, phasor at, sim_vessel_motion *out)
+static void add_harmonic(const dl_sim_harmonic *h, phasor at, dl_sim_vessel_motion *out)
 {
     const double w = h->w_rad_s;
     for (int k = 0; k < MODES; k++) {
@@ -36,7 +36,7 @@ static void add_harmonic(const sim_harmonic *h, phasor at, sim_vessel_motion *ou
 
 /* Through equal steps of time the phasor is turned on by one of them, which takes a fifth of the time of its sine and cosine. */
 WIDE
-static void add_course(const sim_harmonic *h, int32_t n, const double *t_s, sim_vessel_motion *out)
+static void add_course(const dl_sim_harmonic *h, int32_t n, const double *t_s, dl_sim_vessel_motion *out)
 {
     phasor at = {1.0, 0.0}, step = {1.0, 0.0};
     double step_s = NAN;
@@ -52,7 +52,7 @@ static void add_course(const sim_harmonic *h, int32_t n, const double *t_s, sim_
     }
 }
 
-void sim_vessel_moved(int32_t harmonics, const sim_harmonic *h, int32_t n, const double *t_s, sim_vessel_motion *out)
+void dl_sim_vessel_moved(int32_t harmonics, const dl_sim_harmonic *h, int32_t n, const double *t_s, dl_sim_vessel_motion *out)
 {
     memset(out, 0, (size_t)n * sizeof *out);
     for (int32_t k = 0; k < harmonics; k++) {
@@ -62,7 +62,7 @@ void sim_vessel_moved(int32_t harmonics, const sim_harmonic *h, int32_t n, const
 
 /* The angular velocity and acceleration in the vessel's frame.
  * Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.41, and its time derivative. */
-static void body_rates(const sim_vessel_motion *m, double w[3], double w_dot[3])
+static void body_rates(const dl_sim_vessel_motion *m, double w[3], double w_dot[3])
 {
     const double cr = cos(m->eta[ROLL]), sr = sin(m->eta[ROLL]), cp = cos(m->eta[PITCH]), sp = sin(m->eta[PITCH]);
     const double r1 = m->eta_dot[ROLL], p1 = m->eta_dot[PITCH], y1 = m->eta_dot[YAW];
@@ -75,7 +75,7 @@ static void body_rates(const sim_vessel_motion *m, double w[3], double w_dot[3])
     w_dot[2] = -sr * p2 - cr * r1 * p1 + cp * cr * y2 - (cp * sr * r1 + sp * cr * p1) * y1;
 }
 
-static void mount_one(const sim_vessel_origin *origin, const sim_vessel_motion *m, const sim_mount *at, sim_mounted *out)
+static void mount_one(const dl_sim_vessel_origin *origin, const dl_sim_vessel_motion *m, const dl_sim_mount *at, dl_sim_mounted *out)
 {
     double w[3], w_dot[3], R[9], arm[3], arm_v[3], arm_a[3], swung[3];
     from_rpy(m->eta[ROLL], m->eta[PITCH], origin->heading_rad + m->eta[YAW], R);
@@ -98,7 +98,7 @@ static void mount_one(const sim_vessel_origin *origin, const sim_vessel_motion *
     rotated_back(at->R, w, out->w);
 }
 
-void sim_vessel_mounted(int32_t n, const sim_vessel_origin *origin, const sim_vessel_motion *m, const sim_mount *at, sim_mounted *out)
+void dl_sim_vessel_mounted(int32_t n, const dl_sim_vessel_origin *origin, const dl_sim_vessel_motion *m, const dl_sim_mount *at, dl_sim_mounted *out)
 {
     for (int32_t i = 0; i < n; i++) {
         mount_one(&origin[i], &m[i], at, &out[i]);

@@ -40,7 +40,7 @@ static void widen(int32_t *bounds, int32_t at)
     bounds[1] = at >= bounds[1] ? at + 1 : bounds[1];
 }
 
-void sim_render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open)
+void dl_sim_render_bounds(int32_t h, int32_t w, const uint8_t *mask, int32_t *covered, int32_t *open)
 {
     memset(covered, 0, 4 * sizeof *covered);
     memset(open, 0, 4 * sizeof *open);

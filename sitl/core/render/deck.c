@@ -1,6 +1,6 @@
 /* A deck's drawing seen through the simulated lens, and flat colours over a part of a scene.
  *
- * Where rays meet a plane is given for the middles of cells of CELL_PX x CELL_PX pixels, with one cell more on each side than the
+ * Where rays meet a plane is given for the middles of cells of DL_CELL_PX x DL_CELL_PX pixels, with one cell more on each side than the
  * frame has, and is linear between them. A pixel is four numbers of sixteen bits, as in light.c.
  */
 
@@ -9,7 +9,7 @@
 #include "base/wide.h"
 
 /* Cells beside each other are drawn together, as many as keep the texels that they read in the processor's nearest cache. */
-enum { FRACTION = 16, CELL_BITS = 3, TEXEL_MOST = 16000, STEPS = 32, BLOCK_CELLS = 8, BLOCK = BLOCK_CELLS * CELL_PX };
+enum { FRACTION = 16, CELL_BITS = 3, TEXEL_MOST = 16000, STEPS = 32, BLOCK_CELLS = 8, BLOCK = BLOCK_CELLS * DL_CELL_PX };
 
 /* a + (b - a) f / 65536, to one part of 65536; two truncations are corrected once. */
 static inline lanes between(lanes a, lanes b, lanes f)
@@ -59,7 +59,7 @@ static inline lanes pixel_of(lanes weighed)
     return lanes_add(lanes_all(1), lanes_fold(weighed));
 }
 
-static lanes read_reflected(const sim_drawing *d, const steps *s, int32_t x, int32_t y)
+static lanes read_reflected(const dl_sim_drawing *d, const steps *s, int32_t x, int32_t y)
 {
     const int32_t column = x >> FRACTION, row = y >> FRACTION;
     uint16_t pair[2][8];
@@ -132,8 +132,8 @@ static void along_corners(const int32_t *corner, int32_t *values)
 {
     for (int32_t c = 0; c < BLOCK_CELLS; c++) {
         const int32_t half = (corner[c + 1] - corner[c]) >> (CELL_BITS + 1);
-        for (int32_t i = 0; i < CELL_PX; i++) {
-            values[CELL_PX * c + i] = corner[c] + (2 * i + 1) * half;
+        for (int32_t i = 0; i < DL_CELL_PX; i++) {
+            values[DL_CELL_PX * c + i] = corner[c] + (2 * i + 1) * half;
         }
     }
 }
@@ -174,7 +174,7 @@ static inline lanes weigh_inside(const uint16_t *texels, int64_t row, const step
 /* Draw the pixels `from` to `to` of a row, which lie inside the drawing and cover what is below them. Ask for the texels of the
  * next block, that far ahead: a drawing larger than the cache waits for memory otherwise. */
 WIDE
-static void draw_inside(const sim_drawing *d, const steps *s, const positions *p, int64_t ahead, int32_t from, int32_t to,
+static void draw_inside(const dl_sim_drawing *d, const steps *s, const positions *p, int64_t ahead, int32_t from, int32_t to,
                         uint16_t *restrict scene)
 {
     const uint16_t *texels = d->texels;
@@ -192,7 +192,7 @@ static void draw_inside(const sim_drawing *d, const steps *s, const positions *p
 }
 
 /* Draw pixels one by one; `locate` has gone on to the next row. */
-static void draw_through(const sim_drawing *d, const steps *s, const positions *p, int32_t from, int32_t to, const uint8_t *mask,
+static void draw_through(const dl_sim_drawing *d, const steps *s, const positions *p, int32_t from, int32_t to, const uint8_t *mask,
                          uint16_t *scene)
 {
     for (int32_t k = from; k < to; k++) {
@@ -209,7 +209,7 @@ static inline int all_are(const uint8_t *mask, int32_t n, uint8_t value)
 {
     uint64_t all = 0;
     int same = 1;
-    if (n == CELL_PX) {
+    if (n == DL_CELL_PX) {
         memcpy(&all, mask, sizeof all);
         return all == UINT64_C(0x0101010101010101) * value;
     }
@@ -221,9 +221,9 @@ static inline int all_are(const uint8_t *mask, int32_t n, uint8_t value)
 
 /* What a block is drawn from and onto. */
 typedef struct {
-    const sim_drawing *drawn;
+    const dl_sim_drawing *drawn;
     const steps *shares;
-    const sim_frame_part *part;
+    const dl_sim_frame_part *part;
     const uint8_t *mask;
     uint16_t *scene;
 } work;
@@ -236,7 +236,7 @@ static void draw_row(const work *d, const positions *p, int64_t ahead, int32_t c
     uint16_t *scene = d->scene + 4 * first;
     int32_t run = -1, from = 0, to = 0;
     for (int32_t c = 0; c < cells; c++, from = to) {
-        const int32_t begin = c * CELL_PX, end = begin + CELL_PX;
+        const int32_t begin = c * DL_CELL_PX, end = begin + DL_CELL_PX;
         from = left + begin < d->part->x0 ? d->part->x0 - left : begin;
         to = left + end < d->part->x1 ? end : d->part->x1 - left;
         const int whole = easy[c] && (!mask || all_are(mask + from, to - from, UINT8_MAX));
@@ -258,7 +258,7 @@ static void draw_row(const work *d, const positions *p, int64_t ahead, int32_t c
 /* Draw the part of a block that lies in the window; the block begins at (left, top). */
 static void draw_block(const work *d, corners *k, int32_t cells, int32_t left, int32_t top)
 {
-    const int32_t first = top < d->part->y0 ? d->part->y0 : top, end = top + CELL_PX < d->part->y1 ? top + CELL_PX : d->part->y1;
+    const int32_t first = top < d->part->y0 ? d->part->y0 : top, end = top + DL_CELL_PX < d->part->y1 ? top + DL_CELL_PX : d->part->y1;
     const int64_t across = (k->x[0][cells] - k->x[0][0]) >> FRACTION, along = (k->y[0][cells] - k->y[0][0]) >> FRACTION;
     int easy[BLOCK_CELLS];
     positions p;
@@ -273,23 +273,23 @@ static void draw_block(const work *d, corners *k, int32_t cells, int32_t left, i
     }
 }
 
-void sim_render_deck(const sim_frame_part *part, const sim_plane_cells *cells, const sim_drawing *drawn, const uint8_t *mask, uint16_t *scene)
+void dl_sim_render_deck(const dl_sim_frame_part *part, const dl_sim_plane_cells *cells, const dl_sim_drawing *drawn, const uint8_t *mask, uint16_t *scene)
 {
-    const int32_t half = CELL_PX / 2, begin = (part->x0 + half) / CELL_PX, end = (part->x1 + half + CELL_PX - 1) / CELL_PX;
+    const int32_t half = DL_CELL_PX / 2, begin = (part->x0 + half) / DL_CELL_PX, end = (part->x1 + half + DL_CELL_PX - 1) / DL_CELL_PX;
     steps shares;
     corners k;
     const work d = {drawn, &shares, part, mask, scene};
     set_steps(&shares);
-    for (int32_t r = (part->y0 + half) / CELL_PX; r * CELL_PX - half < part->y1; r++) {
+    for (int32_t r = (part->y0 + half) / DL_CELL_PX; r * DL_CELL_PX - half < part->y1; r++) {
         for (int32_t c = begin; c < end; c += BLOCK_CELLS) {
             const int32_t n = end - c < BLOCK_CELLS ? end - c : BLOCK_CELLS;
             set_corners(cells->at + 2 * ((int64_t)r * cells->columns + c), cells->columns, n, &k);
-            draw_block(&d, &k, n, c * CELL_PX - half, r * CELL_PX - half);
+            draw_block(&d, &k, n, c * DL_CELL_PX - half, r * DL_CELL_PX - half);
         }
     }
 }
 
-void sim_render_fill(const sim_frame_part *part, const uint8_t *mask, const uint16_t *colour, uint16_t *scene)
+void dl_sim_render_fill(const dl_sim_frame_part *part, const uint8_t *mask, const uint16_t *colour, uint16_t *scene)
 {
     const lanes pixel = lanes_load_four(colour);
     for (int32_t row = part->y0; row < part->y1; row++) {

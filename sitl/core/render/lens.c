@@ -19,7 +19,7 @@ typedef struct {
 } lens;
 
 /* Divide what there is to work on; return whether it suffices. */
-static int begin(int32_t h, int32_t w, const sim_lens_blur *blur, lens *l)
+static int begin(int32_t h, int32_t w, const dl_sim_lens_blur *blur, lens *l)
 {
     const int32_t values = CHANNELS * w, radius = blur->radius;
     const lens made = {h, w, values, radius, blur->taps, blur->scratch, 0, 0, 0, 0, blur->window, blur->added};
@@ -28,7 +28,7 @@ static int begin(int32_t h, int32_t w, const sim_lens_blur *blur, lens *l)
     l->counts = l->wide + w + 2 * radius;
     l->places = l->counts + values;
     l->band = l->places + values;
-    return radius <= BLUR_RADIUS_MAX && l->band + CELL_PX * (int64_t)values - l->ring <= blur->numbers;
+    return radius <= DL_BLUR_RADIUS_MAX && l->band + DL_CELL_PX * (int64_t)values - l->ring <= blur->numbers;
 }
 
 static inline uint16_t times(uint16_t a, uint16_t b)
@@ -95,7 +95,7 @@ static uint16_t *slot(const lens *l, int32_t row)
 /* Put a row of one colour into the ring, blurred along itself. */
 static void enter(const lens *l, int32_t row, int colour, const uint16_t *light)
 {
-    const uint16_t *before[BLUR_RADIUS_MAX + 1], *after[BLUR_RADIUS_MAX + 1];
+    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1], *after[DL_BLUR_RADIUS_MAX + 1];
     uint16_t *inside = l->wide + l->radius, *out = slot(l, row) + colour * l->w;
     if (!l->radius) {
         memcpy(out, light, (size_t)l->w * sizeof *out);
@@ -132,13 +132,13 @@ static inline uint16_t lesser(uint16_t a, uint16_t b)
 /* Add what the exact blur of the pad's edges differs by to a blurred row. */
 static void add_exact(const lens *l, int32_t row)
 {
-    const int32_t *v = l->window, inside = row - v[LENS_Y], columns = v[LENS_COLUMNS];
-    if (inside < 0 || inside >= v[LENS_ROWS]) {
+    const int32_t *v = l->window, inside = row - v[DL_LENS_Y], columns = v[DL_LENS_COLUMNS];
+    if (inside < 0 || inside >= v[DL_LENS_ROWS]) {
         return;
     }
     for (int c = 0; c < CHANNELS; c++) {
         const int16_t *added = l->added + (CHANNELS * (int64_t)inside + c) * columns;
-        uint16_t *counts = l->counts + (int64_t)c * l->w + v[LENS_X];
+        uint16_t *counts = l->counts + (int64_t)c * l->w + v[DL_LENS_X];
         for (int32_t x = 0; x < columns; x++) {
             const int32_t sum = counts[x] + added[x];
             counts[x] = (uint16_t)(sum > 0 ? sum : 0);
@@ -149,7 +149,7 @@ static void add_exact(const lens *l, int32_t row)
 /* The blurred row in counts; the rows of the ring outside the frame are its first and its last one. */
 static const uint16_t *blurred(const lens *l, int32_t row)
 {
-    const uint16_t *before[BLUR_RADIUS_MAX + 1], *after[BLUR_RADIUS_MAX + 1];
+    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1], *after[DL_BLUR_RADIUS_MAX + 1];
     for (int t = 0; t <= l->radius; t++) {
         before[t] = slot(l, row - t > 0 ? row - t : 0);
         after[t] = slot(l, row + t < l->h - 1 ? row + t : l->h - 1);
@@ -164,11 +164,11 @@ static const uint16_t *blurred(const lens *l, int32_t row)
     return l->counts;
 }
 
-int32_t sim_render_blur(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, int16_t *out)
+bool dl_sim_render_blur(int32_t h, int32_t w, const int16_t *light, const dl_sim_lens_blur *blur, int16_t *out)
 {
     lens l;
     if (!begin(h, w, blur, &l)) {
-        return -1;
+        return false;
     }
     for (int32_t row = 0, entered = 0; row < h; row++) {
         for (; entered < h && entered <= row + l.radius; entered++) {
@@ -181,20 +181,20 @@ int32_t sim_render_blur(int32_t h, int32_t w, const int16_t *light, const sim_le
             }
         }
     }
-    return 0;
+    return true;
 }
 
-/* The places in the table of codes for a row of light with noise: LIGHT_LEVELS levels of light, each with GRAIN_LEVELS of noise.
+/* The places in the table of codes for a row of light with noise: DL_LIGHT_LEVELS levels of light, each with DL_GRAIN_LEVELS of noise.
  *
  * A level is a count in the dark, where the tone curve is steep, then four, then eight. */
 WIDE
 static void find_places(int32_t n, const uint16_t *restrict counts, const uint8_t *restrict grain, uint16_t *restrict places)
 {
     for (int32_t x = 0; x < n; x++) {
-        const uint16_t by_four = (uint16_t)(LEVELS_BY_ONE - LEVELS_BY_ONE / 4 + (counts[x] >> 2));
-        const uint16_t by_eight = (uint16_t)(LEVELS_BY_EIGHT - COUNTS_BY_EIGHT / 8 + (counts[x] >> 3));
-        const uint16_t level = lesser(lesser(counts[x], by_four), lesser(by_eight, LIGHT_LEVELS - 1));
-        places[x] = (uint16_t)(level * GRAIN_LEVELS + grain[x]);
+        const uint16_t by_four = (uint16_t)(DL_LEVELS_BY_ONE - DL_LEVELS_BY_ONE / 4 + (counts[x] >> 2));
+        const uint16_t by_eight = (uint16_t)(DL_LEVELS_BY_EIGHT - DL_COUNTS_BY_EIGHT / 8 + (counts[x] >> 3));
+        const uint16_t level = lesser(lesser(counts[x], by_four), lesser(by_eight, DL_LIGHT_LEVELS - 1));
+        places[x] = (uint16_t)(level * DL_GRAIN_LEVELS + grain[x]);
     }
 }
 
@@ -227,17 +227,17 @@ static void develop(const lens *l, const uint16_t *counts, const uint8_t *grain,
 }
 
 /* Finish a row of the frame from the rows around it. */
-static void finish(const lens *l, int32_t row, const sim_sensor_tone *tone, uint8_t *frame)
+static void finish(const lens *l, int32_t row, const dl_sim_sensor_tone *tone, uint8_t *frame)
 {
     const int64_t at = (int64_t)row * l->values;
     develop(l, blurred(l, row), tone->noise ? tone->noise + at : 0, tone->codes, frame + at);
 }
 
-int32_t sim_render_frame(int32_t h, int32_t w, const int16_t *light, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame)
+bool dl_sim_render_frame(int32_t h, int32_t w, const int16_t *light, const dl_sim_lens_blur *blur, const dl_sim_sensor_tone *tone, uint8_t *frame)
 {
     lens l;
     if (!begin(h, w, blur, &l)) {
-        return -1;
+        return false;
     }
     for (int32_t row = 0, entered = 0; row < h; row++) {
         for (; entered < h && entered <= row + l.radius; entered++) {
@@ -245,21 +245,21 @@ int32_t sim_render_frame(int32_t h, int32_t w, const int16_t *light, const sim_l
         }
         finish(&l, row, tone, frame);
     }
-    return 0;
+    return true;
 }
 
-int32_t sim_render_image(const sim_lit_scene *seen, const sim_lens_blur *blur, const sim_sensor_tone *tone, uint8_t *frame)
+bool dl_sim_render_image(const dl_sim_lit_scene *seen, const dl_sim_lens_blur *blur, const dl_sim_sensor_tone *tone, uint8_t *frame)
 {
     const int32_t h = seen->h, w = seen->w;
     const exposure16 exposed = exposure_of(seen);
-    const int64_t plane = CELL_PX * (int64_t)w;
+    const int64_t plane = DL_CELL_PX * (int64_t)w;
     lens l;
     if (!begin(h, w, blur, &l)) {
-        return -1;
+        return false;
     }
     int32_t row = 0, e = 0;
-    for (int32_t top = 0; top < h; top += CELL_PX) {
-        const int32_t end = top + CELL_PX < h ? top + CELL_PX : h, first = e;
+    for (int32_t top = 0; top < h; top += DL_CELL_PX) {
+        const int32_t end = top + DL_CELL_PX < h ? top + DL_CELL_PX : h, first = e;
         const int64_t i = (int64_t)top * w;
         const light_place place = {l.band - i, 1, plane};
         expose_planes(&exposed, seen, i, (end - top) * w, l.band, plane);
@@ -276,5 +276,5 @@ int32_t sim_render_image(const sim_lit_scene *seen, const sim_lens_blur *blur, c
             }
         }
     }
-    return 0;
+    return true;
 }

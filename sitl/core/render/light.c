@@ -1,7 +1,7 @@
 /* A scene under a light: the light that its pixels send into the lens of the simulated camera.
  *
  * A pixel of a scene is four numbers of sixteen bits: what it reflects of blue, green and red, and the wear of its paint, parts of
- * SCENE_ONE. Light is counted in three of them; factors on it are parts of GAIN_ONE.
+ * DL_SCENE_ONE. Light is counted in three of them; factors on it are parts of DL_GAIN_ONE.
  */
 
 #include "render/light.h"
@@ -12,7 +12,7 @@
 enum { SHARPEST = 32767, EIGHT = 8 };
 
 /* The exposure as factors below a half, to keep all of sixteen bits; what that takes off is doubled again. */
-exposure16 exposure_of(const sim_lit_scene *seen)
+exposure16 exposure_of(const dl_sim_lit_scene *seen)
 {
     const float *exposure = seen->exposure;
     const uint16_t *pad_scene = seen->pad_scene;
@@ -28,9 +28,9 @@ exposure16 exposure_of(const sim_lit_scene *seen)
     for (int c = 0; c < CHANNELS; c++) {
         const float factor = 2.0f * scale * exposure[c] + 0.5f;
         made.of_one[c] = (uint16_t)(factor < 65535.0f ? factor : 65535.0f);
-        for (int k = 0; k < PAD_PAINTS && pad_scene; k++) {
+        for (int k = 0; k < DL_PAD_PAINTS && pad_scene; k++) {
             made.paint[k][c] = pad_scene[4 * k + c];
-            made.paint_light[k][c] = exposure[c] * (float)pad_scene[4 * k + c] * (1.0f / GAIN_ONE / SCENE_ONE);
+            made.paint_light[k][c] = exposure[c] * (float)pad_scene[4 * k + c] * (1.0f / DL_GAIN_ONE / DL_SCENE_ONE);
         }
     }
     return made;
@@ -65,7 +65,7 @@ static inline lanes worn(lanes wear, lanes twice_gain)
 static inline void put_paints(const exposure16 *e, lanes kinds, eight *p, lanes *twice_gain)
 {
     lanes on = lanes_all(0);
-    for (uint16_t paint = PAD_NONE + 1; paint < PAD_PAINTS; paint++) {
+    for (uint16_t paint = DL_PAD_NONE + 1; paint < DL_PAD_PAINTS; paint++) {
         const lanes here = lanes_equal(kinds, lanes_all(paint));
         on = lanes_or(on, here);
         for (int c = 0; c < CHANNELS; c++) {
@@ -111,11 +111,11 @@ static inline void expose_eight(const exposure16 *e, const uint16_t *scene, cons
 {
     const uint64_t each = UINT64_C(0x0101010101010101);
     const lanes factor = lanes_load(gain), twice_gain = lanes_add(factor, factor);
-    uint64_t all = PAD_NONE;
+    uint64_t all = DL_PAD_NONE;
     if (kinds) {
         memcpy(&all, kinds, sizeof all);
     }
-    if (all == each * PAD_NONE || all == each * PAD_EDGE) {
+    if (all == each * DL_PAD_NONE || all == each * DL_PAD_EDGE) {
         store_light(e, take_eight(scene).colour, twice_gain, light);
     } else if (all == each * kinds[0]) {
         expose_paint(e, kinds[0], scene, twice_gain, light);
@@ -128,10 +128,10 @@ static inline void expose_eight(const exposure16 *e, const uint16_t *scene, cons
 }
 
 /* Fewer than eight pixels. */
-static void expose_rest(const exposure16 *e, const sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *const *light)
+static void expose_rest(const exposure16 *e, const dl_sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *const *light)
 {
     uint16_t scene[4 * EIGHT] = {0}, made[CHANNELS][EIGHT];
-    uint8_t kinds[EIGHT] = {PAD_NONE};
+    uint8_t kinds[EIGHT] = {DL_PAD_NONE};
     int16_t gain[EIGHT] = {0};
     uint16_t *const all[CHANNELS] = {made[0], made[1], made[2]};
     memcpy(scene, seen->scene + 4 * first, (size_t)n * 4 * sizeof *scene);
@@ -146,7 +146,7 @@ static void expose_rest(const exposure16 *e, const sim_lit_scene *seen, int64_t 
 }
 
 WIDE
-void expose_planes(const exposure16 *e, const sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *light, int64_t apart)
+void expose_planes(const exposure16 *e, const dl_sim_lit_scene *seen, int64_t first, int32_t n, uint16_t *light, int64_t apart)
 {
     const exposure16 here = *e;
     int32_t i = 0;
@@ -161,27 +161,27 @@ void expose_planes(const exposure16 *e, const sim_lit_scene *seen, int64_t first
     }
 }
 
-void mix_paints(const exposure16 *e, const sim_lit_scene *seen, int32_t from, int32_t to, const light_place *light)
+void mix_paints(const exposure16 *e, const dl_sim_lit_scene *seen, int32_t from, int32_t to, const light_place *light)
 {
     for (int32_t i = from; i < to; i++) {
         const int64_t pixel = seen->where[i];
-        const float *share = seen->shares + PAD_PAINTS * (int64_t)i;
+        const float *share = seen->shares + DL_PAD_PAINTS * (int64_t)i;
         const float factor = (float)seen->gain[pixel] * (float)seen->scene[4 * pixel + 3];
         float own[CHANNELS + 1] = {0.0f};
-        for (int k = 1; k < PAD_PAINTS; k++) {
+        for (int k = 1; k < DL_PAD_PAINTS; k++) {
             for (int c = 0; c <= CHANNELS; c++) {
                 own[c] += share[k] * e->paint_light[k][c];
             }
         }
         for (int c = 0; c < CHANNELS; c++) {
             uint16_t *mixed = light->first + light->step * pixel + light->apart * c;
-            const float sum = share[PAD_NONE] * (float)*mixed + own[c] * factor + 0.5f;
+            const float sum = share[DL_PAD_NONE] * (float)*mixed + own[c] * factor + 0.5f;
             *mixed = (uint16_t)(sum > 0.0f ? sum < (float)LIGHT_MOST ? sum : (float)LIGHT_MOST : 0.0f);
         }
     }
 }
 
-void sim_render_expose(const sim_lit_scene *seen, int16_t *light)
+void dl_sim_render_expose(const dl_sim_lit_scene *seen, int16_t *light)
 {
     const exposure16 e = exposure_of(seen);
     const int32_t pixels = seen->h * seen->w;
@@ -197,7 +197,7 @@ void sim_render_expose(const sim_lit_scene *seen, int16_t *light)
     }
 }
 
-void sim_render_mix(const sim_lit_scene *seen, int16_t *light)
+void dl_sim_render_mix(const dl_sim_lit_scene *seen, int16_t *light)
 {
     const exposure16 e = exposure_of(seen);
     const light_place place = {(uint16_t *)light, CHANNELS, 1};

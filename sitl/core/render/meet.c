@@ -7,7 +7,7 @@
 
 /* Rays that do not meet the plane are at its origin; places are limited, for beyond the horizon they have no meaning. */
 WIDE
-void sim_render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places)
+void dl_sim_render_meet(int32_t count, const float *rays, const double *plane_from_ray, double most, float *places)
 {
     double H[9];
     memcpy(H, plane_from_ray, sizeof H);

@@ -5,14 +5,14 @@
 
 #include "render/pad.h"
 
-enum { SQUARE = CELL_PX };
+enum { SQUARE = DL_CELL_PX };
 
 /* Largest change of the distance across a square for which the plane is linear in it to a twentieth of a pixel. */
 static const float TILT_MOST = 0.02f;
 
 /* Inputs and results of the frame's division. */
 typedef struct {
-    const sim_pad_view *seen;
+    const dl_sim_pad_view *seen;
     const stroke *whole;
     uint8_t *kinds;
     int32_t *edges, count;
@@ -40,13 +40,13 @@ static void put_region(const float *g, patch *p)
 {
     float depth[TOGETHER];
     depths_in(g, p->u, p->v, depth);
-    put((int32_t)g[PAD_PAINT], depth, p);
+    put((int32_t)g[DL_PAD_PAINT], depth, p);
 }
 
 static void clear(patch *p)
 {
     for (int k = 0; k < TOGETHER; k++) {
-        p->paint[k] = PAD_NONE;
+        p->paint[k] = DL_PAD_NONE;
     }
 }
 
@@ -128,7 +128,7 @@ static void tilts_of(const sheaf *s, float *restrict tilt)
 /* Take the rays of the middles of a row of squares. */
 static void take_middles(division *d, int32_t x0, int32_t y0, int32_t n)
 {
-    const sim_pad_view *v = d->seen;
+    const dl_sim_pad_view *v = d->seen;
     const int32_t columns = (v->w + SQUARE - 1) / SQUARE + 2, y = y0 + SQUARE / 2 < v->h ? y0 + SQUARE / 2 : v->h - 1;
     const float *middle = v->middles + 2 * ((int64_t)columns * (y0 / SQUARE + 1) + x0 / SQUARE + 1);
     int32_t pixels[TOGETHER];
@@ -175,11 +175,11 @@ static void divide_squares(division *d, int32_t x0, int32_t y0, int32_t n)
 }
 
 /* How far points of the pad are from its centre at most, m. */
-static float farthest_of(const sim_pad_view *pad)
+static float farthest_of(const dl_sim_pad_view *pad)
 {
     float most = 0.0f;
     for (int i = 0; i < pad->regions; i++) {
-        most = region_of(pad, i)[PAD_FARTHEST] > most ? region_of(pad, i)[PAD_FARTHEST] : most;
+        most = region_of(pad, i)[DL_PAD_FARTHEST] > most ? region_of(pad, i)[DL_PAD_FARTHEST] : most;
     }
     return most;
 }
@@ -189,7 +189,7 @@ static float farthest_of(const sim_pad_view *pad)
  * Lines are straight without distortion, if all rows are exposed at once. The size of a square is largest at one of the ends. */
 static int passes_by(division *d, int32_t y0, float farthest)
 {
-    const sim_pad_view *v = d->seen;
+    const dl_sim_pad_view *v = d->seen;
     const int32_t squares = (v->w + SQUARE - 1) / SQUARE;
     const float *first = v->middles + 2 * (int64_t)(squares + 2) * (y0 / SQUARE + 1);
     float radius[TOGETHER], way[TOGETHER];
@@ -210,7 +210,7 @@ static int passes_by(division *d, int32_t y0, float farthest)
     return seen && fabsf(ends.u[0] * along_v - ends.v[0] * along_u) > (farthest + wide) * length;
 }
 
-int32_t sim_render_pad_kinds(const sim_pad_view *v, const float *whole, uint8_t *kinds, int32_t *edges)
+int32_t dl_sim_render_pad_kinds(const dl_sim_pad_view *v, const float *whole, uint8_t *kinds, int32_t *edges)
 {
     const int32_t h = v->h, w = v->w;
     const stroke all = stroke_at(whole, v->rolling, 0);
@@ -224,7 +224,7 @@ int32_t sim_render_pad_kinds(const sim_pad_view *v, const float *whole, uint8_t 
     for (int32_t y = 0; y < h; y += SQUARE) {
         const int32_t rows = h - y < SQUARE ? h - y : SQUARE;
         if (passes_by(&d, y, farthest_of(v))) {
-            memset(kinds + (int64_t)y * w, PAD_NONE, (size_t)(rows * w));
+            memset(kinds + (int64_t)y * w, DL_PAD_NONE, (size_t)(rows * w));
             continue;
         }
         for (int32_t x = 0; x < w; x += SQUARE * TOGETHER) {

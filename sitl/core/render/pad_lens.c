@@ -11,7 +11,7 @@
 #include "render/light.h"
 #include "base/wide.h"
 
-enum { BLOCK = LENS_BLOCK };
+enum { BLOCK = DL_LENS_BLOCK };
 
 /* A coverage whose light is less than half a count of full scale. */
 static const float NONE = 5e-5f;
@@ -24,7 +24,7 @@ static const float COUNTS_MOST = 32767.0f;
  * A row is as long as its blocks are. */
 typedef struct {
     int32_t x0, y0, columns, rows, w, blocks, wide, fine, reach;
-    const sim_lit_scene *seen;
+    const dl_sim_lit_scene *seen;
     const float *exact, *sampled;
     int32_t *numbers, *busy;
 } window;
@@ -59,7 +59,7 @@ static int find_edges(const window *v, int paint)
     memset(v->busy, 0, (size_t)(v->blocks * v->rows) * sizeof *v->busy);
     for (int32_t e = 0; e < v->seen->edges; e++) {
         const int32_t x = where[e] % v->w - v->x0, y = where[e] / v->w - v->y0;
-        if (v->seen->shares[PAD_PAINTS * (int64_t)e + paint] != 0.0f) {
+        if (v->seen->shares[DL_PAD_PAINTS * (int64_t)e + paint] != 0.0f) {
             any = v->busy[v->blocks * y + limited_to(x - v->reach, v->columns) / BLOCK] = 1;
             v->busy[v->blocks * y + limited_to(x + v->reach, v->columns) / BLOCK] = 1;
         }
@@ -107,7 +107,7 @@ static void take_row(const window *v, int paint, int32_t y, int32_t down, float 
     }
     for (int32_t x = 0; x < v->columns; x++) {
         if (numbers[x] >= 0) {
-            const float *parts = v->seen->parts + (PAD_PAINTS * (int64_t)numbers[x] + paint) * all + v->fine * down;
+            const float *parts = v->seen->parts + (DL_PAD_PAINTS * (int64_t)numbers[x] + paint) * all + v->fine * down;
             float sum = 0.0f;
             for (int32_t s = 0; s < v->fine; s++) {
                 row[length * s + v->reach + x] = parts[s];
@@ -195,7 +195,7 @@ static inline int16_t rounded(float counts)
 static void add_light(const window *v, int paint, int32_t y, int32_t x, const float *difference, const exposure16 *e,
                       int16_t *added)
 {
-    const sim_lit_scene *seen = v->seen;
+    const dl_sim_lit_scene *seen = v->seen;
     const int32_t n = v->columns - x < BLOCK ? v->columns - x : BLOCK;
     const int64_t first = (int64_t)(v->y0 + y) * v->w + v->x0 + x;
     for (int32_t i = 0; i < n; i++) {
@@ -206,7 +206,7 @@ static void add_light(const window *v, int paint, int32_t y, int32_t x, const fl
         }
         for (int c = 0; c < CHANNELS; c++) {
             int16_t *here = added + (CHANNELS * (int64_t)y + c) * v->columns + x + i;
-            const float around = seen->exposure[c] * (float)scene[c] * gain * (1.0f / GAIN_ONE);
+            const float around = seen->exposure[c] * (float)scene[c] * gain * (1.0f / DL_GAIN_ONE);
             const float own = e->paint_light[paint][c] * (float)scene[3] * gain;
             const float most = (float)LIGHT_MOST;
             const float more = (own < most ? own : most) - (around < most ? around : most);
@@ -215,24 +215,24 @@ static void add_light(const window *v, int paint, int32_t y, int32_t x, const fl
     }
 }
 
-int32_t sim_render_pad_lens(const sim_lit_scene *seen, const int32_t *place, const sim_lens_kernels *k, int16_t *added)
+bool dl_sim_render_pad_lens(const dl_sim_lit_scene *seen, const int32_t *place, const dl_sim_lens_kernels *k, int16_t *added)
 {
-    const int32_t columns = place[LENS_COLUMNS], rows = place[LENS_ROWS], blocks = (columns + BLOCK - 1) / BLOCK;
+    const int32_t columns = place[DL_LENS_COLUMNS], rows = place[DL_LENS_ROWS], blocks = (columns + BLOCK - 1) / BLOCK;
     const int32_t wide = BLOCK * blocks, fine = seen->fine, row = (fine + 1) * (wide + 2 * k->reach);
-    const window v = {place[LENS_X], place[LENS_Y], columns, rows, seen->w, blocks, wide, fine, k->reach, seen,
+    const window v = {place[DL_LENS_X], place[DL_LENS_Y], columns, rows, seen->w, blocks, wide, fine, k->reach, seen,
                       k->exact, k->sampled, k->places, k->places + wide * rows};
     const exposure16 e = exposure_of(seen);
     float difference[BLOCK];
     space s;
     if (k->floats < row + (fine + 1) * wide * rows || k->numbers < (wide + blocks) * rows) {
-        return -1;
+        return false;
     }
     s.row = k->room;
     s.pixels = s.row + row;
     s.parts = s.pixels + wide * rows;
     memset(added, 0, (size_t)CHANNELS * (size_t)(columns * rows) * sizeof *added);
     number_pixels(&v);
-    for (int paint = PAD_NONE + 1; paint < PAD_PAINTS; paint++) {
+    for (int paint = DL_PAD_NONE + 1; paint < DL_PAD_PAINTS; paint++) {
         if (!find_edges(&v, paint)) {
             continue;
         }
@@ -245,5 +245,6 @@ int32_t sim_render_pad_lens(const sim_lit_scene *seen, const int32_t *place, con
                 }
             }
         }
-    }    return 0;
+    }
+    return true;
 }

@@ -16,7 +16,7 @@ static void planes_in_rows(const stroke *k, sheaf *s)
     }
 }
 
-void begin_rays(const sim_pad_view *v, const stroke *k, sheaf *s)
+void begin_rays(const dl_sim_pad_view *v, const stroke *k, sheaf *s)
 {
     for (int j = 0; j < TOGETHER; j++) {
         s->x[j] = s->y[j] = 0.0f;
@@ -29,7 +29,7 @@ void begin_rays(const sim_pad_view *v, const stroke *k, sheaf *s)
     }
 }
 
-void take_rays(const sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s)
+void take_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t i = 0; i < TOGETHER; i++) {
         const float *ray = v->rays + 2 * (int64_t)pixels[i < n ? i : n - 1];
@@ -38,7 +38,7 @@ void take_rays(const sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s
     }
 }
 
-void take_changes(const sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
+void take_changes(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t j = 0; v->bent && j < TOGETHER; j++) {
         const float *change = v->change + 4 * (int64_t)pixels[j < n ? j : n - 1];
@@ -127,14 +127,14 @@ static void depths_in_polygon(const float *g, const float *restrict u, const flo
 
 void depths_in(const float *g, const float *u, const float *v, float *depth)
 {
-    switch ((int)g[PAD_SHAPE]) {
-    case PAD_ANNULUS:
+    switch ((int)g[DL_PAD_SHAPE]) {
+    case DL_PAD_ANNULUS:
         depths_in_annulus(g, u, v, depth);
         break;
-    case PAD_RECTANGLE:
+    case DL_PAD_RECTANGLE:
         depths_in_rectangle(g, u, v, depth);
         break;
-    case PAD_POLYGON:
+    case DL_PAD_POLYGON:
         depths_in_polygon(g, u, v, depth);
         break;
     default:

@@ -69,7 +69,7 @@ typedef struct {
 WIDE
 static void shares_of_annulus(const float *g, const grid *s, float *restrict share)
 {
-    const float inner = g[PAD_ANNULUS_INNER], outer = g[PAD_ANNULUS_OUTER];
+    const float inner = g[DL_PAD_ANNULUS_INNER], outer = g[DL_PAD_ANNULUS_OUTER];
     for (int k = 0; k < TOGETHER; k++) {
         const float u = s->u[k], v = s->v[k], r = sqrtf(u * u + v * v) + 1e-9f, per_r = 1.0f / r;
         const box b = box_along(&s->met, k, u * per_r, v * per_r);
@@ -80,7 +80,7 @@ static void shares_of_annulus(const float *g, const grid *s, float *restrict sha
 WIDE
 static void shares_of_rectangle(const float *g, const grid *s, float *restrict share)
 {
-    const float u0 = g[PAD_RECTANGLE_U0], u1 = g[PAD_RECTANGLE_U1], v0 = g[PAD_RECTANGLE_V0], v1 = g[PAD_RECTANGLE_V1];
+    const float u0 = g[DL_PAD_RECTANGLE_U0], u1 = g[DL_PAD_RECTANGLE_U1], v0 = g[DL_PAD_RECTANGLE_V0], v1 = g[DL_PAD_RECTANGLE_V1];
     for (int k = 0; k < TOGETHER; k++) {
         share[k] = between(u0, u1, s->u[k], s->along_u.per_width[k], s->along_u.offset[k]) *
                    between(v0, v1, s->v[k], s->along_v.per_width[k], s->along_v.offset[k]);
@@ -90,7 +90,7 @@ static void shares_of_rectangle(const float *g, const grid *s, float *restrict s
 WIDE
 static void shares_of_arrow(const float *g, const grid *s, float *restrict share)
 {
-    const float cosine = g[PAD_ARROW_COS], sine = g[PAD_ARROW_SIN], tip = g[PAD_ARROW_TIP], base = g[PAD_ARROW_BASE];
+    const float cosine = g[DL_PAD_ARROW_COS], sine = g[DL_PAD_ARROW_SIN], tip = g[DL_PAD_ARROW_TIP], base = g[DL_PAD_ARROW_BASE];
     for (int k = 0; k < TOGETHER; k++) {
         const float ahead = cosine * (tip - s->u[k]), aside = sine * s->v[k];
         share[k] = covered(s->u[k] - base, s->along_u.per_width[k], s->along_u.offset[k]) *
@@ -102,10 +102,10 @@ static void shares_of_arrow(const float *g, const grid *s, float *restrict share
 WIDE
 static void shares_of_polygon(const float *g, const grid *s, float *restrict share)
 {
-    const int sides = (int)g[PAD_POLYGON_SIDES];
+    const int sides = (int)g[DL_PAD_POLYGON_SIDES];
     boxes along;
     for (int side = 0; side < sides; side++) {
-        const float *of = g + PAD_POLYGON_FIRST + 3 * side;
+        const float *of = g + DL_PAD_POLYGON_FIRST + 3 * side;
         boxes_along(&s->met, of[0], of[1], &along);
         for (int k = 0; k < TOGETHER; k++) {
             const float within = covered(of[2] - of[0] * s->u[k] - of[1] * s->v[k], along.per_width[k], along.offset[k]);
@@ -116,14 +116,14 @@ static void shares_of_polygon(const float *g, const grid *s, float *restrict sha
 
 static void shares_of(const float *g, const grid *s, float *share)
 {
-    switch ((int)g[PAD_SHAPE]) {
-    case PAD_ANNULUS:
+    switch ((int)g[DL_PAD_SHAPE]) {
+    case DL_PAD_ANNULUS:
         shares_of_annulus(g, s, share);
         break;
-    case PAD_RECTANGLE:
+    case DL_PAD_RECTANGLE:
         shares_of_rectangle(g, s, share);
         break;
-    case PAD_POLYGON:
+    case DL_PAD_POLYGON:
         shares_of_polygon(g, s, share);
         break;
     default:
@@ -133,7 +133,7 @@ static void shares_of(const float *g, const grid *s, float *share)
 
 /* What the pixels of a group have of each paint, in subpixels. */
 typedef struct {
-    float of[PAD_PAINTS][TOGETHER], ring[TOGETHER];
+    float of[DL_PAD_PAINTS][TOGETHER], ring[TOGETHER];
 } sums;
 
 /* A region takes its share from the paint that it lies on. */
@@ -158,11 +158,11 @@ static void take_ring_off(const float *restrict ring, float *restrict share)
 static void add_region(const float *g, const grid *s, sums *total)
 {
     float share[TOGETHER];
-    const int paint = (int)g[PAD_PAINT], below = (int)g[PAD_BELOW];
+    const int paint = (int)g[DL_PAD_PAINT], below = (int)g[DL_PAD_BELOW];
     shares_of(g, s, share);
-    if (paint == PAD_ORANGE && (int)g[PAD_SHAPE] == PAD_ARROW) {
+    if (paint == DL_PAD_ORANGE && (int)g[DL_PAD_SHAPE] == DL_PAD_ARROW) {
         take_ring_off(total->ring, share);
-    } else if (paint == PAD_ORANGE) {
+    } else if (paint == DL_PAD_ORANGE) {
         for (int k = 0; k < TOGETHER; k++) {
             total->ring[k] += share[k];
         }
@@ -182,8 +182,8 @@ static void add_all(float value, float *sum)
 /* The regions that a group of pixels shows a part of, the lowest first, and the subpixels that one paint covers altogether. */
 typedef struct {
     int count;
-    const float *near[PAD_REGIONS_MOST];
-    float whole[PAD_PAINTS];
+    const float *near[DL_PAD_REGIONS_MOST];
+    float whole[DL_PAD_PAINTS];
 } choice;
 
 /* Whether all of the points lie inside a region, or all outside it, by more than they reach. */
@@ -199,20 +199,20 @@ static void inside_or_outside(const float *depth, const float *reach, int *all_i
 }
 
 /* Choose regions for pixels whose subpixels reach so far. The ring's share is needed where the arrowhead's is. */
-static void choose(const sim_pad_view *p, const spots *s, const float *reach, choice *c)
+static void choose(const dl_sim_pad_view *p, const spots *s, const float *reach, choice *c)
 {
     float depth[TOGETHER];
     memset(c->whole, 0, sizeof c->whole);
-    c->whole[PAD_NONE] = 1.0f;
+    c->whole[DL_PAD_NONE] = 1.0f;
     c->count = 0;
     for (int i = 0; i < p->regions; i++) {
         const float *g = region_of(p, i);
         int all_inside, all_outside;
         depths_in(g, s->u, s->v, depth);
         inside_or_outside(depth, reach, &all_inside, &all_outside);
-        if (all_inside && (int)g[PAD_PAINT] != PAD_ORANGE) {
-            c->whole[(int)g[PAD_BELOW]] -= 1.0f;
-            c->whole[(int)g[PAD_PAINT]] += 1.0f;
+        if (all_inside && (int)g[DL_PAD_PAINT] != DL_PAD_ORANGE) {
+            c->whole[(int)g[DL_PAD_BELOW]] -= 1.0f;
+            c->whole[(int)g[DL_PAD_PAINT]] += 1.0f;
         } else if (!all_outside) {
             c->near[c->count++] = g;
         }
@@ -225,10 +225,10 @@ static void look_along_edges(const choice *c, grid *s)
     int straight = 0;
     for (int i = 0; i < c->count; i++) {
         const float *g = c->near[i];
-        straight |= (int)g[PAD_SHAPE] == PAD_RECTANGLE || (int)g[PAD_SHAPE] == PAD_ARROW;
-        if ((int)g[PAD_SHAPE] == PAD_ARROW) {
-            boxes_along(&s->met, g[PAD_ARROW_COS], g[PAD_ARROW_SIN], &s->left);
-            boxes_along(&s->met, g[PAD_ARROW_COS], -g[PAD_ARROW_SIN], &s->right);
+        straight |= (int)g[DL_PAD_SHAPE] == DL_PAD_RECTANGLE || (int)g[DL_PAD_SHAPE] == DL_PAD_ARROW;
+        if ((int)g[DL_PAD_SHAPE] == DL_PAD_ARROW) {
+            boxes_along(&s->met, g[DL_PAD_ARROW_COS], g[DL_PAD_ARROW_SIN], &s->left);
+            boxes_along(&s->met, g[DL_PAD_ARROW_COS], -g[DL_PAD_ARROW_SIN], &s->right);
         }
     }
     if (straight) {
@@ -249,18 +249,18 @@ static void place(float right, float down, grid *s)
 /* Add what a subpixel of each of n pixels has of each paint to the sums of the pixels, and to the subpixels where they are kept. */
 static void keep_part(const sums *one, int32_t n, int part, int parts, sums *total, float *kept)
 {
-    for (int paint = 0; paint < PAD_PAINTS; paint++) {
+    for (int paint = 0; paint < DL_PAD_PAINTS; paint++) {
         for (int k = 0; k < TOGETHER; k++) {
             total->of[paint][k] += one->of[paint][k];
         }
         for (int32_t k = 0; kept && k < n; k++) {
-            kept[(PAD_PAINTS * (int64_t)k + paint) * parts + part] += one->of[paint][k];
+            kept[(DL_PAD_PAINTS * (int64_t)k + paint) * parts + part] += one->of[paint][k];
         }
     }
 }
 
 /* Add the shares of all subpixels of some pixels during one of the parts of the exposure. The plane is linear within a pixel. */
-static void add_pixels(const sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, sums *total, float *kept)
+static void add_pixels(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, int fine, sums *total, float *kept)
 {
     float radius[TOGETHER], way[TOGETHER];
     sheaf rays;
@@ -280,7 +280,7 @@ static void add_pixels(const sim_pad_view *v, const stroke *k, int32_t n, const 
     for (int part = 0; part < fine * fine; part++) {
         place((float)(part % fine) - 0.5f * (float)(fine - 1), (float)(part / fine) - 0.5f * (float)(fine - 1), &s);
         memset(&one, 0, sizeof one);
-        for (int paint = 0; paint < PAD_PAINTS; paint++) {
+        for (int paint = 0; paint < DL_PAD_PAINTS; paint++) {
             add_all(c.whole[paint], one.of[paint]);
         }
         for (int i = 0; i < c.count; i++) {
@@ -290,11 +290,11 @@ static void add_pixels(const sim_pad_view *v, const stroke *k, int32_t n, const 
     }
 }
 
-void sim_render_pad_shares(const sim_pad_view *v, int32_t strokes, const float *stroke_numbers, int32_t fine, int32_t count,
+void dl_sim_render_pad_shares(const dl_sim_pad_view *v, int32_t strokes, const float *stroke_numbers, int32_t fine, int32_t count,
                        const int32_t *edges, float *shares, float *parts)
 {
     const float each = 1.0f / (float)(strokes * fine * fine);
-    const int64_t numbers = PAD_PAINTS * (int64_t)fine * fine;
+    const int64_t numbers = DL_PAD_PAINTS * (int64_t)fine * fine;
     sums total;
     if (parts) {
         memset(parts, 0, (size_t)(count * numbers) * sizeof *parts);
@@ -307,8 +307,8 @@ void sim_render_pad_shares(const sim_pad_view *v, int32_t strokes, const float *
             add_pixels(v, &k, n, edges + first, fine, &total, parts ? parts + first * numbers : 0);
         }
         for (int32_t e = 0; e < n; e++) {
-            for (int k = 0; k < PAD_PAINTS; k++) {
-                shares[PAD_PAINTS * (int64_t)(first + e) + k] = total.of[k][e] * each;
+            for (int k = 0; k < DL_PAD_PAINTS; k++) {
+                shares[DL_PAD_PAINTS * (int64_t)(first + e) + k] = total.of[k][e] * each;
             }
         }
     }

@@ -10,7 +10,7 @@
 #include "decklander_sim.h"
 #include "base/wide.h"
 
-enum { PIXELS = CELL_PX * CELL_PX };
+enum { PIXELS = DL_CELL_PX * DL_CELL_PX };
 
 /* Without a branch, so that the compiler takes many pixels at once. */
 static inline float larger(float a, float b)
@@ -33,7 +33,7 @@ static inline float share_of(float value)
  *
  * The distance to a rotor is that to first order near its rim; a smooth step as wide as `soft` is the edge. */
 WIDE
-static void darken(const float *restrict u, const float *restrict v, const sim_drone_shade *shade, const uint8_t *restrict mask, int16_t *restrict gain)
+static void darken(const float *restrict u, const float *restrict v, const dl_sim_drone_shade *shade, const uint8_t *restrict mask, int16_t *restrict gain)
 {
     const float at = shade->rotor_at_m, radius = shade->rotor_radius_m, per_radius = 0.5f / radius, per_soft = 1.0f / shade->soft_m;
     const float half_length = shade->half_length_m, half_width = shade->half_width_m, part = shade->share / 255.0f;
@@ -67,17 +67,17 @@ static corners corners_at(const float *upper, int32_t columns)
 WIDE
 static void between(const float *corner, float *restrict at)
 {
-    for (int row = 0; row < CELL_PX; row++) {
-        const float down = (float)(2 * row + 1) / (float)(2 * CELL_PX);
+    for (int row = 0; row < DL_CELL_PX; row++) {
+        const float down = (float)(2 * row + 1) / (float)(2 * DL_CELL_PX);
         const float left = corner[0] + down * (corner[2] - corner[0]), right = corner[1] + down * (corner[3] - corner[1]);
-        for (int i = 0; i < CELL_PX; i++) {
-            at[CELL_PX * row + i] = left + (float)(2 * i + 1) / (float)(2 * CELL_PX) * (right - left);
+        for (int i = 0; i < DL_CELL_PX; i++) {
+            at[DL_CELL_PX * row + i] = left + (float)(2 * i + 1) / (float)(2 * DL_CELL_PX) * (right - left);
         }
     }
 }
 
 /* Whether the shadow may reach a square: its middle is no further from rotor or hull than a corner and half of the soft edge. */
-static int reached(const corners *k, const sim_drone_shade *shade)
+static int reached(const corners *k, const dl_sim_drone_shade *shade)
 {
     const float u = 0.25f * (k->u[0] + k->u[1] + k->u[2] + k->u[3]), v = 0.25f * (k->v[0] + k->v[1] + k->v[2] + k->v[3]);
     const float a = fabsf(u) - shade->rotor_at_m, b = fabsf(v) - shade->rotor_at_m;
@@ -96,24 +96,24 @@ typedef struct {
 
 static square square_at(int32_t h, int32_t w, int32_t left, int32_t top)
 {
-    const square made = {w, left, top, left > 0 ? left : 0, left + CELL_PX < w ? left + CELL_PX : w,
-                         top > 0 ? top : 0, top + CELL_PX < h ? top + CELL_PX : h};
+    const square made = {w, left, top, left > 0 ? left : 0, left + DL_CELL_PX < w ? left + DL_CELL_PX : w,
+                         top > 0 ? top : 0, top + DL_CELL_PX < h ? top + DL_CELL_PX : h};
     return made;
 }
 
 /* Copy a row of a square, whose width is known as a rule. */
 static inline void copy_row(void *to, const void *from, size_t pixels, size_t size)
 {
-    if (pixels == CELL_PX && size == 1) {
-        memcpy(to, from, CELL_PX);
-    } else if (pixels == CELL_PX) {
-        memcpy(to, from, CELL_PX * sizeof(int16_t));
+    if (pixels == DL_CELL_PX && size == 1) {
+        memcpy(to, from, DL_CELL_PX);
+    } else if (pixels == DL_CELL_PX) {
+        memcpy(to, from, DL_CELL_PX * sizeof(int16_t));
     } else {
         memcpy(to, from, pixels * size);
     }
 }
 
-static void darken_square(const square *q, const corners *k, const sim_drone_shade *shade, const uint8_t *mask, int16_t *gain)
+static void darken_square(const square *q, const corners *k, const dl_sim_drone_shade *shade, const uint8_t *mask, int16_t *gain)
 {
     float u[PIXELS], v[PIXELS];
     uint8_t covered[PIXELS];
@@ -124,7 +124,7 @@ static void darken_square(const square *q, const corners *k, const sim_drone_sha
     memset(covered, UINT8_MAX, sizeof covered);
     for (int32_t y = q->y0; y < q->y1; y++) {
         const int64_t from = (int64_t)y * q->w + q->x0;
-        const int32_t to = CELL_PX * (y - q->top) + q->x0 - q->left;
+        const int32_t to = DL_CELL_PX * (y - q->top) + q->x0 - q->left;
         copy_row(made + to, gain + from, n, sizeof *gain);
         if (mask) {
             copy_row(covered + to, mask + from, n, sizeof *mask);
@@ -132,7 +132,7 @@ static void darken_square(const square *q, const corners *k, const sim_drone_sha
     }
     darken(u, v, shade, covered, made);
     for (int32_t y = q->y0; y < q->y1; y++) {
-        copy_row(gain + (int64_t)y * q->w + q->x0, made + CELL_PX * (y - q->top) + q->x0 - q->left, n, sizeof *gain);
+        copy_row(gain + (int64_t)y * q->w + q->x0, made + DL_CELL_PX * (y - q->top) + q->x0 - q->left, n, sizeof *gain);
     }
 }
 
@@ -143,13 +143,13 @@ static void widen(int32_t *bounds, int32_t from, int32_t to)
     bounds[1] = empty || to > bounds[1] ? to : bounds[1];
 }
 
-void sim_render_shadow(int32_t h, int32_t w, const sim_plane_cells *cells, const sim_drone_shade *shade, const uint8_t *mask, int16_t *gain,
+void dl_sim_render_shadow(int32_t h, int32_t w, const dl_sim_plane_cells *cells, const dl_sim_drone_shade *shade, const uint8_t *mask, int16_t *gain,
                    int32_t *bounds)
 {
     memset(bounds, 0, 4 * sizeof *bounds);
-    for (int32_t top = -CELL_PX / 2; top < h; top += CELL_PX) {
-        const float *row = cells->at + 2 * (int64_t)cells->columns * ((top + CELL_PX / 2) / CELL_PX);
-        for (int32_t left = -CELL_PX / 2; left < w; left += CELL_PX, row += 2) {
+    for (int32_t top = -DL_CELL_PX / 2; top < h; top += DL_CELL_PX) {
+        const float *row = cells->at + 2 * (int64_t)cells->columns * ((top + DL_CELL_PX / 2) / DL_CELL_PX);
+        for (int32_t left = -DL_CELL_PX / 2; left < w; left += DL_CELL_PX, row += 2) {
             const corners k = corners_at(row, cells->columns);
             if (reached(&k, shade)) {
                 const square q = square_at(h, w, left, top);

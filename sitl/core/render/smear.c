@@ -57,7 +57,7 @@ static void add_shifted(int32_t w, const uint16_t *row, int32_t shift, uint16_t 
     }
 }
 
-void sim_render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights,
+void dl_sim_render_smear(int32_t h, int32_t w, const uint16_t *scene, int32_t count, const int32_t *shifts, const uint16_t *weights,
                   uint16_t *smeared)
 {
     for (int32_t row = 0; row < h; row++) {
@@ -90,7 +90,7 @@ static void average_ends(int32_t w, int32_t from, int32_t to, const uint16_t *a,
     }
 }
 
-void sim_render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged)
+void dl_sim_render_average(int32_t h, int32_t w, const uint16_t *scene, const int32_t *shifts, uint16_t *averaged)
 {
     const int ordered = shifts[0] < shifts[2];
     const inner seen = inner_of(w, shifts[ordered ? 0 : 2], shifts[ordered ? 2 : 0]);

@@ -1,7 +1,7 @@
 /* The surface of the sea, seen through the simulated lens.
  *
  * Water has no sharp edges: its brightness is computed for squares of 2 x 2 pixels and interpolated. Where rays meet calm water is
- * given for the middles of cells of CELL_PX x CELL_PX pixels, with one cell more on each side than the frame has.
+ * given for the middles of cells of DL_CELL_PX x DL_CELL_PX pixels, with one cell more on each side than the frame has.
  */
 
 #include <math.h>
@@ -11,7 +11,7 @@
 #include "base/wide.h"
 
 /* The squares of a cell in one row; the cells and squares that are computed together, and room for the cells' ends. */
-enum { SPAN = CELL_PX / 2, RUN_CELLS = 16, RUN = RUN_CELLS * SPAN, ENDS = RUN_CELLS + 8 };
+enum { SPAN = DL_CELL_PX / 2, RUN_CELLS = 16, RUN = RUN_CELLS * SPAN, ENDS = RUN_CELLS + 8 };
 
 /* Bits of a position in a tile, and of the place between two texels; the largest way on a tile, in parts of its side. */
 enum { TILE_BITS = 24, PLACE_BITS = 14, WAY_MOST = 1 << 30 };
@@ -23,7 +23,7 @@ typedef struct {
     double per_m, shift_x, shift_y;
 } tile;
 
-static tile tile_of(const sim_sea_layer *of)
+static tile tile_of(const dl_sim_sea_layer *of)
 {
     tile made = {of->texels, 0, of->per_m, of->shift_x, of->shift_y};
     while (1 << made.bits < of->n) {
@@ -119,7 +119,7 @@ static void interpolate(const sampling *p, float *restrict values)
 {
     for (int k = 0; k < RUN; k++) {
         const float upper = (float)p->sums[2 * k], lower = (float)p->sums[2 * k + 1];
-        values[k] = (upper + p->down[k] * (lower - upper)) * (1.0f / ((float)TILE_ONE * (1 << PLACE_BITS)));
+        values[k] = (upper + p->down[k] * (lower - upper)) * (1.0f / ((float)DL_TILE_ONE * (1 << PLACE_BITS)));
     }
 }
 
@@ -167,7 +167,7 @@ static void light_up(const float *slow, int32_t columns, int32_t row, int32_t ce
 WIDE
 static void add_ripples(const surface *s, const float *weights, float *restrict value)
 {
-    const float small = weights[SEA_SMALL], large = weights[SEA_LARGE];
+    const float small = weights[DL_SEA_SMALL], large = weights[DL_SEA_LARGE];
     for (int k = 0; k < RUN; k++) {
         value[k] = s->level[k] + s->contrast[k] * (small * s->fine[k] + large * s->coarse[k]);
     }
@@ -176,7 +176,7 @@ static void add_ripples(const surface *s, const float *weights, float *restrict 
 WIDE
 static void add_caps(const surface *s, const float *weights, float *restrict value)
 {
-    const float calm = weights[SEA_CALM], cap = weights[SEA_CAP];
+    const float calm = weights[DL_SEA_CALM], cap = weights[DL_SEA_CAP];
     for (int k = 0; k < RUN; k++) {
         value[k] += cap * limited((s->cap[k] + 0.5f * s->coarse[k] - calm) * 3.0f, 1.0f);
     }
@@ -207,7 +207,7 @@ typedef struct {
 
 /* An outline's sides, and the width over which its edge is soft, m. */
 typedef struct {
-    side sides[SEA_OUTLINE_POINTS];
+    side sides[DL_SEA_OUTLINE_POINTS];
     int count;
     float soft_m;
 } outline;
@@ -228,7 +228,7 @@ static void set_outline(const double *points, int32_t n, float soft_m, outline *
     const double area = n > 2 ? area_of(points, n) : 0.0, turn = area > 0.0 ? 1.0 : -1.0;
     o->count = 0;
     o->soft_m = soft_m;
-    for (int32_t i = 0; i < n && i < SEA_OUTLINE_POINTS && fabs(area) > 1e-9; i++) {
+    for (int32_t i = 0; i < n && i < DL_SEA_OUTLINE_POINTS && fabs(area) > 1e-9; i++) {
         const double *a = points + 2 * i, *b = points + 2 * ((i + 1) % n);
         const double north = b[0] - a[0], east = b[1] - a[1], length = sqrt(north * north + east * east);
         if (length > 1e-6) {
@@ -286,9 +286,9 @@ enum { OPEN, SHADED, FOAMY };
 
 static int put_ship(const outline *ship, const shore *s, const float *weights, surface *seen)
 {
-    static const int weight_of[SEA_OUTLINES] = {SEA_SHADE, SEA_WASH, SEA_WAKE};
+    static const int weight_of[DL_SEA_OUTLINES] = {DL_SEA_SHADE, DL_SEA_WASH, DL_SEA_WAKE};
     int found = OPEN;
-    for (int i = 0; i < SEA_OUTLINES; i++) {
+    for (int i = 0; i < DL_SEA_OUTLINES; i++) {
         float ends[ENDS], inside[RUN];
         measure(&ship[i], s, ends);
         if (!reaches(ends, -0.5f * ship[i].soft_m)) {
@@ -318,16 +318,16 @@ typedef struct {
 static void paint_run(const open_sea *s, int32_t row, int32_t cell, int32_t cells, uint8_t *codes)
 {
     const int32_t place = 2 * row + SPAN + 1;
-    const float *upper = s->cells + 2 * ((int64_t)s->columns * (place / CELL_PX) + cell);
+    const float *upper = s->cells + 2 * ((int64_t)s->columns * (place / DL_CELL_PX) + cell);
     shore met;
     surface seen;
     float value[RUN];
-    meet(upper, upper + 2 * s->columns, (float)(place % CELL_PX) * (1.0f / CELL_PX), cells, &met);
+    meet(upper, upper + 2 * s->columns, (float)(place % DL_CELL_PX) * (1.0f / DL_CELL_PX), cells, &met);
     read_tile(&s->small, &met, seen.fine);
     read_tile(&s->large, &met, seen.coarse);
     light_up(s->slow, s->columns, row, cell, cells, &seen);
     add_ripples(&seen, s->weights, value);
-    if (s->weights[SEA_CAP] > 0.0f) {
+    if (s->weights[DL_SEA_CAP] > 0.0f) {
         read_tile(&s->caps, &met, seen.cap);
         add_caps(&seen, s->weights, value);
     }
@@ -360,8 +360,8 @@ static int all_covered(const uint8_t *mask, int32_t n)
 /* Whether something lies over all of the pixels around the squares of a cell in SPAN rows, as far as interpolation reaches. */
 static int hidden(const uint8_t *mask, int32_t h, int32_t w, int32_t row, int32_t cell)
 {
-    const int32_t x = CELL_PX * cell - SPAN, left = x - 2 > 0 ? x - 2 : 0, right = x + CELL_PX + 2 < w ? x + CELL_PX + 2 : w;
-    const int32_t top = 2 * row - 2 > 0 ? 2 * row - 2 : 0, end = 2 * row + CELL_PX + 2 < h ? 2 * row + CELL_PX + 2 : h;
+    const int32_t x = DL_CELL_PX * cell - SPAN, left = x - 2 > 0 ? x - 2 : 0, right = x + DL_CELL_PX + 2 < w ? x + DL_CELL_PX + 2 : w;
+    const int32_t top = 2 * row - 2 > 0 ? 2 * row - 2 : 0, end = 2 * row + DL_CELL_PX + 2 < h ? 2 * row + DL_CELL_PX + 2 : h;
     for (int32_t y = top; y < end; y++) {
         if (!all_covered(mask + (int64_t)y * w + left, right - left)) {
             return 0;
@@ -371,7 +371,7 @@ static int hidden(const uint8_t *mask, int32_t h, int32_t w, int32_t row, int32_
 }
 
 /* The codes of a run of cells in some rows of squares, as far as they lie in the window. */
-static void paint_rows(const open_sea *s, const sim_frame_part *part, int32_t row, int32_t rows, int32_t cell, int32_t cells,
+static void paint_rows(const open_sea *s, const dl_sim_frame_part *part, int32_t row, int32_t rows, int32_t cell, int32_t cells,
                        uint8_t *codes)
 {
     const int32_t x = SPAN * cell - SPAN / 2, from = x > part->x0 ? x : part->x0;
@@ -383,12 +383,12 @@ static void paint_rows(const open_sea *s, const sim_frame_part *part, int32_t ro
     }
 }
 
-void sim_render_sea(int32_t h, const sim_frame_part *part, const sim_plane_cells *cells, const sim_sea_surface *sea, const uint8_t *mask,
+void dl_sim_render_sea(int32_t h, const dl_sim_frame_part *part, const dl_sim_plane_cells *cells, const dl_sim_sea_surface *sea, const uint8_t *mask,
                 uint8_t *codes)
 {
     const double *points = sea->outlines;
-    outline ship[SEA_OUTLINES];
-    for (int i = 0; i < SEA_OUTLINES; points += 2 * sea->outline_points[i], i++) {
+    outline ship[DL_SEA_OUTLINES];
+    for (int i = 0; i < DL_SEA_OUTLINES; points += 2 * sea->outline_points[i], i++) {
         set_outline(points, sea->outline_points[i], sea->soft_m[i], &ship[i]);
     }
     const open_sea s = {tile_of(&sea->small), tile_of(&sea->large), tile_of(&sea->caps), tile_of(&sea->streaks),
@@ -437,8 +437,8 @@ static void mix_columns(int32_t n, const uint16_t *restrict mixed, uint16_t *res
 /* Colour n pixels of a row; what covers all of a cell's width leaves it as it is. */
 static void colour_row(int32_t n, const uint16_t *code, const uint16_t *colours, const uint8_t *mask, uint16_t *out)
 {
-    for (int32_t i = 0; i < n; i += CELL_PX) {
-        const int32_t end = i + CELL_PX < n ? i + CELL_PX : n;
+    for (int32_t i = 0; i < n; i += DL_CELL_PX) {
+        const int32_t end = i + DL_CELL_PX < n ? i + DL_CELL_PX : n;
         if (mask && all_covered(mask + i, end - i)) {
             continue;
         }
@@ -448,7 +448,7 @@ static void colour_row(int32_t n, const uint16_t *code, const uint16_t *colours,
     }
 }
 
-void sim_render_water(const sim_frame_part *part, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene)
+void dl_sim_render_water(const dl_sim_frame_part *part, const uint8_t *codes, const uint16_t *colours, const uint8_t *mask, uint16_t *scene)
 {
     const int32_t columns = (part->x1 - part->x0) / 2, rows = (part->y1 - part->y0) / 2;
     uint16_t mixed[WATER + 2], code[2 * WATER];

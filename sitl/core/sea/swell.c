@@ -1,6 +1,6 @@
 /* The light that the sea sends up before its ripples: mirrored sky, the swell's slope, and the sun's glitter.
  *
- * It varies slowly and is computed for every second one of the cells of CELL_PX x CELL_PX pixels.
+ * It varies slowly and is computed for every second one of the cells of DL_CELL_PX x DL_CELL_PX pixels.
  */
 
 #include <math.h>
@@ -50,7 +50,7 @@ static inline double sine_of_turns(double turns)
 }
 
 WIDE
-static void add_wave(const sim_wave *v, double t_s, shore *s)
+static void add_wave(const dl_sim_wave *v, double t_s, shore *s)
 {
     const double per_turn = 1.0 / 6.283185307179586, north = v->k[0] * per_turn, east = v->k[1] * per_turn;
     const double from = (v->phase_rad - v->w_rad_s * t_s) * per_turn;
@@ -83,7 +83,7 @@ static inline float beside(const float *at, int32_t i, int32_t n, int64_t step)
 }
 
 /* The slopes in every second column of a row, and between them. */
-static void slopes_along(const float *rays, int32_t columns, const sim_swell *sea, int32_t w, float *out)
+static void slopes_along(const float *rays, int32_t columns, const dl_sim_swell *sea, int32_t w, float *out)
 {
     for (int32_t first = 0; first < w; first += 2 * TOGETHER) {
         shore s;
@@ -102,7 +102,7 @@ static void slopes_along(const float *rays, int32_t columns, const sim_swell *se
     }
 }
 
-void sim_render_swell(int32_t rows, int32_t columns, const float *rays, const sim_swell *s, float *light)
+void dl_sim_render_swell(int32_t rows, int32_t columns, const float *rays, const dl_sim_swell *s, float *light)
 {
     const int32_t h = rows / 2 + 1, w = columns / 2 + 1;
     for (int32_t row = 0; row < h; row += 2) {

@@ -53,7 +53,7 @@ static void normals(uint64_t s[4], int n, double *out)
 
 /* The vessel's displacement (6) and rate (6) by the phasors. */
 WIDE
-static void sway(const sim_training *o, const sim_training_world *w, double out[12])
+static void sway(const dl_sim_training *o, const dl_sim_training_world *w, double out[12])
 {
     double sum[12] = {0.0};
     for (int64_t k = 0; k < o->harmonics; k++) {
@@ -66,7 +66,7 @@ static void sway(const sim_training *o, const sim_training_world *w, double out[
 }
 
 /* Turn the phasors by a step of the controller, and find the deck at its end. */
-static void move_deck(const sim_training *o, sim_training_world *w)
+static void move_deck(const dl_sim_training *o, dl_sim_training_world *w)
 {
     memcpy(w->deck_at[0], w->deck_at[1], sizeof w->deck_at[0]);
     for (int64_t k = 0; k < o->harmonics; k++) {
@@ -78,27 +78,27 @@ static void move_deck(const sim_training *o, sim_training_world *w)
 }
 
 /* The deck at a share of the present step, by the cubic that meets displacement and rate at both ends. */
-static void deck_between(const sim_training *o, const sim_training_world *w, double share, sim_deck *deck)
+static void deck_between(const dl_sim_training *o, const dl_sim_training_world *w, double share, dl_sim_deck *deck)
 {
     const double c = o->cos_course, s = o->sin_course, t = w->t_s + share * o->step_s;
     const double u = share, u2 = u * u, u3 = u2 * u, dt = o->step_s;
     const double at[4] = {2 * u3 - 3 * u2 + 1, (u3 - 2 * u2 + u) * dt, 3 * u2 - 2 * u3, (u3 - u2) * dt};
     const double rate[4] = {6 * (u2 - u) / dt, 3 * u2 - 4 * u + 1, 6 * (u - u2) / dt, 3 * u2 - 2 * u};
     const double *a = w->deck_at[0], *b = w->deck_at[1];
-    sim_vessel_motion m = {{0.0}, {0.0}, {0.0}};
+    dl_sim_vessel_motion m = {{0.0}, {0.0}, {0.0}};
     for (int i = 0; i < MODES; i++) {
         m.eta[i] = at[0] * a[i] + at[1] * a[i + MODES] + at[2] * b[i] + at[3] * b[i + MODES];
         m.eta_dot[i] = rate[0] * a[i] + rate[1] * a[i + MODES] + rate[2] * b[i] + rate[3] * b[i + MODES];
     }
-    sim_vessel_origin origin = o->course;
+    dl_sim_vessel_origin origin = o->course;
     const double to[3] = {c * m.eta[0] - s * m.eta[1], s * m.eta[0] + c * m.eta[1], m.eta[2]};
     const double with[3] = {c * m.eta_dot[0] - s * m.eta_dot[1], s * m.eta_dot[0] + c * m.eta_dot[1], m.eta_dot[2]};
     for (int i = 0; i < 3; i++) {
         origin.p[i] += o->course.v[i] * t + to[i];
         origin.v[i] += with[i];
     }
-    sim_mounted pad;
-    sim_vessel_mounted(1, &origin, &m, &o->pad, &pad);
+    dl_sim_mounted pad;
+    dl_sim_vessel_mounted(1, &origin, &m, &o->pad, &pad);
     memcpy(deck->p, pad.p, sizeof deck->p);
     memcpy(deck->v, pad.v, sizeof deck->v);
     memcpy(deck->R, pad.R, sizeof deck->R);
@@ -108,28 +108,28 @@ static void deck_between(const sim_training *o, const sim_training_world *w, dou
 /* ---- episodes ---- */
 
 /* Another vehicle than the file's, by as much as its owner's identification leaves. */
-static void draw_vehicle(const sim_training *o, sim_training_world *w)
+static void draw_vehicle(const dl_sim_training *o, dl_sim_training_world *w)
 {
-    double by[WRONG_NUMBERS];
-    for (int i = 0; i < WRONG_NUMBERS; i++) {
+    double by[DL_WRONG_NUMBERS];
+    for (int i = 0; i < DL_WRONG_NUMBERS; i++) {
         by[i] = o->wrong_sigma[i] * normal(w->random);
     }
-    sim_vehicle_params *p = &w->vehicle_params;
+    dl_sim_vehicle_params *p = &w->vehicle_params;
     *p = o->vehicle_params;
-    const double frequency = exp(by[WRONG_TILT_FREQUENCY]);
+    const double frequency = exp(by[DL_WRONG_TILT_FREQUENCY]);
     p->tilt_p *= frequency * frequency;
-    p->tilt_d *= frequency * exp(by[WRONG_TILT_DAMPING]);
-    p->effects.lift_share *= exp(by[WRONG_THRUST]);
-    p->effects.on = p->effects.on || o->wrong_sigma[WRONG_THRUST] > 0.0;
+    p->tilt_d *= frequency * exp(by[DL_WRONG_TILT_DAMPING]);
+    p->effects.lift_share *= exp(by[DL_WRONG_THRUST]);
+    p->effects.on = p->effects.on || o->wrong_sigma[DL_WRONG_THRUST] > 0.0;
     for (int i = 0; i < 3; i++) {
-        p->drag_per_s[i] *= exp(by[WRONG_DRAG]);
+        p->drag_per_s[i] *= exp(by[DL_WRONG_DRAG]);
     }
-    const double steps = by[WRONG_COMMAND_DELAY_S] / p->step_s;
-    p->delay_steps = (int64_t)clip((double)p->delay_steps + rint(steps), 0.0, COMMANDS_MAX);
+    const double steps = by[DL_WRONG_COMMAND_DELAY_S] / p->step_s;
+    p->delay_steps = (int64_t)clip((double)p->delay_steps + rint(steps), 0.0, DL_COMMANDS_MAX);
 }
 
 /* The steady state of turbulence, eddies, gusts and errors (`Vehicle._begin_errors`, `_begin_air`). */
-static void draw_disturbances(const sim_vehicle_params *p, double tilt_sigma_rad, uint64_t random[4], sim_vehicle *v)
+static void draw_disturbances(const dl_sim_vehicle_params *p, double tilt_sigma_rad, uint64_t random[4], dl_sim_vehicle *v)
 {
     double n[13];
     normals(random, 13, n);
@@ -155,9 +155,9 @@ static void quaternion_about_down(double angle, double q[4])
 }
 
 /* Put the vehicle into the air over the deck, level, with the vessel's way. */
-static void place(const sim_training *o, sim_training_world *w)
+static void place(const dl_sim_training *o, dl_sim_training_world *w)
 {
-    sim_vehicle *v = &w->vehicle;
+    dl_sim_vehicle *v = &w->vehicle;
     double at[4];
     for (int i = 0; i < 4; i++) {
         at[i] = o->start_low[i] + uniform(w->random) * (o->start_high[i] - o->start_low[i]);
@@ -171,7 +171,7 @@ static void place(const sim_training *o, sim_training_world *w)
     about_down(heading, v->R);
     v->z_hold = v->p[2];
     v->airborne_s = 1.0;
-    v->phase = PHASE_FLYING;
+    v->phase = DL_PHASE_FLYING;
     v->thrust_n = w->vehicle_params.mass_kg * GRAVITY_M_S2;
 }
 
@@ -185,9 +185,9 @@ static void direction_of(const double R[9], double *c, double *s)
 }
 
 /* The pad from the body in level axes, its velocity against the body, and cosine and sine of the body's heading. */
-static void relative_in_level(const sim_training_world *w, double place_m[3], double velocity[3], double *cos_psi, double *sin_psi)
+static void relative_in_level(const dl_sim_training_world *w, double place_m[3], double velocity[3], double *cos_psi, double *sin_psi)
 {
-    const sim_vehicle *v = &w->vehicle;
+    const dl_sim_vehicle *v = &w->vehicle;
     double d[3], u[3], c, s;
     direction_of(v->R, &c, &s);
     for (int i = 0; i < 3; i++) {
@@ -200,7 +200,7 @@ static void relative_in_level(const sim_training_world *w, double place_m[3], do
 }
 
 /* The reported tilt as the acceleration that hovering thrust gives with it, forward and right. */
-static void lean_of(const sim_vehicle *v, double lean[2])
+static void lean_of(const dl_sim_vehicle *v, double lean[2])
 {
     const double *R = v->R, level = sqrt(fmax(1e-9, 1.0 - R[6] * R[6]));
     lean[0] = GRAVITY_M_S2 * (R[6] / level - v->tilt_bias[1]);
@@ -208,7 +208,7 @@ static void lean_of(const sim_vehicle *v, double lean[2])
 }
 
 /* Carry the errors of the estimate on by a step. Without sightings the place drifts with the error of the velocity. */
-static void carry_errors(const sim_training *o, sim_training_world *w)
+static void carry_errors(const dl_sim_training *o, dl_sim_training_world *w)
 {
     const double share = uniform(w->random);
     const int lost = w->lost > 0 ? share >= o->found_share : share < o->lost_share;
@@ -219,7 +219,7 @@ static void carry_errors(const sim_training *o, sim_training_world *w)
     }
 }
 
-static void observe(const sim_training *o, sim_training_world *w, float *view)
+static void observe(const dl_sim_training *o, dl_sim_training_world *w, float *view)
 {
     double place_m[3], velocity[3], lean[2], c, s;
     const double *R = w->deck.R, height = w->deck.p[2] - w->vehicle.p[2];
@@ -227,37 +227,37 @@ static void observe(const sim_training *o, sim_training_world *w, float *view)
     lean_of(&w->vehicle, lean);
     const double age_s = (double)w->lost * o->step_s, h = clip(height, 0.0, 20.0);
     const double sigma = o->place_sigma_m + o->place_sigma_by_height * h, rate = o->velocity_sigma_m_s + o->velocity_sigma_by_height * h;
-    float *now = w->views + VIEW_NUMBERS * w->view_at;
+    float *now = w->views + DL_VIEW_NUMBERS * w->view_at;
     for (int i = 0; i < 3; i++) {
         const double drift = age_s * rate * w->error[3 + i];
-        now[VIEW_PLACE + i] = (float)(place_m[i] + (o->true_view ? 0.0 : sigma * w->error[i] + drift));
-        now[VIEW_VELOCITY + i] = (float)(velocity[i] + (o->true_view ? 0.0 : rate * w->error[3 + i]));
+        now[DL_VIEW_PLACE + i] = (float)(place_m[i] + (o->true_view ? 0.0 : sigma * w->error[i] + drift));
+        now[DL_VIEW_VELOCITY + i] = (float)(velocity[i] + (o->true_view ? 0.0 : rate * w->error[3 + i]));
     }
     for (int i = 0; i < 2; i++) {
-        now[VIEW_LEAN + i] = (float)lean[i];
-        now[VIEW_TRIM + i] = (float)w->trim[i];
+        now[DL_VIEW_LEAN + i] = (float)lean[i];
+        now[DL_VIEW_TRIM + i] = (float)w->trim[i];
     }
     const double down = w->deck.v[2] + (o->true_view ? 0.0 : rate * w->error[5]);
-    now[VIEW_DECK] = (float)down;
-    now[VIEW_DECK + 1] = (float)((w->deck_at[1][2 + MODES] - w->deck_at[0][2 + MODES]) / o->step_s);
+    now[DL_VIEW_DECK] = (float)down;
+    now[DL_VIEW_DECK + 1] = (float)((w->deck_at[1][2 + MODES] - w->deck_at[0][2 + MODES]) / o->step_s);
     /* The deck's normal, seen along and across the body's heading. */
-    now[VIEW_DECK_TILT] = (float)-(c * R[5] - s * R[2]);
-    now[VIEW_DECK_TILT + 1] = (float)(c * R[2] + s * R[5]);
+    now[DL_VIEW_DECK_TILT] = (float)-(c * R[5] - s * R[2]);
+    now[DL_VIEW_DECK_TILT + 1] = (float)(c * R[2] + s * R[5]);
     double cos_deck, sin_deck;
     direction_of(R, &cos_deck, &sin_deck);
-    now[VIEW_HEADING] = (float)(s * cos_deck - c * sin_deck);
-    now[VIEW_HEADING + 1] = (float)(c * cos_deck + s * sin_deck);
-    for (int i = 0; i < ACTION_NUMBERS; i++) {
-        now[VIEW_ACTION + i] = (float)w->action[i];
+    now[DL_VIEW_HEADING] = (float)(s * cos_deck - c * sin_deck);
+    now[DL_VIEW_HEADING + 1] = (float)(c * cos_deck + s * sin_deck);
+    for (int i = 0; i < DL_ACTION_NUMBERS; i++) {
+        now[DL_VIEW_ACTION + i] = (float)w->action[i];
     }
-    now[VIEW_AGE] = (float)(o->true_view ? 0.0 : age_s);
-    const int64_t oldest = (w->view_at + VIEWS_MAX - (w->steps < o->view_delay ? w->steps : o->view_delay)) % VIEWS_MAX;
-    memcpy(view, w->views + VIEW_NUMBERS * oldest, VIEW_NUMBERS * sizeof *view);
-    w->view_at = (w->view_at + 1) % VIEWS_MAX;
+    now[DL_VIEW_AGE] = (float)(o->true_view ? 0.0 : age_s);
+    const int64_t oldest = (w->view_at + DL_VIEWS_MAX - (w->steps < o->view_delay ? w->steps : o->view_delay)) % DL_VIEWS_MAX;
+    memcpy(view, w->views + DL_VIEW_NUMBERS * oldest, DL_VIEW_NUMBERS * sizeof *view);
+    w->view_at = (w->view_at + 1) % DL_VIEWS_MAX;
 }
 
 /* Remaining way: the distance beside the pad, and half of the height above it, m. */
-static double distance_to_go(const sim_training_world *w, double *lateral, double *height)
+static double distance_to_go(const dl_sim_training_world *w, double *lateral, double *height)
 {
     relative r;
     relative_to_deck(&w->deck, w->vehicle.p, w->vehicle.v, w->vehicle.R, w->vehicle.w, &r);
@@ -266,7 +266,7 @@ static double distance_to_go(const sim_training_world *w, double *lateral, doubl
     return *lateral + 0.5 * fabs(*height);
 }
 
-static void begin_episode(const sim_training *o, sim_training_world *w, float *view)
+static void begin_episode(const dl_sim_training *o, dl_sim_training_world *w, float *view)
 {
     double lateral, height;
     draw_vehicle(o, w);
@@ -290,21 +290,21 @@ static void begin_episode(const sim_training *o, sim_training_world *w, float *v
     observe(o, w, view);
 }
 
-void sim_training_begin(const sim_training *rules, int32_t count, sim_training_world *worlds, float *views)
+void dl_sim_training_begin(const dl_sim_training *rules, int32_t count, dl_sim_training_world *worlds, float *views)
 {
     for (int32_t i = 0; i < count; i++) {
-        begin_episode(rules, &worlds[i], views + VIEW_NUMBERS * i);
+        begin_episode(rules, &worlds[i], views + DL_VIEW_NUMBERS * i);
     }
 }
 
 /* ---- steps ---- */
 
 /* Put an action onto the stick. The trim carries wind and drag, so that an action of zero keeps the velocity. */
-static void command(const sim_training *o, sim_training_world *w, const float action[ACTION_NUMBERS])
+static void command(const dl_sim_training *o, dl_sim_training_world *w, const float action[DL_ACTION_NUMBERS])
 {
-    const sim_vehicle_params *p = &w->vehicle_params;
+    const dl_sim_vehicle_params *p = &w->vehicle_params;
     double a[2], place_m[3], velocity[3], c, s;
-    for (int i = 0; i < ACTION_NUMBERS; i++) {
+    for (int i = 0; i < DL_ACTION_NUMBERS; i++) {
         w->action[i] = action[i] == action[i] ? clip((double)action[i], -1.0, 1.0) : 0.0;
     }
     relative_in_level(w, place_m, velocity, &c, &s);
@@ -319,15 +319,15 @@ static void command(const sim_training *o, sim_training_world *w, const float ac
     double *stick = w->vehicle.command;
     stick[0] = a[1];
     stick[1] = -a[0];
-    stick[2] = clip(-(w->deck.v[2] + o->down_max_m_s * w->action[ACTION_DOWN]) / p->vz_max_m_s, -1.0, 1.0);
-    stick[3] = clip(o->yaw_rate_max_rad_s * w->action[ACTION_YAW] / p->yaw_rate_max_rad_s, -1.0, 1.0);
+    stick[2] = clip(-(w->deck.v[2] + o->down_max_m_s * w->action[DL_ACTION_DOWN]) / p->vz_max_m_s, -1.0, 1.0);
+    stick[3] = clip(o->yaw_rate_max_rad_s * w->action[DL_ACTION_YAW] / p->yaw_rate_max_rad_s, -1.0, 1.0);
     stick[4] = 1.0;
 }
 
 /* Carry on the mean of what the tilt gives beyond the acceleration that is measured: wind, drag and the attitude's error. */
-static void learn_trim(const sim_training *o, sim_training_world *w)
+static void learn_trim(const dl_sim_training *o, dl_sim_training_world *w)
 {
-    const sim_vehicle *v = &w->vehicle;
+    const dl_sim_vehicle *v = &w->vehicle;
     double lean[2], c, s;
     direction_of(v->R, &c, &s);
     const double a[2] = {c * v->a[0] + s * v->a[1], c * v->a[1] - s * v->a[0]};
@@ -338,18 +338,18 @@ static void learn_trim(const sim_training *o, sim_training_world *w)
 }
 
 /* Fly up to the next command, or up to a contact; return whether there was one. */
-static int fly(const sim_training *o, sim_training_world *w)
+static int fly(const dl_sim_training *o, dl_sim_training_world *w)
 {
-    double noise[2][FLIGHT_NOISE], rough[EFFECT_NOISE] = {0.0};
-    sim_vehicle *v = &w->vehicle;
+    double noise[2][DL_FLIGHT_NOISE], rough[DL_EFFECT_NOISE] = {0.0};
+    dl_sim_vehicle *v = &w->vehicle;
     const double before = v->touched_s;
     for (int64_t i = 1; i <= o->physics_steps; i++) {
         deck_between(o, w, (double)i / (double)o->physics_steps, &w->deck);
-        normals(w->random, 2 * FLIGHT_NOISE, noise[0]);
+        normals(w->random, 2 * DL_FLIGHT_NOISE, noise[0]);
         if (w->vehicle_params.effects.on) {
-            normals(w->random, EFFECT_NOISE, rough);
+            normals(w->random, DL_EFFECT_NOISE, rough);
         }
-        sim_vehicle_step(&w->vehicle_params, v, &w->deck, 0.0, 0.0, noise[0], noise[1], rough);
+        dl_sim_vehicle_step(&w->vehicle_params, v, &w->deck, 0.0, 0.0, noise[0], noise[1], rough);
         if (v->touched_what != 0 && v->touched_s != before) {
             return 1;
         }
@@ -357,28 +357,28 @@ static int fly(const sim_training *o, sim_training_world *w)
     return 0;
 }
 
-static int8_t ended(const sim_training *o, const sim_training_world *w, int touched, const float touchdown[3], double lateral)
+static int8_t ended(const dl_sim_training *o, const dl_sim_training_world *w, int touched, const float touchdown[3], double lateral)
 {
-    if (touched && w->vehicle.touched_what == TOUCHED_SEA) {
-        return EPISODE_IN_WATER;
+    if (touched && w->vehicle.touched_what == DL_TOUCHED_SEA) {
+        return DL_EPISODE_IN_WATER;
     }
     if (touched && touchdown[0] > o->pad_radius_m) {
-        return EPISODE_OFF_PAD;
+        return DL_EPISODE_OFF_PAD;
     }
     if (touched) {
-        return touchdown[1] > o->vertical_max_m_s || touchdown[2] > o->lateral_max_m_s ? EPISODE_HARD : EPISODE_LANDED;
+        return touchdown[1] > o->vertical_max_m_s || touchdown[2] > o->lateral_max_m_s ? DL_EPISODE_HARD : DL_EPISODE_LANDED;
     }
-    if (lateral > o->reach_m || w->deck.p[2] - w->vehicle.p[2] > o->reach_m || w->vehicle.phase == PHASE_EMERGENCY
+    if (lateral > o->reach_m || w->deck.p[2] - w->vehicle.p[2] > o->reach_m || w->vehicle.phase == DL_PHASE_EMERGENCY
         || (double)w->lost * o->step_s > AGE_MAX_S) {
-        return EPISODE_LEFT;
+        return DL_EPISODE_LEFT;
     }
-    return w->steps >= o->steps_max ? EPISODE_TIMED_OUT : EPISODE_GOES_ON;
+    return w->steps >= o->steps_max ? DL_EPISODE_TIMED_OUT : DL_EPISODE_GOES_ON;
 }
 
-static void step_world(const sim_training *o, sim_training_world *w, const float *action, const sim_training_step *out, int32_t n)
+static void step_world(const dl_sim_training *o, dl_sim_training_world *w, const float *action, const dl_sim_training_step *out, int32_t n)
 {
-    float *terms = out->terms + REWARD_TERMS * n, *touchdown = out->touchdowns + 3 * n, *view = out->views + VIEW_NUMBERS * n;
-    double was[ACTION_NUMBERS], lateral, height, effort = 0.0;
+    float *terms = out->terms + DL_REWARD_TERMS * n, *touchdown = out->touchdowns + 3 * n, *view = out->views + DL_VIEW_NUMBERS * n;
+    double was[DL_ACTION_NUMBERS], lateral, height, effort = 0.0;
     memcpy(was, w->action, sizeof was);
     command(o, w, action);
     move_deck(o, w);
@@ -386,7 +386,7 @@ static void step_world(const sim_training *o, sim_training_world *w, const float
     w->t_s += o->step_s;
     w->steps++;
     learn_trim(o, w);
-    for (int i = 0; i < ACTION_NUMBERS; i++) {
+    for (int i = 0; i < DL_ACTION_NUMBERS; i++) {
         effort += (w->action[i] - was[i]) * (w->action[i] - was[i]);
     }
     const double goal = distance_to_go(w, &lateral, &height);
@@ -395,29 +395,29 @@ static void step_world(const sim_training *o, sim_training_world *w, const float
     touchdown[1] = touched ? (float)v[2] : NAN;
     touchdown[2] = touched ? (float)sqrt(v[0] * v[0] + v[1] * v[1]) : NAN;
     const int8_t end = ended(o, w, touched, touchdown, lateral);
-    const int down = end == EPISODE_LANDED || end == EPISODE_HARD;
-    terms[REWARD_NEARER] = (float)(w->goal_m - goal);
-    terms[REWARD_OUTSIDE] = (float)(-o->step_s * fmax(0.0, lateral - (o->pad_radius_m + 0.5 * fmax(0.0, height))));
-    terms[REWARD_EFFORT] = (float)-effort;
-    terms[REWARD_TIME] = (float)-o->step_s;
-    terms[REWARD_LANDED] = (float)(end == EPISODE_LANDED);
-    terms[REWARD_MISSED_BY] = down ? -touchdown[0] / (float)o->pad_radius_m : 0.0f;
-    terms[REWARD_SPEED] = down ? -(touchdown[1] / (float)o->vertical_max_m_s + touchdown[2] / (float)o->lateral_max_m_s) : 0.0f;
-    terms[REWARD_FAILED] = (float)-(end != EPISODE_GOES_ON && end != EPISODE_TIMED_OUT && end != EPISODE_LANDED);
+    const int down = end == DL_EPISODE_LANDED || end == DL_EPISODE_HARD;
+    terms[DL_REWARD_NEARER] = (float)(w->goal_m - goal);
+    terms[DL_REWARD_OUTSIDE] = (float)(-o->step_s * fmax(0.0, lateral - (o->pad_radius_m + 0.5 * fmax(0.0, height))));
+    terms[DL_REWARD_EFFORT] = (float)-effort;
+    terms[DL_REWARD_TIME] = (float)-o->step_s;
+    terms[DL_REWARD_LANDED] = (float)(end == DL_EPISODE_LANDED);
+    terms[DL_REWARD_MISSED_BY] = down ? -touchdown[0] / (float)o->pad_radius_m : 0.0f;
+    terms[DL_REWARD_SPEED] = down ? -(touchdown[1] / (float)o->vertical_max_m_s + touchdown[2] / (float)o->lateral_max_m_s) : 0.0f;
+    terms[DL_REWARD_FAILED] = (float)-(end != DL_EPISODE_GOES_ON && end != DL_EPISODE_TIMED_OUT && end != DL_EPISODE_LANDED);
     w->goal_m = goal;
     out->ends[n] = end;
     carry_errors(o, w);
     observe(o, w, view);
-    if (end != EPISODE_GOES_ON) {
-        memcpy(out->last_views + VIEW_NUMBERS * n, view, VIEW_NUMBERS * sizeof *view);
+    if (end != DL_EPISODE_GOES_ON) {
+        memcpy(out->last_views + DL_VIEW_NUMBERS * n, view, DL_VIEW_NUMBERS * sizeof *view);
         begin_episode(o, w, view);
     }
 }
 
-void sim_training_step_all(const sim_training *rules, int32_t count, sim_training_world *worlds, const float *actions,
-                           const sim_training_step *out)
+void dl_sim_training_step_all(const dl_sim_training *rules, int32_t count, dl_sim_training_world *worlds, const float *actions,
+                           const dl_sim_training_step *out)
 {
     for (int32_t i = 0; i < count; i++) {
-        step_world(rules, &worlds[i], actions + ACTION_NUMBERS * i, out, i);
+        step_world(rules, &worlds[i], actions + DL_ACTION_NUMBERS * i, out, i);
     }
 }

@@ -115,7 +115,7 @@ static void put_macroblock(bit_writer *out, const uint8_t *bgr, intptr_t row_byt
     }
 }
 
-static void put_picture(bit_writer *out, const sim_uvlc_picture *picture, uint32_t format, uint32_t resolution)
+static void put_picture(bit_writer *out, const dl_sim_uvlc_picture *picture, uint32_t format, uint32_t resolution)
 {
     put_bits(out, format, 2);
     put_bits(out, resolution, 3);
@@ -124,7 +124,7 @@ static void put_picture(bit_writer *out, const sim_uvlc_picture *picture, uint32
     put_bits(out, (uint32_t)picture->number, 32);
 }
 
-int32_t sim_uvlc_encode(const uint8_t *bgr, int32_t bytes, const sim_uvlc_picture *picture, uint8_t *out, int32_t room)
+int32_t dl_sim_uvlc_encode(const uint8_t *bgr, int32_t bytes, const dl_sim_uvlc_picture *picture, uint8_t *out, int32_t room)
 {
     uint32_t format = 0, resolution = 0;
     for (int32_t k = 1; k <= 3; k++) {
@@ -135,7 +135,7 @@ int32_t sim_uvlc_encode(const uint8_t *bgr, int32_t bytes, const sim_uvlc_pictur
         }
     }
     if (resolution < 2 || bytes != 3 * picture->width * picture->height || picture->quantizer < 1 || picture->quantizer > UVLC_TABLE) {
-        return -1;
+        return DL_NOT_CODED;
     }
     bit_writer bits = {out, room, 0, 0, 0};
     const intptr_t row_bytes = 3 * (intptr_t)picture->width;

@@ -388,9 +388,9 @@ int main(int count, char **files)
     }
     report("dl_filter_run dl_filter_propagate dl_filter_answer dl_filter_forecast dl_bank_reach dl_bank_begin");
     scenes(24);
-    report("sim_render_deck sim_render_fill sim_render_smear sim_render_average sim_render_shadow sim_render_sea sim_render_swell "
-           "sim_render_water sim_render_pad_kinds sim_render_pad_shares sim_render_pad_lens sim_render_expose "
-           "sim_render_mix sim_render_image sim_render_frame sim_render_blur sim_render_meet sim_render_bounds");
+    report("dl_sim_render_deck dl_sim_render_fill dl_sim_render_smear dl_sim_render_average dl_sim_render_shadow dl_sim_render_sea dl_sim_render_swell "
+           "dl_sim_render_water dl_sim_render_pad_kinds dl_sim_render_pad_shares dl_sim_render_pad_lens dl_sim_render_expose "
+           "dl_sim_render_mix dl_sim_render_image dl_sim_render_frame dl_sim_render_blur dl_sim_render_meet dl_sim_render_bounds");
     looks(60, 1);
     report("dl_sighting_in_level");
     alignments(40);
@@ -404,14 +404,14 @@ int main(int count, char **files)
     searches(40);
     report("dl_search_circles dl_search_heading dl_search_guesses dl_search_strokes");
     video(40);
-    report("dl_uvlc_header dl_uvlc_decode sim_uvlc_encode");
+    report("dl_uvlc_header dl_uvlc_decode dl_sim_uvlc_encode");
     for (int k = 0; k < 40; k++) {
         law(25, poisons[k % 8 == 7 ? 4 : 0]);
     }
     report("dl_law_axis_step dl_law_step");
     simulator();
-    report("sim_vehicle_step sim_vehicle_carry sim_run sim_sensors_read sim_vessel_moved sim_vessel_mounted "
-           "sim_training_begin sim_training_step_all");
+    report("dl_sim_vehicle_step dl_sim_vehicle_carry dl_sim_run dl_sim_sensors_read dl_sim_vessel_moved dl_sim_vessel_mounted "
+           "dl_sim_training_begin dl_sim_training_step_all");
     return 0;
 }
 #endif

@@ -5,9 +5,9 @@ typedef struct {
     int64_t level, left, top, width, height;
 } frame_part;
 
-static pad_template random_template(int half, double radius_m)
+static dl_pad_template random_template(int half, double radius_m)
 {
-    pad_template p;
+    dl_pad_template p;
     memset(&p, 0, sizeof p);
     p.n = 2 * half + 1, p.disc_channel = draw() % 3, p.arrow_rows = 3 + draw() % 5, p.arrow_columns = 3 + draw() % 5;
     p.per_m = half / (1.22 * radius_m), p.local_m = 0.15 * radius_m, p.reach_m = 1.22 * radius_m;
@@ -16,7 +16,7 @@ static pad_template random_template(int half, double radius_m)
     p.disc_drawn = half % 2;
     p.arrow_tip_m = 0.77 * radius_m, p.arrow_depth_m = p.arrow_half_base_m = 0.12 * radius_m;
     p.arrow_margin_m = 0.05 * radius_m, p.arrow_pitch_m = 0.04 * radius_m;
-    for (int k = 0; k < TEMPLATE_BLURS; k++) {
+    for (int k = 0; k < DL_TEMPLATE_BLURS; k++) {
         p.log_blur[k] = log(0.0125 * radius_m * (1 << k));
     }
     for (int k = 0; k < 3; k++) {
@@ -26,9 +26,9 @@ static pad_template random_template(int half, double radius_m)
     return p;
 }
 
-static camera_lens random_camera(int bent)
+static dl_lens random_camera(int bent)
 {
-    camera_lens c = {40 + draw() % 60, 30 + draw() % 40, bent, bent && draw() % 2,
+    dl_lens c = {40 + draw() % 60, 30 + draw() % 40, bent, bent && draw() % 2,
                      60.0 + uniform(), 60.0 + uniform(), 40.0, 25.0, {0.0}, 0.0, {0.0}};
     for (int k = 0; k < 5 && bent; k++) {
         c.distortion[k] = 0.1 * uniform();
@@ -44,7 +44,7 @@ static uint8_t *part_pixels(const frame_part *part, int32_t *stride)
     return room((size_t)*stride * (size_t)(part->height - 1) + 3 * (size_t)part->width);
 }
 
-enum { HALF = 12, CELLS = TEMPLATE_BLURS * (2 * HALF + 1) * (2 * HALF + 1) * 4 };
+enum { HALF = 12, CELLS = DL_TEMPLATE_BLURS * (2 * HALF + 1) * (2 * HALF + 1) * 4 };
 
 /* A drawing's maps. */
 typedef struct {
@@ -55,8 +55,8 @@ static drawn_maps random_maps(void)
 {
     const drawn_maps d = {malloc(CELLS * sizeof *d.maps), malloc(CELLS * sizeof *d.local)};
     for (int i = 0; i < CELLS; i++) {
-        d.maps[i] = (int16_t)(next_random() % TEMPLATE_ONE);
-        d.local[i] = (int16_t)(next_random() % (2 * TEMPLATE_ONE) - TEMPLATE_ONE);
+        d.maps[i] = (int16_t)(next_random() % DL_TEMPLATE_ONE);
+        d.local[i] = (int16_t)(next_random() % (2 * DL_TEMPLATE_ONE) - DL_TEMPLATE_ONE);
     }
     return d;
 }
@@ -67,7 +67,7 @@ static void forget(drawn_maps d)
 }
 
 /* A frame of random pixels, at full size and at some that are smaller, each with as many bytes as it must have. */
-static void random_frame(const camera_lens *c, int levels, dl_frame *out)
+static void random_frame(const dl_lens *c, int levels, dl_frame *out)
 {
     memset(out, 0, sizeof *out);
     for (int k = 0; k < levels; k++) {
@@ -82,13 +82,13 @@ static void random_frame(const camera_lens *c, int levels, dl_frame *out)
 
 static void forget_frame(dl_frame *frame)
 {
-    for (int k = 0; k <= FRAME_LEVELS; k++) {
+    for (int k = 0; k <= DL_FRAME_LEVELS; k++) {
         free((void *)(uintptr_t)frame->level[k].px);
     }
 }
 
 /* A tracker of a drawing, or of none. */
-static dl_tracker *tracker_for(const camera_lens *c, const double *rays, const dl_pad *pad, const drawn_maps *d, const double *edges,
+static dl_tracker *tracker_for(const dl_lens *c, const double *rays, const dl_pad *pad, const drawn_maps *d, const double *edges,
                                const int32_t *edge_of)
 {
     dl_camera camera = {*c, {0.1, 0.0, 0.05}, {0.0}, {0.0}};
@@ -108,22 +108,22 @@ static dl_pad *random_pad(double size, int kind)
     return pad;
 }
 
-static void lay(const camera_lens *c, const dl_pad *pad, const drawn_maps *d, int kind)
+static void lay(const dl_lens *c, const dl_pad *pad, const drawn_maps *d, int kind)
 {
     double *rays = c->distorted ? rays_of(c) : NULL, *edges = malloc(5 * EDGE_POINTS * sizeof *edges);
     int32_t *edge_of = malloc(2 * EDGE_POINTS * sizeof *edge_of);
     some_edges(&pad->shape, edges, edge_of);
     dl_tracker *t = tracker_for(c, rays, pad, d, edges, edge_of);
-    pad_pose pose = {{1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.0}};
+    dl_pad_pose pose = {{1.0, 0.02, 0.01, -0.02, 1.0, 0.03, -0.01, -0.03, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.0}};
     dl_alignment how = {1 + kind % 5, kind % 2, kind % 3 == 0, 0, 0.05, {0.6, 0.8}, {0.8, -0.6, uniform()}};
-    aligned_pad out;
+    dl_aligned_pad out;
     dl_frame frame;
     pose.t[2] = pad->drawn.disc_radius_m * (1.5 + 2.0 * fabs(uniform()));
-    random_frame(c, kind % 4 ? 1 : 1 + draw() % (FRAME_LEVELS + 1), &frame);
+    random_frame(c, kind % 4 ? 1 : 1 + draw() % (DL_FRAME_LEVELS + 1), &frame);
     fold(&frame.quality.noise, 3);
     poisoned(&how.sigma_tilt_rad, 6), poisoned(pose.R, 12), poisoned(&frame.quality.noise, 3);
     for (int k = 0; k < 3; k++) {
-        pad_pose moved = pose;
+        dl_pad_pose moved = pose;
         how.cover = k == 0, how.steps = k == 1 ? 0 : how.steps;
         memset(&out, 0, sizeof out);
         if (dl_align(t, &frame, &how, &moved, &out) == 1) {
@@ -141,7 +141,7 @@ static void alignments(int count)
     const drawn_maps d = random_maps();
     for (int i = 0; i < count; i++) {
         const int kind = fuzzed ? draw() : i;
-        const camera_lens c = random_camera(kind % 2);
+        const dl_lens c = random_camera(kind % 2);
         dl_pad *pad = random_pad(0.1 + 0.3 * (kind % 4), kind);
         lay(&c, pad, &d, kind);
         free(pad);

@@ -1,21 +1,21 @@
 /* Lamps: frames of any size with none to thousands of lights, patterns of all sizes, and expected poses anywhere. */
 
-static void draw_pattern(int kind, lamp_pattern *pad)
+static void draw_pattern(int kind, dl_lamp_pattern *pad)
 {
     memset(pad, 0, sizeof *pad);
-    pad->lamps = kind % 7 == 6 ? LAMPS : 5 + draw() % 8, pad->pairs = kind % 5 == 4 ? LAMP_PAIRS : 1 + draw() % 10;
-    for (int k = 0; k < LAMP_PAIRS; k++) {
+    pad->lamps = kind % 7 == 6 ? DL_LAMPS_MAX : 5 + draw() % 8, pad->pairs = kind % 5 == 4 ? DL_LAMP_PAIRS_MAX : 1 + draw() % 10;
+    for (int k = 0; k < DL_LAMP_PAIRS_MAX; k++) {
         pad->pair[2 * k] = draw() % (int)pad->lamps;
         pad->pair[2 * k + 1] = (pad->pair[2 * k] + 1 + draw() % ((int)pad->lamps - 1)) % pad->lamps;
     }
     for (int k = 0; k < (int)pad->lamps; k++) {
         pad->x_m[k] = 0.4 * uniform(), pad->y_m[k] = 0.4 * uniform(), pad->radius_m[k] = 0.01;
     }
-    poisoned(pad->x_m, 3 * LAMPS + 1);
+    poisoned(pad->x_m, 3 * DL_LAMPS_MAX + 1);
 }
 
 /* A square of light, which may be a pixel, at a place that may lie beyond the frame. */
-static void shine(const camera_lens *c, double u, double v, int size, uint8_t *px)
+static void shine(const dl_lens *c, double u, double v, int size, uint8_t *px)
 {
     for (int i = -size; i <= size; i++) {
         for (int j = -size; j <= size; j++) {
@@ -27,7 +27,7 @@ static void shine(const camera_lens *c, double u, double v, int size, uint8_t *p
     }
 }
 
-static void light_frame(const camera_lens *c, const lamp_pattern *pad, const pad_pose *pose, int kind, uint8_t *px)
+static void light_frame(const dl_lens *c, const dl_lamp_pattern *pad, const dl_pad_pose *pose, int kind, uint8_t *px)
 {
     const int lights = kind % 11 == 10 ? (int)(c->width * c->height / 6) : draw() % 8, noise = kind % 4 == 3 ? 200 : 1 + kind % 9;
     for (int64_t i = 0; i < 3 * c->width * c->height; i++) {
@@ -47,11 +47,11 @@ static void light_frame(const camera_lens *c, const lamp_pattern *pad, const pad
 
 static void look_for_lamps(int kind)
 {
-    camera_lens c = {kind % 6 == 5 ? 1 + draw() % 3 : 20 + draw() % 300, kind % 8 == 7 ? 1 + draw() % 3 : 20 + draw() % 200, kind % 5 == 1,
+    dl_lens c = {kind % 6 == 5 ? 1 + draw() % 3 : 20 + draw() % 300, kind % 8 == 7 ? 1 + draw() % 3 : 20 + draw() % 200, kind % 5 == 1,
                      kind % 10 == 1, 90.0, 91.0, 0.0, 0.0, {0.02, -0.01, 0.001, 0.002, 0.001}, 0.0, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}};
-    tilt_prior prior = {1, 0.02 * uniform(), 0.02 * uniform(), {1e-4, 0.0, 0.0, 1e-4}, 0.03};
-    lamps_expected at = {{{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.3 + 2.0 * fabs(uniform())}}, 8.0};
-    lamp_pattern pad;
+    dl_tilt_prior prior = {1, 0.02 * uniform(), 0.02 * uniform(), {1e-4, 0.0, 0.0, 1e-4}, 0.03};
+    dl_expected_lamps at = {{{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, {0.1 * uniform(), 0.1 * uniform(), 0.3 + 2.0 * fabs(uniform())}}, 8.0};
+    dl_lamp_pattern pad;
     c.cx = 0.5 * (double)(c.width - 1), c.cy = 0.5 * (double)(c.height - 1);
     draw_pattern(kind, &pad);
     uint8_t *px = malloc((size_t)(3 * c.width * c.height));
@@ -63,7 +63,7 @@ static void look_for_lamps(int kind)
     const dl_image image = {c.width, c.height, 3 * c.width, 3, px};
     double *rays = c.distorted ? rays_of(&c) : NULL;
     dl_tracker *t = tracker_for(&c, rays, NULL, NULL, NULL, NULL);
-    lamps_seen *out = calloc(1, sizeof *out);
+    dl_found_lamps *out = calloc(1, sizeof *out);
     if (dl_find_lamps(t, &image, &pad, &prior, kind % 2 ? &at : NULL, out) == 1) {
         found += (double)out->lit;
         fold(out->pose.R, 12), fold(out->cov, 38), fold(out->seen.d, 3), fold(out->uv_px, 2 * (int)out->lit);

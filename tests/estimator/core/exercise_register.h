@@ -1,20 +1,20 @@
 /* Pads of many sizes and pictures of them: drawn sharp, in noise, in the dark, half hidden, or not there. */
 
-static void circle_region(pad_region *region, double inner_m, double outer_m)
+static void circle_region(dl_pad_region *region, double inner_m, double outer_m)
 {
     region->circles = inner_m > 0.0 ? 2 : 1, region->figure = -1;
     region->radius_m[0] = outer_m, region->radius_m[1] = inner_m;
     region->sign[0] = 1.0, region->sign[1] = -1.0;
 }
 
-static void rectangle(pad_figure *figure, int index, int x0, int x1, int y0, int y1)
+static void rectangle(dl_pad_figure *figure, int index, int x0, int x1, int y0, int y1)
 {
     figure->rectangles = index + 1;
     figure->x0[index] = x0, figure->x1[index] = x1, figure->y0[index] = y0, figure->y1[index] = y1;
 }
 
 /* The sides of a square that stands on a corner. */
-static void slanted_square(pad_figure *figure, double half)
+static void slanted_square(dl_pad_figure *figure, double half)
 {
     const double x[4] = {half, 0.0, -half, 0.0}, y[4] = {0.0, half, 0.0, -half};
     figure->sides = 4;
@@ -25,13 +25,13 @@ static void slanted_square(pad_figure *figure, double half)
 }
 
 /* A disc with a ring, a cross with a slanted square on it and a pointer, with a rim or without one, of any size. */
-static void some_pad(pad_shape *pad, double size, int with_rim)
+static void some_pad(dl_pad_shape *pad, double size, int with_rim)
 {
     const double cuts[4] = {-0.3, -0.1, 0.1, 0.3}, tip[3] = {0.66, 0.71, 0.76}, side[3] = {-0.1, 0.0, 0.1};
     memset(pad, 0, sizeof *pad);
     const int upper = 3 + with_rim;
     pad->contrast_count = upper + 1, pad->pointer_kind = 2, pad->pointer_contrast = 1, pad->pointer_figure = 1;
-    for (int k = 0; k < PAD_CONTRASTS; k++) {
+    for (int k = 0; k < DL_PAD_CONTRASTS; k++) {
         pad->lies_on[k] = k == upper ? 2 : k == 0 || k == 3 ? -1 : 0;
         pad->contrast_of_kind[k] = k == 4 ? upper : k < 2 ? k : k - 1;
     }
@@ -53,13 +53,13 @@ static void some_pad(pad_shape *pad, double size, int with_rim)
     circle_region(&pad->kinds[1], 0.6 * size, 0.66 * size), circle_region(&pad->kinds[2], 0.6 * size, 0.66 * size);
     pad->kinds[2].has_wedge = 1;
     pad->gap_m = 0.1 * size;
-    for (int k = 0; k < EDGE_KINDS; k++) {
+    for (int k = 0; k < DL_EDGE_KINDS; k++) {
         pad->paint_of_kind[k] = k == 2 ? 1 : k;
         pad->nominal[3 * k] = k ? 0.6 : 0.0, pad->nominal[3 * k + 1] = k ? 0.8 : 0.0;
         pad->zones[k].inside_m = k == 0 ? 0.66 * size : -1e6, pad->zones[k].outside_m = k == 3 ? 0.6 * size : k ? 0.9 * size : 1e6;
         pad->zones[k].thinnest_m = 1e6, pad->zones[k].on_figure = k == 4 ? 0 : -1, pad->zones[k].beside_figure = k == 3 ? 3 : -1;
     }
-    for (int k = 0; k < POINTER_MARKS; k++) {
+    for (int k = 0; k < DL_POINTER_MARKS; k++) {
         pad->pointer_marks_m[2 * k] = (0.6 + 0.05 * k) * size;
     }
     pad->wedge.sides = 3, pad->wedge.beyond_m = 0.66 * size;
@@ -69,7 +69,7 @@ static void some_pad(pad_shape *pad, double size, int with_rim)
     }
 }
 
-static void some_camera(camera_lens *camera, int h, int w, double focal_px, int distorted)
+static void some_camera(dl_lens *camera, int h, int w, double focal_px, int distorted)
 {
     memset(camera, 0, sizeof *camera);
     camera->width = w, camera->height = h, camera->distorted = distorted;
@@ -78,7 +78,7 @@ static void some_camera(camera_lens *camera, int h, int w, double focal_px, int 
     camera->R_body_cam[1] = -1.0, camera->R_body_cam[3] = 1.0, camera->R_body_cam[8] = 1.0;
 }
 
-static int in_figure(const pad_figure *figure, double x, double y)
+static int in_figure(const dl_pad_figure *figure, double x, double y)
 {
     for (int r = 0; r < figure->rectangles; r++) {
         if (x > figure->x_m[figure->x0[r]] && x < figure->x_m[figure->x1[r]] && y > figure->y_m[figure->y0[r]] &&
@@ -90,7 +90,7 @@ static int in_figure(const pad_figure *figure, double x, double y)
 }
 
 /* The paint at a point of the pad's plane: 0 for the surroundings, else the region plus one. */
-static int paint_of(const pad_shape *pad, double x, double y)
+static int paint_of(const dl_pad_shape *pad, double x, double y)
 {
     const double r = sqrt(x * x + y * y), ring = pad->contrasts[1].radius_m[0], hole = pad->contrasts[1].radius_m[1];
     if (fabs(x) + fabs(y) < pad->figures[3].from_x_m[0]) {
@@ -106,7 +106,7 @@ static int paint_of(const pad_shape *pad, double x, double y)
 }
 
 /* A picture of the pad at `height_m` below, each pixel the mean of nine rays. `kind` says what is wrong with it. */
-static uint8_t *picture(const camera_lens *camera, const pad_shape *pad, double height_m, int kind)
+static uint8_t *picture(const dl_lens *camera, const dl_pad_shape *pad, double height_m, int kind)
 {
     static const int colours[6][3] = {{120, 118, 115}, {20, 110, 30}, {20, 90, 210}, {230, 235, 240}, {40, 30, 200}, {190, 20, 20}};
     const int w = (int)camera->width, h = (int)camera->height;
@@ -130,7 +130,7 @@ static uint8_t *picture(const camera_lens *camera, const pad_shape *pad, double 
     return frame;
 }
 
-static double *rays_of(const camera_lens *camera)
+static double *rays_of(const dl_lens *camera)
 {
     const int w = (int)camera->width, n = w * (int)camera->height;
     double *rays = malloc((size_t)n * 2 * sizeof *rays);
@@ -141,7 +141,7 @@ static double *rays_of(const camera_lens *camera)
 }
 
 /* About as the pad is seen in the picture, turned by half a turn, or anything. */
-static void some_start(double start[12], const camera_lens *camera, double height_m, double off, int turned)
+static void some_start(double start[12], const dl_lens *camera, double height_m, double off, int turned)
 {
     for (int i = 0; i < 9; i++) {
         start[i] = i % 4 == 0 ? (turned && i < 8 ? -1.0 : 1.0) : 0.0;
@@ -154,7 +154,7 @@ static void some_start(double start[12], const camera_lens *camera, double heigh
 
 /* Points on the circles of the disc and the ring, on two sides of the cross and on one of the square; the pieces follow one another. */
 enum { EDGE_POINTS = 400, EDGE_PIECES = 5 };
-static void some_edges(const pad_shape *pad, double *edges, int32_t *of)
+static void some_edges(const dl_pad_shape *pad, double *edges, int32_t *of)
 {
     const double radii[2] = {pad->contrasts[0].radius_m[0], pad->contrasts[1].radius_m[0]};
     for (int i = 0; i < EDGE_POINTS; i++) {
@@ -175,10 +175,10 @@ static void some_edges(const pad_shape *pad, double *edges, int32_t *of)
 }
 
 /* Bring what was found, or nothing, to level. */
-static void bring_to_level(const registration *found, const tilt_prior *prior, const camera_lens *camera)
+static void bring_to_level(const dl_registration *found, const dl_tilt_prior *prior, const dl_lens *camera)
 {
-    camera_sighting seen = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
-    level_sighting level;
+    dl_camera_sighting seen = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
+    dl_level_sighting level;
     memcpy(seen.cov_tilt, prior->cov_tilt, sizeof seen.cov_tilt);
     memcpy(seen.R_body_cam, camera->R_body_cam, sizeof seen.R_body_cam);
     memcpy(seen.R_cam_pad, found->R, sizeof seen.R_cam_pad);

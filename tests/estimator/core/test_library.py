@@ -33,11 +33,11 @@ def test_each_library_has_what_its_header_declares() -> None:
 
 
 def test_another_structure_another_kind_or_size_is_refused() -> None:
-    picture, lens = CORE.ffi.new("dl_uvlc_picture *"), CORE.record("camera_lens", width=640, distortion=[0.1, 0.2])
+    picture, lens = CORE.ffi.new("dl_uvlc_picture *"), CORE.record("dl_lens", width=640, distortion=[0.1, 0.2])
     with pytest.raises(TypeError, match="dl_uvlc_picture"):
-        CORE.lib.dl_uvlc_header(b"", 0, CORE.array("camera_lens", lens))
-    with pytest.raises(TypeError, match="takes camera_lens, not"):
-        CORE.array("camera_lens", np.zeros(1, CORE.dtype("dl_uvlc_picture")))
+        CORE.lib.dl_uvlc_header(b"", 0, CORE.array("dl_lens", lens))
+    with pytest.raises(TypeError, match="takes dl_lens, not"):
+        CORE.array("dl_lens", np.zeros(1, CORE.dtype("dl_uvlc_picture")))
     with pytest.raises(TypeError, match="float32"):
         CORE.array("double", np.zeros(3, np.float32))
     with pytest.raises(ValueError, match="takes 9 of double, not 8"):
@@ -49,18 +49,18 @@ def test_another_structure_another_kind_or_size_is_refused() -> None:
 
 
 def test_a_record_is_written_by_the_names_of_the_header() -> None:
-    lens = CORE.record("camera_lens", width=640, distortion=[0.1, 0.2])
+    lens = CORE.record("dl_lens", width=640, distortion=[0.1, 0.2])
     assert (lens["width"], *lens["distortion"]) == (640, 0.1, 0.2, 0.0, 0.0, 0.0)
-    nested = CORE.record("pad_shape", zones=[{}, {"box_m": np.ones(4)}], wedge={"sides": 3})
+    nested = CORE.record("dl_pad_shape", zones=[{}, {"box_m": np.ones(4)}], wedge={"sides": 3})
     assert nested["zones"]["box_m"].sum(axis=1).tolist() == [0.0, 4.0, 0.0, 0.0, 0.0]
     assert nested["wedge"]["sides"] == 3
     with pytest.raises(ValueError, match="widht"):
-        CORE.record("camera_lens", widht=640)
+        CORE.record("dl_lens", widht=640)
     with pytest.raises(ValueError, match="distortion holds 5 elements, not 6"):
-        CORE.record("camera_lens", distortion=np.zeros(6))
+        CORE.record("dl_lens", distortion=np.zeros(6))
     with pytest.raises(TypeError, match="float64"):
-        CORE.record("camera_lens", width=640.5)
-    assert list(CORE.names("dl_uvlc_result"))[:2] == ["UVLC_DONE", "UVLC_SHORT"]
+        CORE.record("dl_lens", width=640.5)
+    assert list(CORE.names("dl_uvlc_result"))[:2] == ["DL_UVLC_DONE", "DL_UVLC_SHORT"]
 
 
 def test_a_missing_library_or_one_of_another_interface_is_refused_with_the_cure(tmp_path: Path) -> None:

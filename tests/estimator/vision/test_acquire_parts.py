@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import TEMPLATE_ONE
+from estimator.core.abi import DL_TEMPLATE_ONE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.circles import EdgeCircle, Radii, edge_circles
@@ -181,8 +181,8 @@ def test_guesses_that_are_known_are_the_guesses_that_would_be_computed(camera: C
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
     drawn = template(pad)
-    assert np.abs(drawn.coverage.sum(axis=3) - TEMPLATE_ONE).max() <= 2, "rounded"
-    area = drawn.coverage[0].sum(axis=(0, 1)) / TEMPLATE_ONE * STEP_M**2
+    assert np.abs(drawn.coverage.sum(axis=3) - DL_TEMPLATE_ONE).max() <= 2, "rounded"
+    area = drawn.coverage[0].sum(axis=(0, 1)) / DL_TEMPLATE_ONE * STEP_M**2
     h_marking = 2 * pad.markings.h_length_m * pad.markings.leg_width_m + pad.markings.bar_length_m * pad.markings.bar_width_m
     assert area[H] == pytest.approx(h_marking, rel=0.02)
     ring = math.pi * (pad.markings.ring_outer_m**2 - pad.markings.ring_inner_m**2)

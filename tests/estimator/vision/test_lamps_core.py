@@ -31,19 +31,19 @@ def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, exp
     camera["lens"]["height"], camera["lens"]["width"] = px.shape[:2]
     if of == "camera":
         camera["lens"][member] = value
-    pattern, prior = pattern_of(LIT).copy(), CORE.ffi.new("tilt_prior *", native_prior(LEVEL))
-    if of == "lamp_pattern":
+    pattern, prior = pattern_of(LIT).copy(), CORE.ffi.new("dl_tilt_prior *", native_prior(LEVEL))
+    if of == "dl_lamp_pattern":
         pattern[member].flat[0] = value
-    if of == "tilt_prior":
+    if of == "dl_tilt_prior":
         setattr(prior, member, value)
-    at, out = CORE.ffi.NULL, CORE.record("lamps_seen")
+    at, out = CORE.ffi.NULL, CORE.record("dl_found_lamps")
     if expected is not None:
-        at = CORE.ffi.new("lamps_expected *", ((list(expected[:9]), list(expected[9:12])), expected[12]))
+        at = CORE.ffi.new("dl_expected_lamps *", ((list(expected[:9]), list(expected[9:12])), expected[12]))
     tracker = CORE.ffi.gc(
         CORE.lib.dl_tracker_new(CORE.array("dl_camera", camera), *[CORE.ffi.NULL] * 6), CORE.lib.dl_tracker_free
     )
     return int(CORE.lib.dl_find_lamps(
-        tracker, image_of(px), CORE.array("lamp_pattern", pattern), prior, at, CORE.array("lamps_seen", out)
+        tracker, image_of(px), CORE.array("dl_lamp_pattern", pattern), prior, at, CORE.array("dl_found_lamps", out)
     ))  # fmt: skip
 
 
@@ -62,8 +62,8 @@ def test_a_frame_of_another_size_than_the_cameras_is_refused() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 0.0])
 @pytest.mark.parametrize(("of", "member"), [
-    ("camera", "fx"), ("camera", "cy"), ("tilt_prior", "roll_rad"), ("tilt_prior", "sigma_deck_rad"),
-    ("lamp_pattern", "x_m"), ("lamp_pattern", "radius_m"),
+    ("camera", "fx"), ("camera", "cy"), ("dl_tilt_prior", "roll_rad"), ("dl_tilt_prior", "sigma_deck_rad"),
+    ("dl_lamp_pattern", "x_m"), ("dl_lamp_pattern", "radius_m"),
 ])  # fmt: skip
 def test_numbers_that_describe_nothing_end_in_an_answer_with_finite_numbers_or_none(of: str, member: str, value: float) -> None:
     px = night_scene(np.random.default_rng([43, 1]), CAMERA, LIT, 3.0, "lamps").px
@@ -90,4 +90,4 @@ def test_thousands_of_lights_are_no_dark_deck_and_are_refused_before_they_are_se
 @pytest.mark.parametrize(("member", "value"), [("lamps", 41), ("lamps", -1), ("pairs", 21), ("pair", 40), ("pair", -1)])
 def test_a_pattern_larger_than_the_core_holds_is_refused(member: str, value: int) -> None:
     px = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-    assert core_answer(px, ("lamp_pattern", member, value)) == DL_WRONG_SIZE
+    assert core_answer(px, ("dl_lamp_pattern", member, value)) == DL_WRONG_SIZE

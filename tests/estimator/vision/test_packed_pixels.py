@@ -25,18 +25,18 @@ def test_an_image_that_c_would_misread_is_refused() -> None:
 
 
 def test_a_swapped_argument_is_a_type_error() -> None:
-    pyramid, pose = Pyramid(np.zeros((360, 640, 3), np.uint8)), CORE.ffi.new("pad_pose *")
-    how, out = CORE.ffi.new("dl_alignment *"), CORE.ffi.new("aligned_pad *")
+    pyramid, pose = Pyramid(np.zeros((360, 640, 3), np.uint8)), CORE.ffi.new("dl_pad_pose *")
+    how, out = CORE.ffi.new("dl_alignment *"), CORE.ffi.new("dl_aligned_pad *")
     with pytest.raises(TypeError, match="dl_alignment"):
         CORE.lib.dl_align(tracker_of(CAMERA, PAD), pyramid.native, pose, how, out)
 
 
 def test_what_a_tracker_is_not_made_for_is_refused() -> None:
-    how, out, pose = CORE.ffi.new("dl_alignment *"), CORE.ffi.new("aligned_pad *"), CORE.ffi.new("pad_pose *")
+    how, out, pose = CORE.ffi.new("dl_alignment *"), CORE.ffi.new("dl_aligned_pad *"), CORE.ffi.new("dl_pad_pose *")
     small, whole = Pyramid(np.zeros((36, 64, 3), np.uint8)), Pyramid(np.zeros((360, 640, 3), np.uint8))
     assert CORE.lib.dl_align(tracker_of(CAMERA, PAD), small.native, how, pose, out) == DL_WRONG_SIZE
     assert CORE.lib.dl_align(tracker_of(CAMERA), whole.native, how, pose, out) == DL_WRONG_SIZE
-    start, looked, outline = CORE.ffi.new("dl_start *"), CORE.ffi.new("looked_pad *"), np.empty(2)
+    start, looked, outline = CORE.ffi.new("dl_start *"), CORE.ffi.new("dl_registered_pad *"), np.empty(2)
     assert (
         CORE.lib.dl_look(tracker_of(CAMERA, PAD), whole.native, start, looked, CORE.array("double", outline), 1) == DL_WRONG_SIZE
     )

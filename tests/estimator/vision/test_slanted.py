@@ -56,7 +56,7 @@ class _Stretch(ctypes.Structure):
 
 def blurred(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64) -> tuple[F64, F64]:
     """Return the coverage (N,) that the core computes, and its derivatives (5, N) by x, y and the blur."""
-    shape = CORE.record("pad_shape", **pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,))))
+    shape = CORE.record("dl_pad_shape", **pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,))))
     n = len(at)
     x, y, ratio = (np.ascontiguousarray(row, np.float32) for row in (at[:, 0], at[:, 1], m))
     value, d, spare = np.zeros(n, np.float32), np.zeros((5, n), np.float32), np.zeros((2, n), np.float32)

@@ -23,6 +23,14 @@ enum {
     /* Steps of Gauss and Newton on the way to a registration. */
     APPROACH_STEPS = 6,
 };
+/* The verification's features, in the order of FEATURES in estimator.vision.detect.verification, which describes them. */
+enum align_feature {
+    FEATURE_ONE, FEATURE_H_MARKING, FEATURE_RING, FEATURE_EDGE, FEATURE_H_MARKING_ALL, FEATURE_RING_ALL, FEATURE_EDGE_ALL,
+    FEATURE_H_AND_RING, FEATURE_H_AND_EDGE, FEATURE_RING_AND_EDGE, FEATURE_TWO_OF_THREE, FEATURE_SOME_RING, FEATURE_SOME_EDGE,
+    FEATURE_SOME_TWO, FEATURE_H_ALONE, FEATURE_NO_H, FEATURE_NO_RING, FEATURE_NO_EDGE, FEATURE_RING_LAGS, FEATURE_FLANKS,
+    FEATURE_ARROW, FEATURE_NO_ARROW, FEATURE_TEMPLATE_GAIN, FEATURE_INLIERS, FEATURE_WHITE, FEATURE_ORANGE_PLACE,
+    FEATURE_ORANGE_ODD, FEATURE_DISC_PLACE, FEATURE_SIZE, FEATURE_IN_VIEW, FEATURE_TILT,
+};
 enum { PAINT_H = 0, PAINT_ORANGE = 1, PAINT_DISC = 2, PAINT_AROUND = 3 };
 /* Radius of the surroundings that count, in radii of the disc. */
 #define AROUND_RADII 1.12
@@ -68,34 +76,34 @@ static inline size_t align_room(int64_t width, int64_t height)
 }
 
 /* The part of a level that shows the disc, with about as many samples as are requested; returns whether it is large enough. */
-int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out);
+int align_view(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, int32_t most, frame_part *out);
 
 /* The part of a level that shows the arrowhead. */
-void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out);
+void align_arrow_view(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, frame_part *out);
 
 /* The light of a part; `with_local` also makes `local`. What is in `spare`, 6 rows, is lost. */
 void align_light(const dl_tracker *t, const seen_part *part, double depth_m, int with_local, float *spare, pixels *out);
 
 /* Move a pose by steps of Gauss and Newton in a frame with so much noise; returns whether it is good. */
-int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas);
+int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, dl_pad_pose *pose, double *tilt_sigmas);
 
 /* Fit the paints at a pose to the part that shows the disc, and measure the evidence for the pad there and in the part that shows the
  * arrowhead; `tilt_sigmas` in `out` stays. Returns whether enough of the pad is in view. */
-int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
-              aligned_pad *out);
+int align_fit(const dl_tracker *t, const seen_part seen[2], const dl_pad_pose *pose, const double cut[3], const dl_quality *of,
+              dl_aligned_pad *out);
 
 /* Find the line beyond which most probably something covers the pad; returns whether there is one. */
-int align_cover(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, cover_line *out);
+int align_cover(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *pose, dl_cover_line *out);
 
 /* The samples for one pose, with their coverage, and its slopes on request; the light is linear or local. Returns whether there are
  * enough of them. */
-int align_samples(const pad_template *p, const int16_t *map, const pixels *from, const pad_pose *pose, int slopes, samples *out);
+int align_samples(const dl_pad_template *p, const int16_t *map, const pixels *from, const dl_pad_pose *pose, int slopes, samples *out);
 
 /* Coverage of each sample. */
-void align_coverage(const pad_template *p, const int16_t *map, samples *s);
+void align_coverage(const dl_pad_template *p, const int16_t *map, samples *s);
 
 /* The cell of a map before a position, with a cell before it and two behind, and the way to the next. */
-static inline int align_cell(const pad_template *p, float at_m, float *ahead)
+static inline int align_cell(const dl_pad_template *p, float at_m, float *ahead)
 {
     const float at = at_m * (float)p->per_m + (float)(p->n / 2), last = (float)(p->n - 3);
     const float inside = at > 1.0f ? at < last ? at : last : 1.0f;
@@ -105,13 +113,13 @@ static inline int align_cell(const pad_template *p, float at_m, float *ahead)
 }
 
 /* Coverage at a position on the pad. */
-static inline float4 align_map_at(const pad_template *p, const int16_t *map, float x, float y)
+static inline float4 align_map_at(const dl_pad_template *p, const int16_t *map, float x, float y)
 {
     float across, along;
     const int n = (int)p->n, i = align_cell(p, x, &along), j = align_cell(p, y, &across);
     const int16_t *cell = map + 4 * (i * n + j);
     const float4 here = four_between(cell, cell + 4, across), next = four_between(cell + 4 * n, cell + 4 * n + 4, across);
-    return (here + along * (next - here)) * (1.0f / TEMPLATE_ONE);
+    return (here + along * (next - here)) * (1.0f / DL_TEMPLATE_ONE);
 }
 
 /* Trust the pixels on this side of a cut; returns their number. */
@@ -121,13 +129,13 @@ int align_trust(const double cut[3], pixels *from);
 void align_take(float *const light[3], samples *s);
 
 /* One map: that of a blur. */
-const int16_t *align_map(const pad_template *p, const int16_t *maps, int blur);
+const int16_t *align_map(const dl_pad_template *p, const int16_t *maps, int blur);
 
 /* The blur nearest to a standard deviation, m. */
-int align_blur(const pad_template *p, double sigma_m);
+int align_blur(const dl_pad_template *p, double sigma_m);
 
 /* The blur nearest to that of the frame's samples. */
-int align_blur_at(const camera_lens *c, const pad_template *p, double side_m, double depth_m);
+int align_blur_at(const dl_lens *c, const dl_pad_template *p, double side_m, double depth_m);
 
 /* Fit the paints from the weights of the samples, which it replaces. */
 int align_paint(samples *s, int final, painted *out);
@@ -171,15 +179,15 @@ int align_sector(float x, float y);
 int align_solve(int n, int m, double *A, double *B);
 
 /* Support for the arrowhead at both of its places: found, seen, clear. */
-void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, const float paints[4][3], double noise,
+void align_arrow(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *pose, const float paints[4][3], double noise,
                  double out[6]);
 
 /* The features of the verification. */
-void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
-                    aligned_pad *out);
+void align_features(const dl_pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const dl_quality *of,
+                    dl_aligned_pad *out);
 
 /* How much the drawing explains of samples whose local light was fitted. */
-void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out);
+void align_support(const dl_pad_template *p, const samples *s, int blur, double side_m, const dl_quality *of, dl_drawing_support *out);
 
 /* The rows of the scratch: of the pixels, then of the samples. */
 void align_rows(int n, float *scratch, pixels *from, samples *s);

@@ -68,7 +68,7 @@ typedef struct {
 } place;
 
 /* Add a sample at (x, y) on the pad to what is known of a place. */
-static void add(const camera_lens *c, const picture *of, const pad_pose *pose, double x, double y, double term[TERMS], place *to)
+static void add(const dl_lens *c, const picture *of, const dl_pad_pose *pose, double x, double y, double term[TERMS], place *to)
 {
     double at[3], uv[2];
     for (int k = 0; k < 3; k++) {
@@ -114,7 +114,7 @@ static void support(place *from, double energy, double fine, double var, double 
 }
 
 /* Sample both places. */
-static double sample(const camera_lens *c, const pad_template *p, const int16_t *map, const picture *of, const pad_pose *pose,
+static double sample(const dl_lens *c, const dl_pad_template *p, const int16_t *map, const picture *of, const dl_pad_pose *pose,
                      place places[2])
 {
     const double from_x = p->arrow_tip_m - p->arrow_depth_m - p->arrow_margin_m, pitch = p->arrow_pitch_m;
@@ -133,11 +133,11 @@ static double sample(const camera_lens *c, const pad_template *p, const int16_t 
     return energy;
 }
 
-void align_arrow(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, const float paints[4][3], double noise,
+void align_arrow(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *pose, const float paints[4][3], double noise,
                  double out[6])
 {
-    const camera_lens *c = &t->camera.lens;
-    const pad_template *p = &t->pad.drawn;
+    const dl_lens *c = &t->camera.lens;
+    const dl_pad_template *p = &t->pad.drawn;
     const frame_part *part = &seen->part;
     picture of = {part, seen->px, seen->stride, t->lights + 256, {0.0, 0.0, 0.0}};
     double length = 0.0;

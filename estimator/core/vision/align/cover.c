@@ -71,7 +71,7 @@ static void try_direction(fit_sums strips[BINS], const fit_sums all, double angl
 }
 
 /* The line as a cut: a ray r meets the pad at p, and (n p) (m r) = (n r) (m t) - (n t) (m r) with the pad's normal m. */
-static void cut_of(const pad_pose *pose, const line *of, double inward_m, double cut[3])
+static void cut_of(const dl_pad_pose *pose, const line *of, double inward_m, double cut[3])
 {
     const double *R = pose->R, *t = pose->t, x = cos(of->angle), y = sin(of->angle);
     double n[3], n_t = 0.0, m_t = 0.0;
@@ -89,10 +89,10 @@ static void cut_of(const pad_pose *pose, const line *of, double inward_m, double
     }
 }
 
-int align_cover(const dl_tracker *t, const seen_part *seen, const pad_pose *pose, cover_line *out)
+int align_cover(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *pose, dl_cover_line *out)
 {
-    const camera_lens *c = &t->camera.lens;
-    const pad_template *p = &t->pad.drawn;
+    const dl_lens *c = &t->camera.lens;
+    const dl_pad_template *p = &t->pad.drawn;
     const double nothing[3] = {0.0, 0.0, 0.0}, reach_m = AROUND_RADII * p->disc_radius_m;
     pixels from;
     samples s;

@@ -50,7 +50,7 @@ static double some(double gain)
     return fmax(0.0, gain) / (fmax(0.0, gain) + 0.4);
 }
 
-static void zones_of(const pad_template *p, double side_m, zone out[PARTS])
+static void zones_of(const dl_pad_template *p, double side_m, zone out[PARTS])
 {
     const double pi = acos(-1.0), reach = fmax(LEAST_REACH_M, side_m), edge = p->disc_edge_m - 2.5 * reach;
     const double inner = p->ring_inner_m - 2.0 * reach, outer = p->ring_outer_m + 2.0 * reach;
@@ -163,7 +163,7 @@ static double gain_of_all(const samples *s, const allowed *of)
 
 /* 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide. A ring that is merely
  * displaced has a deficit of the same size on its other flank. */
-static double flanks(const pad_template *p, const samples *s, const painted *local)
+static double flanks(const dl_pad_template *p, const samples *s, const painted *local)
 {
     float way[3];
     int n[2] = {0, 0};
@@ -189,7 +189,7 @@ static double flanks(const pad_template *p, const samples *s, const painted *loc
 
 /* The distance of the orange from its nominal place between disc and H, mean over the channels; 0 is nominal. A bright H that the
  * frame clips may be any brighter, and the orange's place any lower than it seems. */
-static double orange_off(const pad_template *p, const painted *local, const double brightest_h[3], double contrast)
+static double orange_off(const dl_pad_template *p, const painted *local, const double brightest_h[3], double contrast)
 {
     double off = 0.0;
     for (int c = 0; c < 3; c++) {
@@ -204,7 +204,7 @@ static double orange_off(const pad_template *p, const painted *local, const doub
 }
 
 /* The logarithm of the disc's excess in its dominant channel over the others, measured against white. */
-static double disc_place(const pad_template *p, const double paints[12])
+static double disc_place(const dl_pad_template *p, const double paints[12])
 {
     double ratio[3];
     for (int c = 0; c < 3; c++) {
@@ -253,8 +253,8 @@ static void gains_of_parts(const samples *s, const painted *local, const zone zo
     }
 }
 
-void align_features(const pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const frame_quality *of,
-                    aligned_pad *out)
+void align_features(const dl_pad_template *p, const samples *s, const painted *local, const double brightest_h[3], const dl_quality *of,
+                    dl_aligned_pad *out)
 {
     zone zones[PARTS];
     part_gain parts[PARTS];

@@ -11,7 +11,7 @@ static const float PURE = 0.85f, TRUSTED = 0.5f;
 static const float SOME_H = 0.25f;
 
 /* The fraction of the disc's area inside the frame. */
-static double in_view(const pad_template *p, const samples *s, const pad_pose *pose, double side_m)
+static double in_view(const dl_pad_template *p, const samples *s, const dl_pad_pose *pose, double side_m)
 {
     const float limit = (float)(p->disc_radius_m * p->disc_radius_m);
     int inside = 0;
@@ -22,7 +22,7 @@ static double in_view(const pad_template *p, const samples *s, const pad_pose *p
 }
 
 /* Number, mean and variance of the logarithms of light where one paint shows alone. */
-static void measure_paints(const samples *s, const float *logarithm, const seen_part *seen, aligned_pad *out)
+static void measure_paints(const samples *s, const float *logarithm, const seen_part *seen, dl_aligned_pad *out)
 {
     for (int k = 0; k < 4; k++) {
         double sum[3] = {0.0, 0.0, 0.0}, square[3] = {0.0, 0.0, 0.0}, n = 0.0;
@@ -65,11 +65,11 @@ static void brightest_h(const samples *s, double out[3])
     }
 }
 
-int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose, const double cut[3], const frame_quality *of,
-              aligned_pad *out)
+int align_fit(const dl_tracker *t, const seen_part seen[2], const dl_pad_pose *pose, const double cut[3], const dl_quality *of,
+              dl_aligned_pad *out)
 {
-    const camera_lens *c = &t->camera.lens;
-    const pad_template *p = &t->pad.drawn;
+    const dl_lens *c = &t->camera.lens;
+    const dl_pad_template *p = &t->pad.drawn;
     const frame_part *part = &seen[0].part;
     pixels from;
     samples s;
@@ -106,7 +106,7 @@ int align_fit(const dl_tracker *t, const seen_part seen[2], const pad_pose *pose
     keep_paints(&fit, out->local_paints);
     align_arrow(t, &seen[1], pose, fit.paints, of->noise, out->arrow);
     /* The root of light is a pixel's value within a few per cent, and a sample of a higher level the mean of four of the one below. */
-    const frame_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
+    const dl_quality of_samples = {of->noise / (double)(1 << part->level), of->contrast, of->chroma};
     align_support(p, &s, blur, from.side_m, &of_samples, &out->support);
     align_features(p, &s, &fit, brightest, &of_samples, out);
     return 1;

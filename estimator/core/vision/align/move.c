@@ -24,13 +24,13 @@ static const double LEAST_AT_START = 0.10, LEAST_HALFWAY = 0.15, LEAST_AT_END = 
 static const double FAR_PX = 16.0, LEAST_FAR_AT_START = 0.05, LEAST_FAR_HALFWAY = 0.12, LEAST_FAR_AT_END = 0.25;
 static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29;
 
-int align_blur_at(const camera_lens *c, const pad_template *p, double side_m, double depth_m)
+int align_blur_at(const dl_lens *c, const dl_pad_template *p, double side_m, double depth_m)
 {
     return align_blur(p, hypot(PIXEL_SIGMA * side_m, LENS_BLUR_PX * depth_m / c->fx));
 }
 
 /* Use only the rays that meet the pad's plane beyond its centre in a direction on it. Returns their number. */
-static int trust_side(const pad_pose *pose, const double side[2], pixels *from)
+static int trust_side(const dl_pad_pose *pose, const double side[2], pixels *from)
 {
     const double *R = pose->R, *t = pose->t;
     double across[3], n_t = 0.0, across_t = 0.0;
@@ -121,7 +121,7 @@ static int step_of(const samples *s, const painted *fit, const double tilt[2], d
 }
 
 /* Move and turn a pose by a step in its own axes. Returns whether the result can be seen. */
-static int stepped(const double step[POSE], double depth_m, pad_pose *pose)
+static int stepped(const double step[POSE], double depth_m, dl_pad_pose *pose)
 {
     double moved[3], turn[9], R[9];
     rotated(pose->R, step, moved);
@@ -144,7 +144,7 @@ static double least_explained(int far, int i, int steps)
 }
 
 /* Fit the paints to the samples for a pose, from the weights of the step before, and keep the new ones. */
-static int fit_at(const pad_template *p, const int16_t *map, float *const light[3], const pad_pose *pose, pixels *from, samples *s,
+static int fit_at(const dl_pad_template *p, const int16_t *map, float *const light[3], const dl_pad_pose *pose, pixels *from, samples *s,
                   painted *fit)
 {
     if (!align_samples(p, map, from, pose, 1, s)) {
@@ -163,10 +163,10 @@ static int fit_at(const pad_template *p, const int16_t *map, float *const light[
     return 1;
 }
 
-int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, pad_pose *pose, double *tilt_sigmas)
+int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *how, double noise, dl_pad_pose *pose, double *tilt_sigmas)
 {
-    const camera_lens *c = &t->camera.lens;
-    const pad_template *p = &t->pad.drawn;
+    const dl_lens *c = &t->camera.lens;
+    const dl_pad_template *p = &t->pad.drawn;
     const int16_t *maps = how->local ? t->local_maps : t->maps;
     pixels from;
     samples s;
@@ -179,7 +179,7 @@ int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *h
     if (how->one_side) {
         used = trust_side(pose, how->side, &from);
     }
-    const int sharp = align_blur_at(c, p, from.side_m, depth_m), soft = sharp + 1 < TEMPLATE_BLURS ? sharp + 1 : sharp;
+    const int sharp = align_blur_at(c, p, from.side_m, depth_m), soft = sharp + 1 < DL_TEMPLATE_BLURS ? sharp + 1 : sharp;
     const int far = c->fx * p->disc_radius_m < FAR_PX * depth_m, steps = (int)how->steps * (used < FEW ? 2 : 1);
     float *const *of = how->local ? from.local : from.light;
     for (int i = 0; i < steps; i++) {

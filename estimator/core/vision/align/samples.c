@@ -123,7 +123,7 @@ void align_light(const dl_tracker *t, const seen_part *seen, double depth_m, int
 
 /* Where each ray meets the pad's plane; its length over its depth there is left in `squared`. */
 WIDE
-static void meet_plane(const pixels *from, const pad_pose *pose, samples *s)
+static void meet_plane(const pixels *from, const dl_pad_pose *pose, samples *s)
 {
     float R[9], c[3];
     for (int j = 0; j < 3; j++) {
@@ -175,15 +175,15 @@ int align_trust(const double cut[3], pixels *from)
     return used;
 }
 
-const int16_t *align_map(const pad_template *p, const int16_t *maps, int blur)
+const int16_t *align_map(const dl_pad_template *p, const int16_t *maps, int blur)
 {
     return maps + (size_t)blur * (size_t)(p->n * p->n) * 4;
 }
 
-int align_blur(const pad_template *p, double sigma_m)
+int align_blur(const dl_pad_template *p, double sigma_m)
 {
     int best = 0;
-    for (int k = 1; k < TEMPLATE_BLURS; k++) {
+    for (int k = 1; k < DL_TEMPLATE_BLURS; k++) {
         if (fabs(p->log_blur[k] - log(sigma_m)) < fabs(p->log_blur[best] - log(sigma_m))) {
             best = k;
         }
@@ -193,7 +193,7 @@ int align_blur(const pad_template *p, double sigma_m)
 
 /* The cell of a map before each sample, as `align_cell`, and the ways to the next, along x and along y. */
 WIDE
-static void find_cells(const pad_template *p, samples *s, float *restrict ahead_x, float *restrict ahead_y)
+static void find_cells(const dl_pad_template *p, samples *s, float *restrict ahead_x, float *restrict ahead_y)
 {
     const float per_m = (float)p->per_m, mid = (float)(p->n / 2), last = (float)(p->n - 3);
     const int n = (int)p->n;
@@ -218,7 +218,7 @@ static inline void fetch_rows(const samples *s, const int16_t *map, int i, int d
 }
 
 WIDE
-void align_coverage(const pad_template *p, const int16_t *map, samples *s)
+void align_coverage(const dl_pad_template *p, const int16_t *map, samples *s)
 {
     const int down = 4 * (int)p->n;
     find_cells(p, s, s->coverage[0], s->coverage[1]);
@@ -227,7 +227,7 @@ void align_coverage(const pad_template *p, const int16_t *map, samples *s)
         const int16_t *cell = map + 4 * (size_t)s->spare[i];
         fetch_rows(s, map, i, down, 0, 2);
         const float4 here = four_between(cell, cell + 4, across), next = four_between(cell + down, cell + down + 4, across);
-        const float4 at = (here + along * (next - here)) * (1.0f / TEMPLATE_ONE);
+        const float4 at = (here + along * (next - here)) * (1.0f / DL_TEMPLATE_ONE);
         for (int k = 0; k < 4; k++) {
             s->coverage[k][i] = at[k];
         }
@@ -241,10 +241,10 @@ void align_coverage(const pad_template *p, const int16_t *map, samples *s)
 
 /* Coverage and its slopes: central differences between the cells of the map, and linear between these. */
 WIDE
-static void sample_slopes(const pad_template *p, const int16_t *map, samples *s)
+static void sample_slopes(const dl_pad_template *p, const int16_t *map, samples *s)
 {
     const int down = 4 * (int)p->n;
-    const float one = 1.0f / TEMPLATE_ONE, half = (float)(0.5 * p->per_m) / TEMPLATE_ONE;
+    const float one = 1.0f / DL_TEMPLATE_ONE, half = (float)(0.5 * p->per_m) / DL_TEMPLATE_ONE;
     find_cells(p, s, s->slope_x[0], s->slope_y[0]);
     for (int i = 0; i < s->n; i++) {
         const float fx = s->slope_x[0][i], fy = s->slope_y[0][i];
@@ -283,7 +283,7 @@ void align_take(float *const light[3], samples *s)
     }
 }
 
-int align_samples(const pad_template *p, const int16_t *map, const pixels *from, const pad_pose *pose, int slopes, samples *s)
+int align_samples(const dl_pad_template *p, const int16_t *map, const pixels *from, const dl_pad_pose *pose, int slopes, samples *s)
 {
     meet_plane(from, pose, s);
     keep_within(fmin(p->reach_m - 2.0 / p->per_m, AROUND_RADII * p->disc_radius_m + from->side_m), from, s);

@@ -25,7 +25,7 @@ static int cell_of(float x, float y, int side, float reach)
     return (i < 0 ? 0 : i >= side ? side - 1 : i) * side + (j < 0 ? 0 : j >= side ? side - 1 : j);
 }
 
-void align_support(const pad_template *p, const samples *s, int blur, double side_m, const frame_quality *of, drawing_support *out)
+void align_support(const dl_pad_template *p, const samples *s, int blur, double side_m, const dl_quality *of, dl_drawing_support *out)
 {
     cell cells[CELLS * CELLS];
     int side = (int)sqrt((double)s->n / SAMPLES);

@@ -14,7 +14,7 @@ static const double ARROW_SAMPLES = 5.0;
 /* Least depth of the pad's centre, and of a point that is projected, m. */
 static const double LEAST_DEPTH_M = 0.02, LEAST_PROJECTED_M = 0.05;
 
-static int finite_pose(const pad_pose *pose)
+static int finite_pose(const dl_pad_pose *pose)
 {
     double sum = 0.0;
     for (int i = 0; i < 9; i++) {
@@ -24,7 +24,7 @@ static int finite_pose(const pad_pose *pose)
 }
 
 /* Left, top, right and bottom of the pad in the frame, px; all of the frame where a part of the pad is beside or behind the lens. */
-static void box_of(const camera_lens *c, const pad_template *p, const pad_pose *pose, double box[4])
+static void box_of(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, double box[4])
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     const double size[2] = {(double)c->width, (double)c->height}, whole[4] = {0.0, 0.0, size[0], size[1]};
@@ -53,7 +53,7 @@ static void box_of(const camera_lens *c, const pad_template *p, const pad_pose *
 }
 
 /* The part of a level that a box of the frame lies in. Returns whether it is large enough to align with. */
-static int part_in(const camera_lens *c, const double box[4], int level, frame_part *out)
+static int part_in(const dl_lens *c, const double box[4], int level, frame_part *out)
 {
     const int k = 1 << level;
     const double columns = fmax(1.0, (double)(c->width >> level)), rows = fmax(1.0, (double)(c->height >> level));
@@ -65,7 +65,7 @@ static int part_in(const camera_lens *c, const double box[4], int level, frame_p
     return out->width >= LEAST_PX && out->height >= LEAST_PX;
 }
 
-int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, int32_t most, frame_part *out)
+int align_view(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, int32_t most, frame_part *out)
 {
     double box[4];
     if (!finite_pose(pose) || !(pose->t[2] >= LEAST_DEPTH_M)) {
@@ -76,13 +76,13 @@ int align_view(const camera_lens *c, const pad_template *p, const pad_pose *pose
     if (!(w >= LEAST_PX && h >= LEAST_PX)) {
         return 0;
     }
-    return part_in(c, box, (int)fmin(FRAME_LEVELS, fmax(0.0, ceil(0.5 * log2(w * h / most)))), out);
+    return part_in(c, box, (int)fmin(DL_FRAME_LEVELS, fmax(0.0, ceil(0.5 * log2(w * h / most)))), out);
 }
 
-void align_arrow_view(const camera_lens *c, const pad_template *p, const pad_pose *pose, frame_part *out)
+void align_arrow_view(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, frame_part *out)
 {
     const double arrow_px = c->fx * p->arrow_depth_m / pose->t[2];
-    const int level = (int)fmin(FRAME_LEVELS, floor(log2(fmax(1.0, arrow_px / ARROW_SAMPLES))));
+    const int level = (int)fmin(DL_FRAME_LEVELS, floor(log2(fmax(1.0, arrow_px / ARROW_SAMPLES))));
     double box[4];
     box_of(c, p, pose, box);
     for (int k = 0; k < 2; k++) {

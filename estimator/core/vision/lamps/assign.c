@@ -18,18 +18,18 @@ static const double NEAREST_M = 0.02, PI = 3.14159265358979323846;
 
 /* Lamps in the frame, px, and which are in view. */
 typedef struct {
-    double uv[LAMPS][2];
-    int in_view[LAMPS];
+    double uv[DL_LAMPS_MAX][2];
+    int in_view[DL_LAMPS_MAX];
 } shown_lamps;
 
-void pad_point(const pad_pose *pose, double x, double y, double p[3])
+void pad_point(const dl_pad_pose *pose, double x, double y, double p[3])
 {
     for (int i = 0; i < 3; i++) {
         p[i] = pose->R[3 * i] * x + pose->R[3 * i + 1] * y + pose->t[i];
     }
 }
 
-static void show(const camera_lens *camera, const lamp_pattern *pad, const pad_pose *pose, shown_lamps *out)
+static void show(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_pad_pose *pose, shown_lamps *out)
 {
     for (int k = 0; k < (int)pad->lamps; k++) {
         double p[3];
@@ -60,8 +60,8 @@ static int32_t nearest_spot(const lamp_spots *spots, const double uv[2], double 
 }
 
 /* Take a spot from its lamps if their middle is not where it is; returns whether it keeps them. */
-static int keep_group(const lamp_pattern *pad, const shown_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
-                      int32_t spot_of[LAMPS])
+static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
+                      int32_t spot_of[DL_LAMPS_MAX])
 {
     double middle[2] = {0.0, 0.0};
     int n = 0;
@@ -84,7 +84,7 @@ static int keep_group(const lamp_pattern *pad, const shown_lamps *shown, const l
 }
 
 /* How many lamps in view have no spot and would make one: all, if none has any. */
-static int missing(const lamp_pattern *pad, const shown_lamps *shown, const int32_t spot_of[LAMPS])
+static int missing(const dl_lamp_pattern *pad, const shown_lamps *shown, const int32_t spot_of[DL_LAMPS_MAX])
 {
     int n = 0;
     for (int k = 0; k < (int)pad->lamps; k++) {
@@ -104,8 +104,8 @@ static double within(double at, double radius, double length)
 }
 
 /* Count the spots about the pad that no lamp explains. */
-static void look_about(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose,
-                       const int explained[LAMP_SPOTS], lamp_assignment *out)
+static void look_about(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose,
+                       const int explained[DL_LAMP_SPOTS_MAX], lamp_assignment *out)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, reach_m = 0.0, p[3], uv[2];
     for (int k = 0; k < (int)pad->lamps; k++) {
@@ -129,11 +129,11 @@ static void look_about(const camera_lens *camera, const lamp_pattern *pad, const
     }
 }
 
-void assign_lamps(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose, double reach_px,
+void assign_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose, double reach_px,
                   lamp_assignment *out)
 {
     shown_lamps shown;
-    int explained[LAMP_SPOTS], in_view = 0;
+    int explained[DL_LAMP_SPOTS_MAX], in_view = 0;
     show(camera, pad, pose, &shown);
     for (int k = 0; k < (int)pad->lamps; k++) {
         in_view += shown.in_view[k];

@@ -25,7 +25,7 @@ typedef struct {
 
 typedef struct {
     int n;
-    lamp_group group[LAMP_SPOTS];
+    lamp_group group[DL_LAMP_SPOTS_MAX];
 } lamp_groups;
 
 /* What the attitude and a nearly level deck say of the horizontal part of the pad's normal in `level`: its information, 1/rad^2. */
@@ -33,14 +33,14 @@ typedef struct {
     double R_level_cam[9], information[2][2];
 } level_prior;
 
-void level_of_camera(const camera_lens *camera, const tilt_prior *prior, double R[9])
+void level_of_camera(const dl_lens *camera, const dl_tilt_prior *prior, double R[9])
 {
     double R_level_body[9];
     from_rpy(prior->roll_rad, prior->pitch_rad, 0.0, R_level_body);
     product(R_level_body, camera->R_body_cam, R);
 }
 
-static void expect_level(const camera_lens *camera, const tilt_prior *prior, level_prior *out)
+static void expect_level(const dl_lens *camera, const dl_tilt_prior *prior, level_prior *out)
 {
     /* An error of roll turns the normal to port, one of pitch ahead, each by its axis' horizontal part. */
     const double c = cos(prior->pitch_rad), *cov = prior->cov_tilt;
@@ -51,7 +51,7 @@ static void expect_level(const camera_lens *camera, const tilt_prior *prior, lev
     out->information[0][1] = out->information[1][0] = -xy / det;
 }
 
-static void gather(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const lamp_assignment *of,
+static void gather(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const lamp_assignment *of,
                    double focal_px, lamp_groups *out)
 {
     out->n = 0;
@@ -69,7 +69,7 @@ static void gather(const camera_lens *camera, const lamp_pattern *pad, const lam
 }
 
 /* Add where a lamp is seen, (x/z, y/z), and how that moves with the pad's place and with a small turn of it in `cam`. */
-static int add_lamp(const pad_pose *pose, double x_m, double y_m, lamp_group *g)
+static int add_lamp(const dl_pad_pose *pose, double x_m, double y_m, lamp_group *g)
 {
     double arm[3], p[3];
     for (int i = 0; i < 3; i++) {
@@ -93,7 +93,7 @@ static int add_lamp(const pad_pose *pose, double x_m, double y_m, lamp_group *g)
 }
 
 /* The groups at a pose; 0 if a lamp is not before the lens. */
-static int project_groups(const lamp_pattern *pad, const lamp_assignment *of, const pad_pose *pose, lamp_groups *groups)
+static int project_groups(const dl_lamp_pattern *pad, const lamp_assignment *of, const dl_pad_pose *pose, lamp_groups *groups)
 {
     for (int g = 0; g < groups->n; g++) {
         lamp_group *one = &groups->group[g];
@@ -115,7 +115,7 @@ static double sigmas_of(const lamp_group *g)
 
 static double median_sigmas(const lamp_groups *groups)
 {
-    double sorted[LAMP_SPOTS];
+    double sorted[DL_LAMP_SPOTS_MAX];
     const int n = groups->n;
     for (int g = 0; g < n; g++) {
         const double value = sigmas_of(&groups->group[g]);
@@ -147,7 +147,7 @@ static void add_groups(lamp_groups *groups, double A[ROW * ROW], double b[ROW])
 }
 
 /* Add what is expected of the tilt. */
-static void add_level(const level_prior *prior, const pad_pose *pose, double A[ROW * ROW], double b[ROW])
+static void add_level(const level_prior *prior, const dl_pad_pose *pose, double A[ROW * ROW], double b[ROW])
 {
     double normal[3], turn[9], T[9];
     const double of_pad[3] = {pose->R[2], pose->R[5], pose->R[8]};
@@ -167,7 +167,7 @@ static void add_level(const level_prior *prior, const pad_pose *pose, double A[R
     }
 }
 
-static void move_pose(const double step[ROW], pad_pose *pose)
+static void move_pose(const double step[ROW], dl_pad_pose *pose)
 {
     double turn[9], R[9];
     exp_rotation(step + 3, turn);
@@ -179,7 +179,7 @@ static void move_pose(const double step[ROW], pad_pose *pose)
 }
 
 /* The covariance grows with spots that are farther off than they should be, and along the line of sight with an unknown size. */
-static int covariance(const lamp_pattern *pad, const lamp_groups *groups, const double A[ROW * ROW], const pad_pose *pose,
+static int covariance(const dl_lamp_pattern *pad, const lamp_groups *groups, const double A[ROW * ROW], const dl_pad_pose *pose,
                       double cov[ROW * ROW])
 {
     double chi2 = 0.0, trust = 0.0, reach = 0.0;
@@ -220,8 +220,8 @@ static double extent_px(const lamp_groups *groups, double focal_px)
     return focal_px * most;
 }
 
-int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots,
-              const lamp_assignment *of, const pad_pose *start, lamp_fit *out)
+int fit_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt_prior *prior, const lamp_spots *spots,
+              const lamp_assignment *of, const dl_pad_pose *start, lamp_fit *out)
 {
     const double focal_px = 0.5 * (camera->fx + camera->fy);
     double A[ROW * ROW], step[ROW];

@@ -50,7 +50,7 @@ typedef struct {
 
 int64_t guess_room(void)
 {
-    return 2 * 2 * CELLS + 2 + (LAMP_PAIRS * PAIRED * (PAIRED - 1) + 3) / 4;
+    return 2 * 2 * CELLS + 2 + (DL_LAMP_PAIRS_MAX * PAIRED * (PAIRED - 1) + 3) / 4;
 }
 
 static level_place times(level_place a, level_place b)
@@ -66,14 +66,14 @@ static level_place over(level_place a, level_place b)
     return quotient;
 }
 
-static level_place lamp_at(const lamp_pattern *pad, int64_t k)
+static level_place lamp_at(const dl_lamp_pattern *pad, int64_t k)
 {
     const level_place lamp = {pad->x_m[k], pad->y_m[k]};
     return lamp;
 }
 
 /* The spots' places in the level plane, as far as their rays point down. */
-static void put_level(const camera_lens *camera, const double R_level_cam[9], const lamp_spots *spots, spot_table *out)
+static void put_level(const dl_lens *camera, const double R_level_cam[9], const lamp_spots *spots, spot_table *out)
 {
     out->n = 0;
     for (int k = 0; k < spots->n && k < PAIRED; k++) {
@@ -97,7 +97,7 @@ static void mark(uint64_t *cells, double cell, int k)
 }
 
 /* Fill the table; spots beyond its cells are left out. */
-static void fill(const lamp_pattern *pad, double focal_px, uint32_t *scratch, spot_table *t)
+static void fill(const dl_lamp_pattern *pad, double focal_px, uint32_t *scratch, spot_table *t)
 {
     t->reach_m = 0.0;
     for (int k = 0; k < (int)pad->lamps; k++) {
@@ -130,7 +130,7 @@ static int bits_of(uint32_t x)
 }
 
 /* How many different spots a similarity explains. A spot that is `REACH` away along both axes is farther than that. */
-static int explained(const spot_table *t, const lamp_pattern *pad, const similarity *s)
+static int explained(const spot_table *t, const dl_lamp_pattern *pad, const similarity *s)
 {
     const int is_small = hypot(s->by.re, s->by.im) * t->reach_m * t->focal_px < SMALL_PX;
     uint64_t spots = 0;
@@ -146,7 +146,7 @@ static int explained(const spot_table *t, const lamp_pattern *pad, const similar
 }
 
 /* The similarity by which two spots are a pair of lamps. */
-static similarity of_pair(const spot_table *t, const lamp_pattern *pad, int i, int j, int pair)
+static similarity of_pair(const spot_table *t, const dl_lamp_pattern *pad, int i, int j, int pair)
 {
     const level_place a = lamp_at(pad, pad->pair[2 * pair]), b = lamp_at(pad, pad->pair[2 * pair + 1]);
     const level_place apart = {b.re - a.re, b.im - a.im}, seen = {t->spot[j].re - t->spot[i].re, t->spot[j].im - t->spot[i].im};
@@ -171,7 +171,7 @@ static double height_of(const similarity *s)
 }
 
 /* Count what each pair of spots explains as each pair of lamps; returns the most. */
-static int rate(const spot_table *t, const lamp_pattern *pad, uint8_t *counts)
+static int rate(const spot_table *t, const dl_lamp_pattern *pad, uint8_t *counts)
 {
     const int tried = t->n * (t->n - 1);
     int most = 0, i, j;
@@ -210,7 +210,7 @@ static int is_another(const level_guess *a, int n, const level_guess *before)
 }
 
 /* The best guesses that differ, those that explain the most first. */
-static int choose(const spot_table *t, const lamp_pattern *pad, const uint8_t *counts, int most, level_guess out[LAMP_GUESSES])
+static int choose(const spot_table *t, const dl_lamp_pattern *pad, const uint8_t *counts, int most, level_guess out[LAMP_GUESSES])
 {
     const int pairs = (int)pad->pairs, tried = t->n * (t->n - 1) * pairs;
     int n = 0, i, j;
@@ -227,15 +227,15 @@ static int choose(const spot_table *t, const lamp_pattern *pad, const uint8_t *c
     return n;
 }
 
-static void pose_of(const double R_level_cam[9], const level_guess *g, pad_pose *out)
+static void pose_of(const double R_level_cam[9], const level_guess *g, dl_pad_pose *out)
 {
     const double t[3] = {g->at.re, g->at.im, g->height}, turn[9] = {g->turn.re, -g->turn.im, 0.0, g->turn.im, g->turn.re, 0.0, 0.0, 0.0, 1.0};
     product_of_transposed(R_level_cam, turn, out->R);
     rotated_back(R_level_cam, t, out->t);
 }
 
-int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
-                pad_pose out[LAMP_GUESSES])
+int guess_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
+                dl_pad_pose out[LAMP_GUESSES])
 {
     double R_level_cam[9];
     level_guess guesses[LAMP_GUESSES + 1];
@@ -254,7 +254,7 @@ int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_p
     return n;
 }
 
-double guesses_tried(const lamp_pattern *pad, const lamp_spots *spots)
+double guesses_tried(const dl_lamp_pattern *pad, const lamp_spots *spots)
 {
     const int n = spots->n < PAIRED ? spots->n : PAIRED;
     return fmax(1.0, (double)(n * (n - 1)) * (double)pad->pairs);

@@ -11,7 +11,7 @@
 #include "vision/camera.h"
 #include "base/rotation.h"
 
-enum { CROWDED = -1, CHANNELS = 3 };
+enum { CHANNELS = 3 };
 /* At most this many of the brightest spots are tried in a shift of an expected pose. */
 enum { SHIFTED = 18 };
 /* Reach of a lamp's spot about a searched pose, and about a fitted one, px. */
@@ -46,10 +46,10 @@ static const double PI = 3.14159265358979323846;
 
 /* Per-frame constants. */
 typedef struct {
-    const camera_lens *camera;
+    const dl_lens *camera;
     const double *t_body_cam;
-    const lamp_pattern *pad;
-    const tilt_prior *prior;
+    const dl_lamp_pattern *pad;
+    const dl_tilt_prior *prior;
     lamp_spots spots;
 } dark_frame;
 
@@ -60,7 +60,7 @@ typedef struct {
     double log10_odds;
 } explained_lamps;
 
-int64_t lamps_room(const camera_lens *camera)
+int64_t lamps_room(const dl_lens *camera)
 {
     const int64_t bright = bright_room(camera->width, camera->height), guesses = guess_room();
     return bright > guesses ? bright : guesses;
@@ -109,13 +109,13 @@ static double log10_odds(const dark_frame *f, const lamp_assignment *of, const l
     return fmax(LEAST_LOG10, EVEN_LOG10 - alarms);
 }
 
-static double range_of(const pad_pose *pose)
+static double range_of(const dl_pad_pose *pose)
 {
     return sqrt(dot(pose->t, pose->t));
 }
 
 /* Reach of a lamp's spot about a pose that is not fitted, px: by the radius of the pattern about the pad's centre. */
-static double first_reach(const dark_frame *f, const pad_pose *pose)
+static double first_reach(const dark_frame *f, const dl_pad_pose *pose)
 {
     double reach = 0.0;
     for (int k = 0; k < (int)f->pad->lamps; k++) {
@@ -125,10 +125,10 @@ static double first_reach(const dark_frame *f, const pad_pose *pose)
 }
 
 /* Fit the pose from a start; 0 if too few spots are lamps. */
-static int explain(const dark_frame *f, const pad_pose *start, double tests, int least, explained_lamps *out)
+static int explain(const dark_frame *f, const dl_pad_pose *start, double tests, int least, explained_lamps *out)
 {
     const double reaches[] = {first_reach(f, start), SEARCHED_PX, FITTED_PX};
-    pad_pose pose = *start;
+    dl_pad_pose pose = *start;
     for (int k = 0; k < 3; k++) {
         assign_lamps(f->camera, f->pad, &f->spots, &pose, reaches[k], &out->of);
         if (out->of.groups < least || out->of.groups < LEAST_SHARE * out->of.expected ||
@@ -142,7 +142,7 @@ static int explain(const dark_frame *f, const pad_pose *start, double tests, int
 }
 
 /* Whether two poses are two answers. */
-static int differ(const pad_pose *a, const pad_pose *b)
+static int differ(const dl_pad_pose *a, const dl_pad_pose *b)
 {
     double turn[9];
     const double off[3] = {a->t[0] - b->t[0], a->t[1] - b->t[1], a->t[2] - b->t[2]};
@@ -163,9 +163,9 @@ static double confidence_of(int n, const explained_lamps *found, int best)
 }
 
 /* Bring what was found to level. */
-static void bring_to_level(const dark_frame *f, const lamp_fit *fit, level_sighting *out)
+static void bring_to_level(const dark_frame *f, const lamp_fit *fit, dl_level_sighting *out)
 {
-    camera_sighting in = {.roll_rad = f->prior->roll_rad, .pitch_rad = f->prior->pitch_rad, .sigma_deck_rad = f->prior->sigma_deck_rad};
+    dl_camera_sighting in = {.roll_rad = f->prior->roll_rad, .pitch_rad = f->prior->pitch_rad, .sigma_deck_rad = f->prior->sigma_deck_rad};
     memcpy(in.cov_tilt, f->prior->cov_tilt, sizeof in.cov_tilt);
     memcpy(in.R_body_cam, f->camera->R_body_cam, sizeof in.R_body_cam);
     memcpy(in.t_body_cam, f->t_body_cam, sizeof in.t_body_cam);
@@ -185,7 +185,7 @@ static int all_finite(const double *values, int n)
 }
 
 /* Write the surest of the answers; 0 if none is good enough. */
-static int tell(const dark_frame *f, int n, const explained_lamps *found, lamps_seen *out)
+static int tell(const dark_frame *f, int n, const explained_lamps *found, dl_found_lamps *out)
 {
     int best = 0;
     for (int k = 1; k < n; k++) {
@@ -230,7 +230,7 @@ static int look_for_spots(dark_frame *f, const uint8_t *frame, const uint16_t *l
 
 /* The part of a frame about the expected lamps, as far as others speak against them: left, top, right and low; 0 if there is hardly
  * any. */
-static int part_about(const camera_lens *camera, const lamp_pattern *pad, const lamps_expected *at, int part[4])
+static int part_about(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_expected_lamps *at, int part[4])
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, p[3], uv[2];
     const double most[2] = {(double)camera->width, (double)camera->height};
@@ -256,7 +256,7 @@ static int part_about(const camera_lens *camera, const lamp_pattern *pad, const 
 }
 
 /* How many spots lie near lamps that are shifted in the frame, one that lies just there counting as one. */
-static double near_spots(const lamp_spots *spots, int n, const double uv[LAMPS][2], double du, double dv, double within_px)
+static double near_spots(const lamp_spots *spots, int n, const double uv[DL_LAMPS_MAX][2], double du, double dv, double within_px)
 {
     double sum = 0.0;
     for (int k = 0; k < n; k++) {
@@ -271,9 +271,9 @@ static double near_spots(const lamp_spots *spots, int n, const double uv[LAMPS][
 }
 
 /* Shift an expected pose so that its lamps lie near the most spots: each shift within reach that puts a lamp on a spot is tried. */
-static void shift(const dark_frame *f, double reach_px, double within_px, pad_pose *pose)
+static void shift(const dark_frame *f, double reach_px, double within_px, dl_pad_pose *pose)
 {
-    double uv[LAMPS][2], best = 0.0, to[2] = {0.0, 0.0};
+    double uv[DL_LAMPS_MAX][2], best = 0.0, to[2] = {0.0, 0.0};
     const int n = (int)f->pad->lamps;
     for (int k = 0; k < n; k++) {
         double p[3];
@@ -293,9 +293,9 @@ static void shift(const dark_frame *f, double reach_px, double within_px, pad_po
 }
 
 /* Look where the pad is expected; returns the number of answers, none if these lights are hardly the pad's. */
-static int look(dark_frame *f, const lamps_expected *at, explained_lamps *out)
+static int look(dark_frame *f, const dl_expected_lamps *at, explained_lamps *out)
 {
-    pad_pose pose = at->pose;
+    dl_pad_pose pose = at->pose;
     shift(f, at->reach_px, first_reach(f, &pose), &pose);
     return explain(f, &pose, EXPECTED_TESTS, LEAST_TRACKED, out) && out->log10_odds >= 0.0;
 }
@@ -303,7 +303,7 @@ static int look(dark_frame *f, const lamps_expected *at, explained_lamps *out)
 /* Search the spots of the whole frame; returns the number of answers. */
 static int search(const dark_frame *f, uint32_t *scratch, explained_lamps found[LAMP_GUESSES])
 {
-    pad_pose guesses[LAMP_GUESSES];
+    dl_pad_pose guesses[LAMP_GUESSES];
     const int tried = guess_lamps(f->camera, f->pad, f->prior, &f->spots, scratch, guesses);
     const double tests = guesses_tried(f->pad, &f->spots);
     int n = 0;
@@ -318,9 +318,9 @@ static int search(const dark_frame *f, uint32_t *scratch, explained_lamps found[
 }
 
 /* Whether a pattern's numbers are some that there can be. */
-static int is_pattern(const lamp_pattern *pad)
+static int is_pattern(const dl_lamp_pattern *pad)
 {
-    if (pad->lamps < 0 || pad->lamps > LAMPS || pad->pairs < 0 || pad->pairs > LAMP_PAIRS) {
+    if (pad->lamps < 0 || pad->lamps > DL_LAMPS_MAX || pad->pairs < 0 || pad->pairs > DL_LAMP_PAIRS_MAX) {
         return 0;
     }
     for (int k = 0; k < 2 * (int)pad->pairs; k++) {
@@ -331,10 +331,10 @@ static int is_pattern(const lamp_pattern *pad)
     return 1;
 }
 
-int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const lamp_pattern *pad, const tilt_prior *prior, const lamps_expected *at,
-                      lamps_seen *out)
+int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_pattern *pad, const dl_tilt_prior *prior, const dl_expected_lamps *at,
+                      dl_found_lamps *out)
 {
-    const camera_lens *camera = &t->camera.lens;
+    const dl_lens *camera = &t->camera.lens;
     const uint8_t *frame = image->px;
     const uint16_t *light = t->lamp_light;
     uint32_t *scratch = (uint32_t *)(void *)t->scratch;
@@ -352,7 +352,7 @@ int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const lamp_pattern *
     }
     if (n == 0) {
         if (!is_whole && !look_for_spots(&f, frame, light, whole, scratch)) {
-            return CROWDED;
+            return DL_TOO_BRIGHT;
         }
         n = search(&f, scratch, found);
     }

@@ -9,7 +9,7 @@
 enum { BRIGHT_RUNS = 4096 };
 
 /* The numbers of four bytes that the search of a frame works on. */
-int64_t lamps_room(const camera_lens *camera);
+int64_t lamps_room(const dl_lens *camera);
 
 /* A part of a frame, BGR, and the linear light of each value of a pixel. */
 typedef struct {
@@ -27,7 +27,7 @@ typedef struct {
 /* The brightest first. */
 typedef struct {
     int n;
-    lamp_spot spot[LAMP_SPOTS];
+    lamp_spot spot[DL_LAMP_SPOTS_MAX];
 } lamp_spots;
 
 /* A row's bright pixels in one piece, of the part: row, first and last column. */
@@ -45,7 +45,7 @@ typedef struct {
 
 /* Lamps of a pad at a pose, and the spot of each, -1 for none. Lamps that the frame does not resolve make one spot. */
 typedef struct {
-    int32_t spot[LAMPS];
+    int32_t spot[DL_LAMPS_MAX];
     /* Number of spots that lamps explain, of those that the lamps in view would make, and of others about the pad; the area of the
      * pad's surroundings in the frame, px^2. */
     int groups, expected, strangers;
@@ -55,8 +55,8 @@ typedef struct {
 /* A pose, the covariance of its place and of a small rotation in `cam`, and how far each spot with a lamp is from its lamps: px, and
  * the middle one in its standard deviations. `extent_px` is the largest distance of these spots from their middle. */
 typedef struct {
-    pad_pose pose;
-    double cov[36], off_px[LAMP_SPOTS], middle_sigmas, extent_px;
+    dl_pad_pose pose;
+    double cov[36], off_px[DL_LAMP_SPOTS_MAX], middle_sigmas, extent_px;
 } lamp_fit;
 
 /* The room that the bright places of a part take, numbers of four bytes. */
@@ -67,26 +67,26 @@ int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out);
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out);
 
 /* A point of the pad's plane in `cam`, m. */
-void pad_point(const pad_pose *pose, double x, double y, double p[3]);
+void pad_point(const dl_pad_pose *pose, double x, double y, double p[3]);
 /* Assign the lamps in view to the nearest spots. `reach_px` is the largest distance of a lamp from its spot's centre, or of the
  * lamps that share a spot from it on average. */
-void assign_lamps(const camera_lens *camera, const lamp_pattern *pad, const lamp_spots *spots, const pad_pose *pose, double reach_px,
+void assign_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose, double reach_px,
                   lamp_assignment *out);
 /* The pose at which the assigned lamps lie in their spots; 0 if they do not determine one. */
-int fit_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots,
-              const lamp_assignment *of, const pad_pose *start, lamp_fit *out);
+int fit_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt_prior *prior, const lamp_spots *spots,
+              const lamp_assignment *of, const dl_pad_pose *start, lamp_fit *out);
 
 enum { LAMP_GUESSES = 6 };
 /* The room that guesses take, numbers of four bytes. */
 int64_t guess_room(void);
 /* Poses that two spots give, those that explain the most spots first; returns their number. */
-int guess_lamps(const camera_lens *camera, const lamp_pattern *pad, const tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
-                pad_pose out[LAMP_GUESSES]);
+int guess_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt_prior *prior, const lamp_spots *spots, uint32_t *scratch,
+                dl_pad_pose out[LAMP_GUESSES]);
 
 /* Number of poses that are tried. */
-double guesses_tried(const lamp_pattern *pad, const lamp_spots *spots);
+double guesses_tried(const dl_lamp_pattern *pad, const lamp_spots *spots);
 
 /* R_level_cam */
-void level_of_camera(const camera_lens *camera, const tilt_prior *prior, double R[9]);
+void level_of_camera(const dl_lens *camera, const dl_tilt_prior *prior, double R[9]);
 
 #endif

@@ -156,7 +156,7 @@ void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out)
             }
         }
     }
-    for (int k = 0; k < all.n && out->n < LAMP_SPOTS; k++) {
+    for (int k = 0; k < all.n && out->n < DL_LAMP_SPOTS_MAX; k++) {
         if (!in_halo(&all.spot[k], &all)) {
             out->spot[out->n++] = all.spot[k];
         }

@@ -2,6 +2,7 @@
 
 #include <math.h>
 
+#include "vision/align/align.h"
 #include "vision/look/look.h"
 
 /* Kinds of edges, and channels. */
@@ -62,25 +63,25 @@ static double between(double yes, double no, double value)
     return within(0.0, 1.0, (value - no) / (yes - no));
 }
 
-static int is_seen(const edge_support *edge)
+static int is_seen(const dl_edge_support *edge)
 {
     return edge->snr > SNR_SEEN && edge->inliers > INLIERS_SEEN && edge->in_view > 0.0 && edge->likeness > LIKENESS_SEEN;
 }
 
-static double contrast(const edge_support *edge)
+static double contrast(const dl_edge_support *edge)
 {
     const double *bgr = edge->contrast_bgr;
     return sqrt(bgr[0] * bgr[0] + bgr[1] * bgr[1] + bgr[2] * bgr[2]);
 }
 
 /* Whether the H does not show, nor the arrowhead, which no other helipad has. */
-static int no_h_shows(const registration *found)
+static int no_h_shows(const dl_registration *found)
 {
     return !is_seen(&found->edges[H]) && !is_seen(&found->edges[ARROW]);
 }
 
 /* By channel the distance of the ring's light from its place between the disc's (0) and the H's (1), which no light changes. */
-static void orange_off(const pad_judge *judge, const registration *found, double off[CHANNELS])
+static void orange_off(const dl_pad_verification *judge, const dl_registration *found, double off[CHANNELS])
 {
     const double *ring = found->edges[RING].contrast_bgr, *h = found->edges[H].contrast_bgr;
     const double least = 0.1 * fmax(fmax(fabs(h[0]), fabs(h[1])), fmax(fabs(h[2]), LEAST_CONTRAST));
@@ -91,9 +92,9 @@ static void orange_off(const pad_judge *judge, const registration *found, double
 }
 
 /* How surely there is no ring: less so if enough of it is in view and half of that is clear, because the rest may be covered. */
-static double no_ring(const registration *found, const aligned_pad *aligned)
+static double no_ring(const dl_registration *found, const dl_aligned_pad *aligned)
 {
-    const edge_support *ring = &found->edges[RING];
+    const dl_edge_support *ring = &found->edges[RING];
     if (is_seen(ring)) {
         return 0.0;
     }
@@ -106,23 +107,23 @@ static double no_ring(const registration *found, const aligned_pad *aligned)
 
 /* How surely the disc's contrast is less than a third of that of its kind of paint. A grey disc may be as bright as any deck: there a
  * faint disc is a disc as long as its edge shows. */
-static double no_disc(const pad_judge *judge, const registration *found)
+static double no_disc(const dl_pad_verification *judge, const dl_registration *found)
 {
-    const edge_support *disc = &found->edges[DISC];
+    const dl_edge_support *disc = &found->edges[DISC];
     const double h = fmax(contrast(&found->edges[H]), LEAST_CONTRAST);
     const double less = within(0.0, 1.0, 2.0 * (log(PLAIN_DISC * h / fmax(contrast(disc), NO_CONTRAST)) - 0.5));
     return judge->disc_has_colour ? less : less * between(SNR_GREY_HIDDEN, SNR_GREY_SHOWN, disc->snr);
 }
 
 /* How surely the H shows less or more than the ring beside it implies. */
-static double h_contrast_odd(const registration *found)
+static double h_contrast_odd(const dl_registration *found)
 {
     const double ring = fmax(contrast(&found->edges[RING]), NO_CONTRAST), h = fmax(contrast(&found->edges[H]), NO_CONTRAST);
     return within(0.0, 1.0, 2.0 * fmax(log(H_OVER_RING_LOW * ring / h), log(h / (H_OVER_RING_HIGH * ring))));
 }
 
 /* How surely the H's paint is not brighter than the disc's in some channel, although the pad's is in all. */
-static double not_brighter(const pad_judge *judge, const aligned_pad *aligned)
+static double not_brighter(const dl_pad_verification *judge, const dl_aligned_pad *aligned)
 {
     for (int c = 0; c < CHANNELS; c++) {
         if (judge->orange_side[c] < 0.0) {
@@ -133,8 +134,8 @@ static double not_brighter(const pad_judge *judge, const aligned_pad *aligned)
 }
 
 /* Evidence for a pad whose disc has few pixels, where contrasts say more than shapes. */
-static void from_afar(const pad_judge *judge, const registration *found, const aligned_pad *aligned, double template_score,
-                      double out[EVIDENCE])
+static void from_afar(const dl_pad_verification *judge, const dl_registration *found, const dl_aligned_pad *aligned, double template_score,
+                      double out[DL_EVIDENCE])
 {
     const int has_both = judge->has_ring && judge->has_letters, shown = is_seen(&found->edges[RING]) && is_seen(&found->edges[H]);
     out[EVIDENCE_DENSE] = 1.0;
@@ -165,33 +166,33 @@ static void from_afar(const pad_judge *judge, const registration *found, const a
 }
 
 /* Evidence for a pad whose edges are apart. */
-static void from_near(const pad_judge *judge, const registration *found, double disc_shown, double out[EVIDENCE])
+static void from_near(const dl_pad_verification *judge, const dl_registration *found, double disc_shown, double out[DL_EVIDENCE])
 {
-    const edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];
+    const dl_edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];
     const int other = is_seen(disc) || (is_seen(ring) && ring->in_view > RING_IN_VIEW) || is_seen(&found->edges[ARROW]);
     out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
     out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
     /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
     out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
     out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
-    const edge_support *upper = &found->edges[UPPER];
+    const dl_edge_support *upper = &found->edges[UPPER];
     const double no_upper = upper->in_view > UPPER_IN_VIEW && upper->snr < SNR_SEEN;
     out[EVIDENCE_H_ASTRAY] = other ? 0.0 : fmax(no_upper, between(OTHER_H, THIS_H, h->inliers));
 }
 
-void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const registration *found, const aligned_pad *aligned,
-                   double evidence[EVIDENCE], double *log_odds)
+void look_evidence(const dl_pad_verification *judge, const double weights[DL_EVIDENCE], const dl_registration *found, const dl_aligned_pad *aligned,
+                   double evidence[DL_EVIDENCE], double *log_odds)
 {
-    const edge_support *edges = found->edges, *h = &edges[H];
-    double score = 0.0, in_view[EDGE_KINDS];
-    for (int i = 0; i < FEATURES; i++) {
+    const dl_edge_support *edges = found->edges, *h = &edges[H];
+    double score = 0.0, in_view[DL_EDGE_KINDS];
+    for (int i = 0; i < DL_FEATURES; i++) {
         score += judge->template_weights[i] * aligned->features[i];
     }
     score = within(-8.0, 8.0, score);
-    for (int k = 0; k < EDGE_KINDS; k++) {
+    for (int k = 0; k < DL_EDGE_KINDS; k++) {
         in_view[k] = fmin(1.0, TELLING * edges[k].in_view);
     }
-    for (int i = 0; i < EVIDENCE; i++) {
+    for (int i = 0; i < DL_EVIDENCE; i++) {
         evidence[i] = 0.0;
     }
     evidence[EVIDENCE_ONE] = 1.0;
@@ -212,7 +213,7 @@ void look_evidence(const pad_judge *judge, const double weights[EVIDENCE], const
         from_near(judge, found, in_view[DISC], evidence);
     }
     *log_odds = 0.0;
-    for (int i = 0; i < EVIDENCE; i++) {
+    for (int i = 0; i < DL_EVIDENCE; i++) {
         *log_odds += weights[i] * evidence[i];
     }
 }

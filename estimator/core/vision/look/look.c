@@ -9,10 +9,10 @@
 #include "vision/register/register.h"
 
 /* Move a rough pose, on a reduced frame, to where registration can start; it stays where that fails. */
-static void approach(const dl_tracker *t, const dl_frame *frame, double sigma_tilt_rad, pad_pose *pose)
+static void approach(const dl_tracker *t, const dl_frame *frame, double sigma_tilt_rad, dl_pad_pose *pose)
 {
     const dl_alignment how = {.steps = APPROACH_STEPS, .sigma_tilt_rad = sigma_tilt_rad};
-    pad_pose moved = *pose;
+    dl_pad_pose moved = *pose;
     seen_part seen;
     uint8_t *at = t->parts;
     double tilt_sigmas;
@@ -23,7 +23,7 @@ static void approach(const dl_tracker *t, const dl_frame *frame, double sigma_ti
 }
 
 /* Verify the drawing at a pose. The arrowhead is looked at in more detail than the rest. */
-static int verify_at(const dl_tracker *t, const dl_frame *frame, const pad_pose *pose, const double cut[3], aligned_pad *out)
+static int verify_at(const dl_tracker *t, const dl_frame *frame, const dl_pad_pose *pose, const double cut[3], dl_aligned_pad *out)
 {
     seen_part seen[2];
     if (!align_view(&t->camera.lens, &t->pad.drawn, pose, FINAL_SAMPLES, &seen[0].part)) {
@@ -34,9 +34,9 @@ static int verify_at(const dl_tracker *t, const dl_frame *frame, const pad_pose 
 }
 
 /* Bring what was registered to level. */
-static void bring_to_level(const dl_camera *camera, const tilt_prior *prior, const registration *found, level_sighting *out)
+static void bring_to_level(const dl_camera *camera, const dl_tilt_prior *prior, const dl_registration *found, dl_level_sighting *out)
 {
-    camera_sighting in = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
+    dl_camera_sighting in = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
     memcpy(in.cov_tilt, prior->cov_tilt, sizeof in.cov_tilt);
     memcpy(in.R_body_cam, camera->lens.R_body_cam, sizeof in.R_body_cam);
     memcpy(in.t_body_cam, camera->t_body_cam, sizeof in.t_body_cam);
@@ -46,9 +46,9 @@ static void bring_to_level(const dl_camera *camera, const tilt_prior *prior, con
     dl_sighting_in_level(&in, out);
 }
 
-int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, looked_pad *out, double *outline, int64_t outline_points)
+int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, dl_registered_pad *out, double *outline, int64_t outline_points)
 {
-    pad_pose pose = start->pose;
+    dl_pad_pose pose = start->pose;
     if (!t->has_drawing || !is_frame(t, frame) || outline_points < (t->pad.edge_points + 3) / 4) {
         return DL_WRONG_SIZE;
     }
@@ -67,7 +67,7 @@ int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, loo
     if (!verify_at(t, frame, &pose, start->cut, &out->aligned)) {
         return 0;
     }
-    const pad_judge *judge = &t->pad.judge;
+    const dl_pad_verification *judge = &t->pad.verification;
     look_evidence(judge, start->tracked ? judge->tracked : judge->searched, &out->found, &out->aligned, out->evidence, &out->log_odds);
     if (!isfinite(out->log_odds)) {
         return 0;
@@ -77,7 +77,7 @@ int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, loo
     return 1;
 }
 
-int32_t dl_align(dl_tracker *t, const dl_frame *frame, const dl_alignment *how, pad_pose *pose, aligned_pad *out)
+int32_t dl_align(dl_tracker *t, const dl_frame *frame, const dl_alignment *how, dl_pad_pose *pose, dl_aligned_pad *out)
 {
     seen_part seen;
     uint8_t *at = t->parts;

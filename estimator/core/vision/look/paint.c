@@ -13,7 +13,7 @@ static const double FARTHEST = 3.0;
 /* Least scatter of a paint's light, natural logarithms. */
 static const double LEAST_SCATTER = 0.03;
 
-void look_paint(const pad_paint *known, const aligned_pad *aligned, pad_paint *out)
+void look_paint(const dl_pad_paint *known, const dl_aligned_pad *aligned, dl_pad_paint *out)
 {
     *out = *known;
     for (int i = 0; i < 12; i++) {

@@ -18,7 +18,7 @@ static const double STEP_M = 1e-4;
 static const double HELD = 1e-4;
 
 /* Derivatives of a pixel's place by that of its point, px/m; 0 outside of the frame. */
-static int place_by_point(const camera_lens *camera, const double p[3], double uv[2], double by[AXES][3])
+static int place_by_point(const dl_lens *camera, const double p[3], double uv[2], double by[AXES][3])
 {
     camera_project(camera, p, uv);
     if (!(uv[0] >= 0.0 && uv[0] < (double)camera->width && uv[1] >= 0.0 && uv[1] < (double)camera->height)) {
@@ -72,7 +72,7 @@ static void transpose(const double A[POSE * POSE], double out[POSE * POSE])
 }
 
 /* The sums of squares of all edges in the frame by the pose, and of what each patch adds to its gradient. */
-static void squares_of(const camera_lens *camera, const edge_points *edges, const fit_state *pose, double alike[POSE * POSE],
+static void squares_of(const dl_lens *camera, const edge_points *edges, const fit_state *pose, double alike[POSE * POSE],
                        double patches[POSE * POSE])
 {
     double sums[PATCHES * PATCHES][AXES][POSE];
@@ -104,7 +104,7 @@ static void squares_of(const camera_lens *camera, const edge_points *edges, cons
     }
 }
 
-void add_coded(const camera_lens *camera, const edge_points *edges, const fit_state *pose, double sigma_px,
+void add_coded(const dl_lens *camera, const edge_points *edges, const fit_state *pose, double sigma_px,
                const double information[POSE * POSE], const double with_prior[POSE * POSE], double cov[POSE * POSE])
 {
     double alike[POSE * POSE], left[POSE * POSE], right[POSE * POSE], share[POSE * POSE], back[POSE * POSE];

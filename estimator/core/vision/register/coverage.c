@@ -137,7 +137,7 @@ static inline int apart(const double *at, int64_t from, int64_t to, span near)
 }
 
 /* Whether one of a few points is within the blur's reach of the figure's bounding box. */
-static inline int is_near(const pad_figure *g, const few *p)
+static inline int is_near(const dl_pad_figure *g, const few *p)
 {
     const float *x = p->x, *y = p->y, reach = p->reach;
     const float x0 = (float)g->x_m[0] - reach, x1 = (float)g->x_m[g->x_cuts - 1] + reach;
@@ -175,9 +175,9 @@ static inline float slant_of(const footprint *f)
  * tilt of 25 degrees slants the blur. An H that its blur merges turns by degrees without them.
  * Source: Kendall, Proof of relations connected with the tetrachoric series, Biometrika 32(2), 1941. */
 WIDE
-static void add_rectangles(const pad_figure *g, const few *p, float xy, float *value, float *const d[BY])
+static void add_rectangles(const dl_pad_figure *g, const few *p, float xy, float *value, float *const d[BY])
 {
-    cut across[FIGURE_CUTS], along[FIGURE_CUTS];
+    cut across[DL_FIGURE_CUTS], along[DL_FIGURE_CUTS];
     const float *m = p->m;
     const int many = g->rectangles >= MANY;
     const span near_x = span_of(p->x, p->reach), near_y = span_of(p->y, p->reach);
@@ -212,7 +212,7 @@ static inline void points_at(const footprint *f, int begin, int count, int i, fe
 }
 
 WIDE
-static void add_figure(const pad_figure *g, const footprint *f, int begin, int count, float *value, float *const d[BY])
+static void add_figure(const dl_pad_figure *g, const footprint *f, int begin, int count, float *value, float *const d[BY])
 {
     for (int i = 0; i < count; i += LANES) {
         few p;
@@ -234,7 +234,7 @@ static void add_figure(const pad_figure *g, const footprint *f, int begin, int c
 }
 
 /* Add what straight sides of any direction enclose, at points turned by half a turn if `sign` is -1. */
-static void add_slanted(const pad_figure *g, const footprint *f, int begin, int count, float sign, float *value, float *const d[BY])
+static void add_slanted(const dl_pad_figure *g, const footprint *f, int begin, int count, float sign, float *value, float *const d[BY])
 {
     round_sides sides;
     prepare_sides(g, f->blur_m2, &sides);
@@ -257,7 +257,7 @@ static void add_slanted(const pad_figure *g, const footprint *f, int begin, int 
 }
 
 /* The product of the normal integrals of a wedge's sides, and its derivatives. */
-static inline float inside_wedge(const pad_wedge *w, const double blur_m2[3], float x, float y, float m, float d[BY])
+static inline float inside_wedge(const dl_pad_wedge *w, const double blur_m2[3], float x, float y, float m, float d[BY])
 {
     float value = 1.0f;
     memset(d, 0, BY * sizeof *d);
@@ -279,7 +279,7 @@ static inline float inside_wedge(const pad_wedge *w, const double blur_m2[3], fl
 }
 
 /* Add a wedge where its circle does not cover it. `circle` is free: it takes the circle's coverage and derivatives at a point. */
-static void add_wedge(const pad_wedge *w, const footprint *f, const round_points *p, int begin, int count, float *value,
+static void add_wedge(const dl_pad_wedge *w, const footprint *f, const round_points *p, int begin, int count, float *value,
                       float *const d[BY])
 {
     for (int i = 0; i < count; i++) {
@@ -298,7 +298,7 @@ static void add_wedge(const pad_wedge *w, const footprint *f, const round_points
     }
 }
 
-void cover(const pad_shape *pad, const pad_region *region, const stretch *at, float *value, float *const d[BY],
+void cover(const dl_pad_shape *pad, const dl_pad_region *region, const stretch *at, float *value, float *const d[BY],
            float *const spare[2])
 {
     const footprint *f = at->f;
@@ -317,7 +317,7 @@ void cover(const pad_shape *pad, const pad_region *region, const stretch *at, fl
         add_change(f, p, begin, count, spare[0], spare[1], d);
     }
     if (region->figure >= 0) {
-        const pad_figure *g = &pad->figures[region->figure];
+        const dl_pad_figure *g = &pad->figures[region->figure];
         if (g->rectangles) {
             add_figure(g, f, begin, count, value, d);
         }
@@ -330,7 +330,7 @@ void cover(const pad_shape *pad, const pad_region *region, const stretch *at, fl
     }
 }
 
-void cover_figure(const pad_figure *g, const footprint *f, int begin, int count, int turned, float *value)
+void cover_figure(const dl_pad_figure *g, const footprint *f, int begin, int count, int turned, float *value)
 {
     const float sign = turned ? -1.0f : 1.0f;
     memset(value, 0, (size_t)count * sizeof *value);
@@ -355,7 +355,7 @@ void cover_figure(const pad_figure *g, const footprint *f, int begin, int count,
     }
 }
 
-void cover_pointer(const pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value)
+void cover_pointer(const dl_pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value)
 {
     if (!pad->wedge.sides) {
         cover_figure(&pad->figures[pad->pointer_figure], f, begin, count, 0, value);

@@ -28,13 +28,13 @@ typedef struct {
 } stretch;
 
 /* The coverage of points by a region, and its derivatives. `spare`: two rows that are written over. */
-void cover(const pad_shape *pad, const pad_region *region, const stretch *at, float *value, float *const d[BY],
+void cover(const dl_pad_shape *pad, const dl_pad_region *region, const stretch *at, float *value, float *const d[BY],
            float *const spare[2]);
 
 /* The coverage by a figure alone, turned by half a turn if `turned`; without derivatives. */
-void cover_figure(const pad_figure *figure, const footprint *f, int begin, int count, int turned, float *value);
+void cover_figure(const dl_pad_figure *figure, const footprint *f, int begin, int count, int turned, float *value);
 
 /* The coverage by the pointer alone, a wedge beyond its circle or a figure; without derivatives. */
-void cover_pointer(const pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value);
+void cover_pointer(const dl_pad_shape *pad, const footprint *f, const round_points *p, int begin, int count, float *value);
 
 #endif

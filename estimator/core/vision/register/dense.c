@@ -41,7 +41,7 @@ int take_dense_rows(rows *r, dense_rows *out)
     for (int i = 0; i < COEFFICIENTS_MAX; i++) {
         ok &= (out->values[i] = take_rows(r, 1)) != NULL;
     }
-    for (int i = 0; i < PAD_CONTRASTS * BY; i++) {
+    for (int i = 0; i < DL_PAD_CONTRASTS * BY; i++) {
         ok &= (out->changes[i / BY][i % BY] = take_rows(r, 1)) != NULL;
     }
     for (int i = 0; i < DENSE_SPARE; i++) {
@@ -51,7 +51,7 @@ int take_dense_rows(rows *r, dense_rows *out)
 }
 
 /* The regressors at a state, and the derivatives of the regions'. */
-static void draw(const pad_shape *pad, const patch *cut, const fit_state *s, dense_rows *d)
+static void draw(const dl_pad_shape *pad, const patch *cut, const fit_state *s, dense_rows *d)
 {
     const int n = whole_lanes(cut->n);
     float *const spare[2] = {d->spare[0], d->spare[1]};
@@ -157,7 +157,7 @@ static double typical(const patch *cut, int c, int less_edges, const float *judg
 
 /* The same of a channel's judged pixels that show the pad alone: what lies around it says nothing of what lies on it. Of all judged
  * ones where there are too few. */
-static double typical_on_pad(const pad_shape *pad, const patch *cut, int c, dense_rows *d)
+static double typical_on_pad(const dl_pad_shape *pad, const patch *cut, int c, dense_rows *d)
 {
     float *on = d->spare[2];
     int count = 0;
@@ -205,7 +205,7 @@ static void weigh_fully(const patch *cut, double noise, double edge_sigma_px, in
 }
 
 /* Look for a reflection if the first paints leave too much. */
-static int look_for_glare(const pad_shape *pad, const patch *cut, dense_rows *d, dense_sums *s, glare *found)
+static int look_for_glare(const dl_pad_shape *pad, const patch *cut, dense_rows *d, dense_sums *s, glare *found)
 {
     double left = 0.0;
     for (int c = 0; c < CHANNELS; c++) {
@@ -328,7 +328,7 @@ static void admit_glare(const patch *cut, const glare *g, dense_rows *d, dense_s
     }
 }
 
-int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
+int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
                     dense_rows *d, dense_fit *fit)
 {
     dense_sums all = {.regions = (int)pad->contrast_count, .k = FIRST_REGION + (int)pad->contrast_count};

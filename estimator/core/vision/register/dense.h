@@ -21,7 +21,7 @@ typedef struct {
     footprint f;
     round_points round;
     /* The regressor of each coefficient, and the derivatives of the regions'. */
-    float *values[COEFFICIENTS_MAX], *changes[PAD_CONTRASTS][BY];
+    float *values[COEFFICIENTS_MAX], *changes[DL_PAD_CONTRASTS][BY];
     /* By channel: light that pose and paints explain; squared change of that light over a pixel across the steepest edge; robust
      * weight; light plus what a dark sensor's noise amounts to; variance of the light from the edges' places; weight over variance;
      * light left over; light that a reflection adds; whether a pixel sets the scale of the noise. */
@@ -41,7 +41,7 @@ typedef struct {
      * only of the last linearisation. */
     double pull[SECTOR_MOVES][STATES], score[SECTOR_MOVES], known[SECTOR_MOVES];
     /* Light of the coefficients and its variances, by channel; the variances only of the last linearisation. */
-    double paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS], var_paints[FIRST_REGION + PAD_CONTRASTS][CHANNELS];
+    double paints[FIRST_REGION + DL_PAD_CONTRASTS][CHANNELS], var_paints[FIRST_REGION + DL_PAD_CONTRASTS][CHANNELS];
     /* Robust variance of light over light, and that of the pixels that show the pad alone; the latter only of the last linearisation. */
     double noise, noise_on_pad;
     glare reflection;
@@ -59,14 +59,14 @@ typedef struct {
 int take_dense_rows(rows *r, dense_rows *out);
 /* Compute a linearisation. `first`: there was none before that sets the scale of the residuals, so all weigh fully. `last`: also
  * compute the covariances. Returns 0 if the pixels do not determine the paints. */
-int linearise_dense(const pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
+int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
                     dense_rows *d, dense_fit *fit);
 
 /* The derivatives of a block of a channel's light by the state, plain and weighted; notes the light's squared change over a pixel. */
 void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int start, int length, float m_per_px2,
                        float J[STATES][SUM_BLOCK], float Jw[STATES][SUM_BLOCK]);
 /* Add the gradient's covariance from the residuals of all channels, and find the variances of the paints. */
-int add_gradient_covariance(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
+int add_gradient_covariance(const dl_pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit);
 /* Add the effect on the gradient of displaced sectors by a block of a channel's pixels: its derivatives along the pad's axes, and the
  * projected scores of all pixels. */
 void add_sectors(const dense_rows *d, int c, int start, int length, const float along[][SUM_BLOCK],

@@ -26,10 +26,10 @@ static const double COVERED = 0.98, POINTER_IN_VIEW = 0.1;
  * white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
 static const double SNR_SEEN = 5.0, LIKENESS_SEEN = 0.4;
 
-int kinds_drawn(const pad_shape *pad)
+int kinds_drawn(const dl_pad_shape *pad)
 {
     int drawn = 0;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         drawn += pad->contrast_of_kind[kind] >= 0;
     }
     return drawn ? drawn : 1;
@@ -40,9 +40,9 @@ int stands_out(double amplitude, double opposite, double sigma)
     return amplitude - opposite > fmax(0.5, 4.0 * sigma);
 }
 
-edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view)
+dl_edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view)
 {
-    edge_support out = {.snr = fmax(0.0, amplitude) / fmax(sigma, 1e-6), .in_view = in_view, .likeness = 1.0};
+    dl_edge_support out = {.snr = fmax(0.0, amplitude) / fmax(sigma, 1e-6), .in_view = in_view, .likeness = 1.0};
     out.inliers = fmin(1.0, fmax(0.0, 1.0 - fabs(amplitude - 1.0)));
     for (int c = 0; c < CHANNELS; c++) {
         out.contrast_bgr[c] = contrast[c] * amplitude;
@@ -50,14 +50,14 @@ edge_support pointer_support(double amplitude, double sigma, const double contra
     return out;
 }
 
-int support_is_seen(const edge_support *e)
+int support_is_seen(const dl_edge_support *e)
 {
     return e->snr > SNR_SEEN && e->inliers > 0.5 && e->in_view > 0.0 && e->likeness > LIKENESS_SEEN;
 }
 
 /* Add to a covariance what hides the disc: its sectors and strokes may lie anywhere within some pixels, and the pad farther away or
  * nearer along the line of sight. */
-static void add_doubt(const fit_state *s, const pad_shape *pad, double cov[STATES * STATES])
+static void add_doubt(const fit_state *s, const dl_pad_shape *pad, double cov[STATES * STATES])
 {
     const double sigma = EDGE_DOUBTED_PX * s->m_per_px, range = sigma * s->depth_m / pad->disc_radius_m, turn = sigma / pad->half_length_m;
     double along[3];
@@ -103,7 +103,7 @@ static int robust_sums(const dense_fit *fit, double H[STATES * STATES], double g
 }
 
 /* The mix of colours in which the pointer's paint stands out from the one below by one; 0 if it does not. */
-static int pointer_mix(const pad_shape *pad, const dense_fit *fit, double mix[CHANNELS])
+static int pointer_mix(const dl_pad_shape *pad, const dense_fit *fit, double mix[CHANNELS])
 {
     const int own = FIRST_REGION + (int)pad->pointer_contrast, below = (int)pad->lies_on[pad->pointer_contrast];
     double size = 0.0;
@@ -126,7 +126,7 @@ typedef struct {
 } pointer_pixels;
 
 /* The pixels beyond the ring, where the strokes have no effect, and well inside the paint below, where the surroundings have none. */
-static void collect_pointer(const pad_shape *pad, const patch *cut, const fit_state *s, const double mix[CHANNELS], dense_rows *d,
+static void collect_pointer(const dl_pad_shape *pad, const patch *cut, const fit_state *s, const double mix[CHANNELS], dense_rows *d,
                             pointer_pixels *p)
 {
     const int own = FIRST_REGION + (int)pad->pointer_contrast, below = (int)pad->lies_on[pad->pointer_contrast];
@@ -152,7 +152,7 @@ static void collect_pointer(const pad_shape *pad, const patch *cut, const fit_st
 }
 
 /* The amplitudes of the pointer at a state; 0 if its paint does not differ from the one below, or if none would be in view. */
-static int find_pointer(const pad_shape *pad, const patch *cut, const fit_state *s, const dense_fit *fit, dense_rows *d, pointer *out)
+static int find_pointer(const dl_pad_shape *pad, const patch *cut, const fit_state *s, const dense_fit *fit, dense_rows *d, pointer *out)
 {
     double mix[CHANNELS], M[POINTER_ROWS * POINTER_ROWS] = {0.0}, a[POINTER_ROWS] = {0.0}, inverse[POINTER_ROWS * POINTER_ROWS] = {0.0};
     pointer_pixels p;
@@ -190,7 +190,7 @@ static int find_pointer(const pad_shape *pad, const patch *cut, const fit_state 
 }
 
 /* The support for every kind of edge from the regions' paints, and the fraction of all pixels that agree. */
-static void find_support(const pad_shape *pad, const patch *cut, const dense_fit *fit, const dense_rows *d, const pointer *p,
+static void find_support(const dl_pad_shape *pad, const patch *cut, const dense_fit *fit, const dense_rows *d, const pointer *p,
                          fit_solved *out)
 {
     double all = 0.0;
@@ -198,16 +198,16 @@ static void find_support(const pad_shape *pad, const patch *cut, const dense_fit
         all += (d->weight[0][i] + d->weight[1][i] + d->weight[2][i]) / 3.0;
     }
     out->inliers = fmin(1.0, all / cut->n / MEAN_WEIGHT);
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
-        edge_support *e = &out->edges[kind];
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
+        dl_edge_support *e = &out->edges[kind];
         if (pad->contrast_of_kind[kind] < 0) {
-            *e = (edge_support){.likeness = 1.0};
+            *e = (dl_edge_support){.likeness = 1.0};
             continue;
         }
         const int row = FIRST_REGION + (int)pad->contrast_of_kind[kind];
         double total = 0.0, agree = 0.0, snr2 = 0.0;
         if (kind == pad->pointer_kind) {
-            *e = p ? pointer_support(p->here, p->sigma, fit->paints[row], 1.0) : (edge_support){.likeness = 1.0};
+            *e = p ? pointer_support(p->here, p->sigma, fit->paints[row], 1.0) : (dl_edge_support){.likeness = 1.0};
             continue;
         }
         for (int i = 0; i < cut->n; i++) {
@@ -242,7 +242,7 @@ static void in_axes_of(const fit_state *from, const fit_state *to, double H[STAT
 }
 
 /* Linearise and step until pose and blur rest; `s` is moved, and `out` takes the robust information and the last step. */
-static int converge(const pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
+static int converge(const dl_pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
                     dense_fit *fit, fit_solved *out)
 {
     double grown = 0.0, g[STATES], *moved_px = &out->last_step_px, *H = out->H;
@@ -272,7 +272,7 @@ static int converge(const pad_shape *pad, const patch *cut, const fit_options *o
     return 1;
 }
 
-int register_far(const view *v, const pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
+int register_far(const view *v, const dl_pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
                  fit_solved *out)
 {
     patch cut;
@@ -303,7 +303,7 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     const int in_view = find_pointer(pad, &cut, &s, &fit, &d, &seen);
     find_support(pad, &cut, &fit, &d, in_view ? &seen : NULL, out);
     out->arrow_seen = in_view && stands_out(seen.here, seen.there, seen.sigma) && !out->doubted;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         out->visible += out->edges[kind].in_view / kinds_drawn(pad);
     }
     out->inliers *= out->doubted ? 0.5 : 1.0;
@@ -313,7 +313,7 @@ int register_far(const view *v, const pad_shape *pad, const fit_options *o, cons
     return 1;
 }
 
-int is_opposite(const view *v, const pad_shape *pad, const fit_options *o, const fit_state *s, rows *r)
+int is_opposite(const view *v, const dl_pad_shape *pad, const fit_options *o, const fit_state *s, rows *r)
 {
     patch cut;
     dense_rows d;

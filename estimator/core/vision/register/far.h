@@ -13,18 +13,18 @@ typedef struct {
 /* Whether an amplitude exceeds the one at the opposite place clearly enough for a certain heading. */
 int stands_out(double amplitude, double opposite, double sigma);
 /* The number of kinds of edges that the pad has. */
-int kinds_drawn(const pad_shape *pad);
+int kinds_drawn(const dl_pad_shape *pad);
 
 /* The support for a pointer of this amplitude; 1 is nominal. */
-edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view);
+dl_edge_support pointer_support(double amplitude, double sigma, const double contrast[CHANNELS], double in_view);
 
 /* Whether a kind of edge is clearly there, and of its paint. */
-int support_is_seen(const edge_support *e);
+int support_is_seen(const dl_edge_support *e);
 
 /* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. */
-int register_far(const view *v, const pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
+int register_far(const view *v, const dl_pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
                  fit_solved *out);
 /* Whether the pointer is seen at the opposite of its place and not there. */
-int is_opposite(const view *v, const pad_shape *pad, const fit_options *o, const fit_state *s, rows *r);
+int is_opposite(const view *v, const dl_pad_shape *pad, const fit_options *o, const fit_state *s, rows *r);
 
 #endif

@@ -21,7 +21,7 @@ void glare_columns(const glare *g, const footprint *f, float *const columns[GLAR
 glare glare_moved(const glare *g, const double amplitudes[GLARE_COLUMNS], double disc_radius_m);
 /* The reflection that explains most of what the paints leave, radius 0 if none explains enough. `weight` and `residual` are by
  * channel; `values` are the regressors of `k` paint coefficients; `spare` are GLARE_SPARE rows that are written over. */
-enum { GLARE_SPARE = 3 + GLARE_COLUMNS + 3 + PAD_CONTRASTS };
+enum { GLARE_SPARE = 3 + GLARE_COLUMNS + 3 + DL_PAD_CONTRASTS };
 glare glare_found(const footprint *f, float *const residual[CHANNELS], float *const weight[CHANNELS], int k, float *const *values,
                   double disc_radius_m, float *const spare[GLARE_SPARE]);
 

@@ -53,7 +53,7 @@ static void mix_light(const profiles *p, const channel_mix *mix, near_rows *d)
 }
 
 /* Linearise and step until the pose rests; `s` is moved, `delta` takes the last step. */
-static int converge(const pad_shape *pad, const profiles *p, const solver *v, near_rows *d, near_fit *fit, fit_state *s,
+static int converge(const dl_pad_shape *pad, const profiles *p, const solver *v, near_rows *d, near_fit *fit, fit_state *s,
                     double delta[STATES], double *moved_px)
 {
     fit->has_noise = 0;
@@ -175,7 +175,7 @@ static double noise_scale(const profiles *p, const near_rows *d, int groups)
  * alike by `size_px` at one sigma: what was painted is larger or smaller than drawn. */
 static void add_shifts(const profiles *p, const shifts *moves, double grow, double tau2, double size_px, double cov[STATES * STATES])
 {
-    double sum[STATES * STATES] = {0.0}, by_kind[EDGE_KINDS][STATES] = {{0.0}};
+    double sum[STATES * STATES] = {0.0}, by_kind[DL_EDGE_KINDS][STATES] = {{0.0}};
     for (int g = 0; g < p->groups; g++) {
         double pull[STATES];
         for (int i = 0; i < STATES; i++) {
@@ -190,7 +190,7 @@ static void add_shifts(const profiles *p, const shifts *moves, double grow, doub
         }
     }
     for (int i = 0; i < STATES * STATES; i++) {
-        for (int kind = 0; kind < EDGE_KINDS; kind++) {
+        for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
             sum[i] += by_kind[kind][i / STATES] * by_kind[kind][i % STATES];
         }
         cov[i] += sum[i];
@@ -199,7 +199,7 @@ static void add_shifts(const profiles *p, const shifts *moves, double grow, doub
 
 /* The support for a kind from the pixels of its groups; `contrasts` are those of the larger groups. */
 static void support_of(const profiles *p, int kind, const channel_mix *mix, const near_rows *d, const near_fit *fit, double all[2],
-                       edge_support *out)
+                       dl_edge_support *out)
 {
     float contrasts[GROUPS_MAX];
     uint32_t spare[GROUPS_MAX];
@@ -233,7 +233,7 @@ static double noise_of_light(const channel_mix *mix, const near_fit *fit)
 {
     double sum = 0.0;
     int shown = 0;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         const double *m = mix->mix[kind], size2 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
         if (fit->mean_noise[kind] < 1.0 && size2 > 0.0) {
             sum += fit->mean_noise[kind] / size2;
@@ -243,11 +243,11 @@ static double noise_of_light(const channel_mix *mix, const near_fit *fit)
     return shown ? sqrt(sum / shown) : 0.0;
 }
 
-static void find_support(const pad_shape *pad, const profiles *p, const channel_mix *mix, const fit_state *s, near_rows *d,
+static void find_support(const dl_pad_shape *pad, const profiles *p, const channel_mix *mix, const fit_state *s, near_rows *d,
                          const near_fit *fit, fit_solved *out)
 {
     double all[2] = {0.0, 0.0}, amplitude, sigma;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         support_of(p, kind, mix, d, fit, all, &out->edges[kind]);
         out->visible += p->in_view[kind] / kinds_drawn(pad);
     }
@@ -268,7 +268,7 @@ static void find_support(const pad_shape *pad, const profiles *p, const channel_
 /* A registration under way: what it is given, and what it has found. */
 typedef struct {
     const view *v;
-    const pad_shape *pad;
+    const dl_pad_shape *pad;
     const edge_points *edges;
     const fit_options *o;
     solver priors;
@@ -312,7 +312,7 @@ static int sample_and_fit(attempt *a, double *moved_px)
     return 1;
 }
 
-int register_near(const view *v, const pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
+int register_near(const view *v, const dl_pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
                   const fit_state *start, rows *r, fit_solved *out)
 {
     attempt a;

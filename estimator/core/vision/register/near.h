@@ -17,7 +17,7 @@ typedef struct {
 
 /* Weights of the colour channels that separate the two paints of each kind of edge best, so that the contrast is 1; the contrast. */
 typedef struct {
-    double mix[EDGE_KINDS][CHANNELS], contrast[EDGE_KINDS][CHANNELS];
+    double mix[DL_EDGE_KINDS][CHANNELS], contrast[DL_EDGE_KINDS][CHANNELS];
 } channel_mix;
 
 /* What a linearisation finds of a group: light outside, contrast in units of its kind's, whether it counts, the covariance of both
@@ -30,25 +30,25 @@ typedef struct {
 
 /* A linearisation: information, gradient, the variance of each kind's pixels outside and inside of its edges, and their mean. */
 typedef struct {
-    double H[STATES * STATES], g[STATES], noise[EDGE_KINDS][2], mean_noise[EDGE_KINDS];
+    double H[STATES * STATES], g[STATES], noise[DL_EDGE_KINDS][2], mean_noise[DL_EDGE_KINDS];
     int has_noise;
     group_fit groups[GROUPS_MAX];
 } near_fit;
 
 /* The coverage at a state by the paint inside each pixel's edge; `f` is looked at already if `looked`. */
-void cover_profiles(const pad_shape *pad, const fit_state *s, const profiles *p, int looked, near_rows *d);
-void mix_channels(const pad_shape *pad, const profiles *p, const near_rows *d, channel_mix *out);
+void cover_profiles(const dl_pad_shape *pad, const fit_state *s, const profiles *p, int looked, near_rows *d);
+void mix_channels(const dl_pad_shape *pad, const profiles *p, const near_rows *d, channel_mix *out);
 /* Compute a linearisation at the state of `cover_profiles`. */
 void linearise_profiles(const profiles *p, near_rows *d, near_fit *fit);
 /* The residuals that the linearisation predicts after a step, and the noise on either side of the edges that they show. */
 void noise_after(const profiles *p, const double delta[STATES], near_rows *d, near_fit *fit);
 /* The amplitude of the pointer beyond the ring, and its sigma; 1 is a whole one, and sigma is infinite where it is out of view. */
-void pointer_amplitude(const pad_shape *pad, const fit_state *s, const profiles *p, near_rows *d, double *amplitude, double *sigma);
+void pointer_amplitude(const dl_pad_shape *pad, const fit_state *s, const profiles *p, near_rows *d, double *amplitude, double *sigma);
 
 int take_near_rows(rows *r, near_rows *d, profiles *p);
 /* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. Where edges merged on the
  * way, `out->state` says so by its blur. */
-int register_near(const view *v, const pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
+int register_near(const view *v, const dl_pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
                   const fit_state *start, rows *r, fit_solved *out);
 
 #endif

@@ -24,7 +24,7 @@ static const double DEGENERATE = 1e-4;
 /* The fewest pixels of a kind for its noise, and for its colours. */
 enum { NOISE_PIXELS = 12, COLOUR_PIXELS = 8 };
 
-void cover_profiles(const pad_shape *pad, const fit_state *s, const profiles *p, int looked, near_rows *d)
+void cover_profiles(const dl_pad_shape *pad, const fit_state *s, const profiles *p, int looked, near_rows *d)
 {
     float *const spare[2] = {d->spare[0], d->spare[1]};
     const float m_per_px2 = (float)(s->m_per_px * s->m_per_px);
@@ -33,7 +33,7 @@ void cover_profiles(const pad_shape *pad, const fit_state *s, const profiles *p,
         look_at(s, p->ray_x, p->ray_y, &d->f);
     }
     prepare_circles(&d->f, &d->round);
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         const int begin = p->kind_begin[kind], count = p->kind_begin[kind + 1] - begin;
         float *const by[BY] = {d->d[0] + begin, d->d[1] + begin, d->d[2] + begin, d->d[3] + begin, d->d[4] + begin};
         if (count) {
@@ -67,11 +67,11 @@ static colour_sums sum_colours(const profiles *p, int kind, const near_rows *d)
     return out;
 }
 
-void mix_channels(const pad_shape *pad, const profiles *p, const near_rows *d, channel_mix *out)
+void mix_channels(const dl_pad_shape *pad, const profiles *p, const near_rows *d, channel_mix *out)
 {
-    int good[EDGE_KINDS];
+    int good[DL_EDGE_KINDS];
     memset(out, 0, sizeof *out);
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         const colour_sums sums = sum_colours(p, kind, d);
         const double total = fmax(sums.n, 1e-9), spread = fmax(sums.ss - sums.s * sums.s / total, 1e-9);
         double contrast[CHANNELS], weight[CHANNELS], norm = 0.0;
@@ -86,7 +86,7 @@ void mix_channels(const pad_shape *pad, const profiles *p, const near_rows *d, c
             out->contrast[kind][c] = contrast[c], out->mix[kind][c] = weight[c] / norm;
         }
     }
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         /* Of kinds with one paint: where there is no pointer, a mix of its own would make one out of the ring. */
         const int from = (int)pad->paint_of_kind[kind];
         if (from != kind && good[from]) {
@@ -167,7 +167,7 @@ static double mean_square(const profiles *p, int kind, const float *r, const flo
 /* The variance of each kind's pixels, from residuals and weights. */
 static void noise_of(const profiles *p, const float *r, const float *weight, near_rows *d, near_fit *fit)
 {
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         double *noise = fit->noise[kind];
         int count = 0;
         noise[0] = noise[1] = fit->mean_noise[kind] = 1.0;
@@ -267,7 +267,7 @@ static void weigh_first(const profiles *p, near_rows *d, near_fit *fit)
         fit_levels(&p->each[g], d, &fit->groups[g]);
     }
     noise_of(p, d->residual, d->weight, d, fit);
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         fit->noise[kind][0] = fit->noise[kind][1] = fmax(fit->noise[kind][0], fit->noise[kind][1]);
     }
     weigh_by_noise(p, fit, d);
@@ -367,7 +367,7 @@ void noise_after(const profiles *p, const double delta[STATES], near_rows *d, ne
     fit->has_noise = 1;
 }
 
-void pointer_amplitude(const pad_shape *pad, const fit_state *s, const profiles *p, near_rows *d, double *amplitude, double *sigma)
+void pointer_amplitude(const dl_pad_shape *pad, const fit_state *s, const profiles *p, near_rows *d, double *amplitude, double *sigma)
 {
     const int kind = (int)pad->pointer_kind, begin = kind < 0 ? 0 : p->kind_begin[kind], end = kind < 0 ? 0 : p->kind_begin[kind + 1];
     float *head = d->spare[2];

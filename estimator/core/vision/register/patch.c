@@ -31,7 +31,7 @@ static int within(double value, int most)
 }
 
 /* The disc's rim in `cam`; returns how many of its points lie in front of the camera. */
-static int rim_of(const pad_shape *pad, const fit_state *s, double rim[RIM_POINTS][3])
+static int rim_of(const dl_pad_shape *pad, const fit_state *s, double rim[RIM_POINTS][3])
 {
     int front = 0;
     for (int i = 0; i < RIM_POINTS; i++) {
@@ -42,7 +42,7 @@ static int rim_of(const pad_shape *pad, const fit_state *s, double rim[RIM_POINT
     return front;
 }
 
-static part around_rim(const camera_lens *camera, double rim[RIM_POINTS][3], double margin_px)
+static part around_rim(const dl_lens *camera, double rim[RIM_POINTS][3], double margin_px)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (int i = 0; i < RIM_POINTS; i++) {
@@ -60,7 +60,7 @@ static part around_rim(const camera_lens *camera, double rim[RIM_POINTS][3], dou
 }
 
 /* The part of the frame about the disc, and the whole factor that reduces it; 0 if it is too small. */
-static int choose_part(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, part *p, int *factor)
+static int choose_part(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, part *p, int *factor)
 {
     double rim[RIM_POINTS][3];
     const int front = rim_of(pad, s, rim);
@@ -188,7 +188,7 @@ static double expected_noise(const view *v, const part *p, const patch *cut)
     return count ? left * sum / count : 0.0;
 }
 
-int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
+int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
               const patch_work *work, patch *out)
 {
     part p;

@@ -35,7 +35,7 @@ typedef struct {
 
 /* The frame and how it was taken. */
 typedef struct {
-    const camera_lens *camera;
+    const dl_lens *camera;
     /* Rays of all pixels if the lens distorts, else null. */
     const double *rays;
     /* Pixel values in blue, green, red, and the linear light of each value. */
@@ -49,7 +49,7 @@ typedef struct {
 
 /* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `r` keeps the
  * patch. Returns 0 if too little of the pad is in view. */
-int cut_patch(const view *v, const pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
+int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
               const patch_work *work, patch *out);
 
 #endif

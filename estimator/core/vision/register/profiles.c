@@ -21,7 +21,7 @@ typedef struct {
 
 static int see_point(const view *v, const fit_state *s, const double *at, int half, sighted *seen)
 {
-    const camera_lens *camera = v->camera;
+    const dl_lens *camera = v->camera;
     double p[3], way[3];
     in_camera(s, at[0], at[1], p);
     for (int i = 0; i < 3; i++) {
@@ -49,9 +49,9 @@ static int see_point(const view *v, const fit_state *s, const double *at, int ha
 
 /* The edge points in view, one after the other in `seen` with their indices in `index`; returns their number. */
 static int see_edges(const view *v, const fit_state *s, const edge_points *edges, int half, sighted *seen, int32_t *index,
-                     double in_view[EDGE_KINDS])
+                     double in_view[DL_EDGE_KINDS])
 {
-    int n = 0, total[EDGE_KINDS] = {0}, visible[EDGE_KINDS] = {0};
+    int n = 0, total[DL_EDGE_KINDS] = {0}, visible[DL_EDGE_KINDS] = {0};
     double way = 0.0;
     for (int i = 0; i < edges->points; i++) {
         const int kind = edges->of[2 * i];
@@ -63,7 +63,7 @@ static int see_edges(const view *v, const fit_state *s, const edge_points *edges
             visible[kind]++;
         }
     }
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         in_view[kind] = total[kind] ? (double)visible[kind] / total[kind] : 0.0;
     }
     return n;
@@ -136,11 +136,11 @@ static int begin_group(profiles *out, int kind)
 static void mark_kinds(profiles *p)
 {
     int at = 0;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         p->kind_begin[kind] = at < p->groups ? p->each[at].begin : p->n;
         at += p->groups_of_kind[kind];
     }
-    p->kind_begin[EDGE_KINDS] = p->n;
+    p->kind_begin[DL_EDGE_KINDS] = p->n;
 }
 
 int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
@@ -183,9 +183,9 @@ int sample_profiles(const view *v, const fit_state *s, const edge_points *edges,
 }
 
 /* Let no pixel of a kind count where another figure has an edge: it has to cover a pixel wholly, or none of it. */
-static void drop_beside(const pad_shape *pad, const footprint *f, int kind, float *spare, profiles *p)
+static void drop_beside(const dl_pad_shape *pad, const footprint *f, int kind, float *spare, profiles *p)
 {
-    const edge_zone *zone = &pad->zones[kind];
+    const dl_edge_zone *zone = &pad->zones[kind];
     const int begin = p->kind_begin[kind], count = p->kind_begin[kind + 1] - begin, on = zone->on_figure >= 0;
     const int64_t figure = on ? zone->on_figure : zone->beside_figure;
     if (figure < 0 || !count) {
@@ -198,11 +198,11 @@ static void drop_beside(const pad_shape *pad, const footprint *f, int kind, floa
     }
 }
 
-void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p)
+void drop_foreign(const dl_pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p)
 {
     const double clear = 3.0 * sigma_px(s) * s->m_per_px;
     for (int g = 0; g < p->groups; g++) {
-        const edge_zone *zone = &pad->zones[p->each[g].kind];
+        const dl_edge_zone *zone = &pad->zones[p->each[g].kind];
         for (int i = p->each[g].begin; i < p->each[g].end; i++) {
             const double x = f->x[i], y = f->y[i], r = sqrt(x * x + y * y);
             const int in_box = x > zone->box_m[0] - clear && x < zone->box_m[1] + clear && y > zone->box_m[2] - clear &&
@@ -212,7 +212,7 @@ void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, 
             }
         }
     }
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         drop_beside(pad, f, kind, spare, p);
     }
 }

@@ -27,8 +27,8 @@ typedef struct {
 
 /* Pixels across edges, by kind and group; each group begins at a multiple of `LANES`. */
 typedef struct {
-    int n, samples, groups, groups_of_kind[EDGE_KINDS], kind_begin[EDGE_KINDS + 1];
-    double in_view[EDGE_KINDS];
+    int n, samples, groups, groups_of_kind[DL_EDGE_KINDS], kind_begin[DL_EDGE_KINDS + 1];
+    double in_view[DL_EDGE_KINDS];
     group each[GROUPS_MAX];
     /* Rays, linear light by channel, and 1 for a pixel that counts: not one that another profile uses too or that sees a third
      * paint. */
@@ -46,6 +46,6 @@ typedef struct {
 int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
                     profiles *out);
 /* Let no pixel count that lies within three deviations of the blur of an edge of another kind. `spare`: a row that is written over. */
-void drop_foreign(const pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p);
+void drop_foreign(const dl_pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p);
 
 #endif

@@ -24,7 +24,7 @@ enum { MARGIN_PX = 8, OUTLINE_STEP = 4 };
 /* Everything that a fit starts from. */
 typedef struct {
     view seen;
-    const pad_shape *pad;
+    const dl_pad_shape *pad;
     edge_points edges;
     const fit_options *o;
     tilt_target tilt;
@@ -32,7 +32,7 @@ typedef struct {
 } task;
 
 /* Whether edges of different kinds are far enough apart for profiles. */
-static int spacing_ok(const pad_shape *pad, const fit_state *s)
+static int spacing_ok(const dl_pad_shape *pad, const fit_state *s)
 {
     return pad->gap_m > APART * sigma_px(s) * s->m_per_px;
 }
@@ -57,9 +57,9 @@ static int refine(const task *k, const fit_state *start, fit_solved *out)
 /* Whether a mark of the pointer turned by 180 degrees lies in the frame. */
 static int opposite_in_view(const task *k, const fit_state *s)
 {
-    const camera_lens *camera = k->seen.camera;
+    const dl_lens *camera = k->seen.camera;
     int some = 0;
-    for (int i = 0; i < POINTER_MARKS && k->pad->pointer_kind >= 0; i++) {
+    for (int i = 0; i < DL_POINTER_MARKS && k->pad->pointer_kind >= 0; i++) {
         double p[3], uv[2];
         in_camera(s, -k->pad->pointer_marks_m[2 * i], -k->pad->pointer_marks_m[2 * i + 1], p);
         camera_project(camera, p, uv);
@@ -169,7 +169,7 @@ static int positive(const double cov[STATES * STATES])
 }
 
 /* Add to the covariance of a found pose what a codec may have moved in the frame, if one predicted it. */
-static void doubt_coded(const task *k, const fit_state *pose, const double H[STATES * STATES], registration *out)
+static void doubt_coded(const task *k, const fit_state *pose, const double H[STATES * STATES], dl_registration *out)
 {
     solver priors;
     double of_fit[STATES * STATES], with_prior[POSE * POSE];
@@ -184,7 +184,7 @@ static void doubt_coded(const task *k, const fit_state *pose, const double H[STA
 }
 
 /* Write what was found in the camera's axes; 0 if it is no pose in front of the camera, or nothing is known of its errors. */
-static int conclude(const task *k, const fit_solved *s, registration *out, double *outline)
+static int conclude(const task *k, const fit_solved *s, dl_registration *out, double *outline)
 {
     double information[POSE * POSE], sum = 0.0;
     fit_state pose = s->state;
@@ -206,7 +206,7 @@ static int conclude(const task *k, const fit_solved *s, registration *out, doubl
     blur_in_frame(&pose, pose.R, out->blur_px2);
     out->noise_light = s->noise_light, out->edge_rms_px = s->edge_rms_px, out->visible = s->visible;
     out->inliers = s->inliers, out->last_step_px = s->last_step_px;
-    for (int kind = 0; kind < EDGE_KINDS; kind++) {
+    for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         out->edges[kind] = s->edges[kind];
         out->edges[kind].likeness = likeness(k->pad->nominal + CHANNELS * kind, s->edges[kind].contrast_bgr);
     }
@@ -224,7 +224,7 @@ int32_t register_row(int64_t edge_points)
     return (int32_t)(((edge_points > most ? edge_points : most) + ROW_LANES - 1) / ROW_LANES * ROW_LANES);
 }
 
-int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const pad_pose *start, registration *out, double *outline)
+int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const dl_pad_pose *start, dl_registration *out, double *outline)
 {
     const fit_options o = {
         .max_profiles = PROFILES, .dense_pixels = DENSE_PIXELS, .blur_px = BLUR_PX, .edge_sigma_px = EDGE_SIGMA_PX,

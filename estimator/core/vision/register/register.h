@@ -13,6 +13,6 @@ int32_t register_row(int64_t edge_points);
 
 /* Register the drawing of a tracker with a frame with so much noise, from a pose; returns whether the frame determines one. `outline`
  * takes the pixel of every fourth point of the edges. */
-int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const pad_pose *start, registration *out, double *outline);
+int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const dl_pad_pose *start, dl_registration *out, double *outline);
 
 #endif

@@ -11,14 +11,14 @@ static const double SEEN_PIXELS = 4.0, LEAST_VAR = 1e-10;
 /* The least fraction of the noise that the fit is taken to have left in the residuals. */
 static const double LEFT_LEAST = 0.3;
 /* The paints: surroundings, then the regions. */
-enum { PAINTS_MAX = 1 + PAD_CONTRASTS };
+enum { PAINTS_MAX = 1 + DL_PAD_CONTRASTS };
 /* Smoothings, (1, 2, 1) / 4, that the grain of what is seen has at most before the patch is smoothed; as many by single pixels as make
  * one by pairs. The reach of all of them, px, and the least correlation between channels from which there is such grain. */
 enum { GRAIN_MOST = 8, BY_PAIRS = 4, GRAIN_REACH = 2 * (1 + GRAIN_MOST) };
 static const double GRAIN_LEAST = 0.05;
 
 /* The fraction of a pixel that each paint covers: a region less those that lie on it. */
-static void paint_fractions(const pad_shape *pad, const dense_rows *d, int i, double out[PAINTS_MAX])
+static void paint_fractions(const dl_pad_shape *pad, const dense_rows *d, int i, double out[PAINTS_MAX])
 {
     for (int k = 0; k < PAINTS_MAX; k++) {
         out[k] = k == 0;
@@ -56,7 +56,7 @@ static void by_paint_of(const double total[PAINTS_MAX], const double sums[PAINTS
 }
 
 /* The variance of each channel's light from its residuals: each paint has its own, and a pixel the mean over its paints. */
-static void noise_of_paints(const pad_shape *pad, const patch *cut, const dense_sums *s, const dense_rows *d, float *const seen[CHANNELS])
+static void noise_of_paints(const dl_pad_shape *pad, const patch *cut, const dense_sums *s, const dense_rows *d, float *const seen[CHANNELS])
 {
     double total[CHANNELS][PAINTS_MAX] = {{0.0}}, squares[CHANNELS][PAINTS_MAX] = {{0.0}}, var[CHANNELS][PAINTS_MAX], fractions[PAINTS_MAX];
     for (int i = 0; i < cut->n; i++) {
@@ -81,7 +81,7 @@ static void noise_of_paints(const pad_shape *pad, const patch *cut, const dense_
 
 /* The correlation of the channels' residuals, 0 to 1, of each pixel the mean over its paints: noise of a sensor is of each channel
  * alone, what lies on a paint or beside the pad darkens all of them. */
-static void correlation_of_channels(const pad_shape *pad, const patch *cut, const dense_rows *d, float *const seen[CHANNELS],
+static void correlation_of_channels(const dl_pad_shape *pad, const patch *cut, const dense_rows *d, float *const seen[CHANNELS],
                                     float *shared)
 {
     double total[PAINTS_MAX] = {0.0}, products[PAINTS_MAX] = {0.0}, correlation[PAINTS_MAX], fractions[PAINTS_MAX];
@@ -262,7 +262,7 @@ static void restore_spent(const patch *cut, const dense_sums *s, dense_fit *fit)
     }
 }
 
-int add_gradient_covariance(const pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit)
+int add_gradient_covariance(const dl_pad_shape *pad, const patch *cut, float m_per_px2, dense_rows *d, const dense_sums *s, dense_fit *fit)
 {
     float *const *projected = d->spare, *const *noisy = d->spare + STATES, *const *common = d->spare + 2 * STATES;
     float *const *seen = d->spare + 3 * STATES, *shared = d->spare[3 * STATES + CHANNELS], *grid = d->spare[3 * STATES + CHANNELS + 1];

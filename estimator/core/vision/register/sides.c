@@ -18,7 +18,7 @@ enum { NODES = 5 };
 static const float PLACE[NODES] = {0.04691008f, 0.23076535f, 0.5f, 0.76923465f, 0.95308992f};
 static const float WEIGHT[NODES] = {0.11846344f, 0.23931434f, 0.28444444f, 0.23931434f, 0.11846344f};
 
-void prepare_sides(const pad_figure *g, const double blur_m2[3], round_sides *out)
+void prepare_sides(const dl_pad_figure *g, const double blur_m2[3], round_sides *out)
 {
     const double first = sqrt(blur_m2[0]), shared = blur_m2[1] / first, second = sqrt(fmax(blur_m2[2] - shared * shared, 1e-18));
     const double a = 1.0 / first, b = -shared / (first * second), c = 1.0 / second;

@@ -14,10 +14,10 @@
 typedef struct {
     int n;
     float a, b, c, low[2], high[2];
-    float along_x[FIGURE_SIDES], along_y[FIGURE_SIDES], out[FIGURE_SIDES], begin[FIGURE_SIDES], end[FIGURE_SIDES];
+    float along_x[DL_FIGURE_SIDES], along_y[DL_FIGURE_SIDES], out[DL_FIGURE_SIDES], begin[DL_FIGURE_SIDES], end[DL_FIGURE_SIDES];
 } round_sides;
 
-void prepare_sides(const pad_figure *g, const double blur_m2[3], round_sides *out);
+void prepare_sides(const dl_pad_figure *g, const double blur_m2[3], round_sides *out);
 
 /* Add the coverage of `LANES` points at (x, y) with squared ratios m of depths, and its derivatives. */
 void add_sides(const round_sides *s, const float *x, const float *y, const float *m, float *value, float *const d[BY]);

@@ -13,7 +13,7 @@ static const double FREE_ROTATION_RAD = 1.8137993642342178;
 /* The least standard deviation of a deck's tilt, rad, and the least distance of the pad's plane, m. */
 static const double SIGMA_DECK_MIN_RAD = 1e-5, NEAREST_M = 0.03;
 
-void predict_tilt(const camera_lens *camera, const tilt_prior *prior, tilt_target *out)
+void predict_tilt(const dl_lens *camera, const dl_tilt_prior *prior, tilt_target *out)
 {
     double R_level_body[9], R_level_cam[9], axes[2][3];
     const double sigma = fmax(prior->sigma_deck_rad, SIGMA_DECK_MIN_RAD), cp = cos(prior->pitch_rad), sp = sin(prior->pitch_rad);

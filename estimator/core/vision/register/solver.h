@@ -21,7 +21,7 @@ typedef struct {
     double blur_px2[3], free[STATES], reach_m;
 } solver;
 
-void predict_tilt(const camera_lens *camera, const tilt_prior *prior, tilt_target *out);
+void predict_tilt(const dl_lens *camera, const dl_tilt_prior *prior, tilt_target *out);
 void begin_solver(const fit_state *s, const tilt_target *tilt, double disc_radius_m, solver *out);
 /* The next state and the motion in the frame, px; a step beyond the limit is shortened. The blur holds unless `blur_too`. Returns 0
  * if the sums determine no step. */

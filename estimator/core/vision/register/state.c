@@ -25,7 +25,7 @@ float *take_rows(rows *r, int count)
     return taken;
 }
 
-void pixel_ray(const camera_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2])
+void pixel_ray(const dl_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2])
 {
     if (rays) {
         const double *at = rays + 2 * ((int64_t)v * camera->width + u);
@@ -43,7 +43,7 @@ void in_camera(const fit_state *s, double x, double y, double p[3])
 }
 
 /* The depth of the pad's plane at the part of it that is in the frame, m. */
-static double depth_in_view(const camera_lens *camera, const double R[9], const double t[3])
+static double depth_in_view(const dl_lens *camera, const double R[9], const double t[3])
 {
     double uv[2] = {camera->cx, camera->cy}, ray[2];
     if (t[2] > 0.05) {
@@ -56,7 +56,7 @@ static double depth_in_view(const camera_lens *camera, const double R[9], const 
     return fmax(fabs(down) > 0.05 ? reach / down : sqrt(dot(t, t)), 0.03);
 }
 
-void begin_state(const camera_lens *camera, const double R[9], const double t[3], double blur_px, fit_state *s)
+void begin_state(const dl_lens *camera, const double R[9], const double t[3], double blur_px, fit_state *s)
 {
     const double var = blur_px * blur_px + PIXEL_VAR;
     for (int i = 0; i < 9; i++) {

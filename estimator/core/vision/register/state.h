@@ -30,7 +30,7 @@ typedef struct {
     int64_t dense, arrow_seen, doubted;
     double H[81], cov[81], noise_light, edge_rms_px, visible, inliers, last_step_px;
     fit_state state;
-    edge_support edges[EDGE_KINDS];
+    dl_edge_support edges[DL_EDGE_KINDS];
 } fit_solved;
 
 /* Rows of floats of equal length, taken one after the other from memory of the caller. */
@@ -57,12 +57,12 @@ typedef struct {
 } footprint;
 
 /* The ray of a whole pixel; `rays` has them all if the lens distorts. */
-void pixel_ray(const camera_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2]);
+void pixel_ray(const dl_lens *camera, const double *rays, int32_t u, int32_t v, double ray[2]);
 /* p_cam = R p_pad + t for a point of the pad's plane. */
 void in_camera(const fit_state *s, double x, double y, double p[3]);
 
 /* The state at a pose, with the blur of a lens; its scale is that at the depth of the part of the pad that is in view. */
-void begin_state(const camera_lens *camera, const double R[9], const double t[3], double blur_px, fit_state *s);
+void begin_state(const dl_lens *camera, const double R[9], const double t[3], double blur_px, fit_state *s);
 /* The standard deviation of the point spread with the pixel, mean over directions, px. */
 double sigma_px(const fit_state *s);
 /* The state for pixels k times as wide, with the blur that they and a smoothing of them add. */

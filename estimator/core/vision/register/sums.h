@@ -5,7 +5,7 @@
 #include "vision/register/state.h"
 
 /* The most paint coefficients of a dense fit: light and its two slopes, the regions, a reflection's four. */
-enum { COEFFICIENTS_MAX = 3 + PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
+enum { COEFFICIENTS_MAX = 3 + DL_PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
 
 /* out[i][j] += sum_n A[i][n] B[j][n], i < a, j < b; the rows of `out` are `stride` apart. Rows are zero from n to the next multiple
  * of `LANES`. Products of floats are summed over short blocks in single precision, and the blocks in double. */

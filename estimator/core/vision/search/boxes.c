@@ -96,7 +96,7 @@ static void score_row(int cells, int side, const box boxes[BOXES], const int32_t
 }
 
 /* Whether the sizes are those of an H no larger than the sums have room for: then its boxes lie within them. */
-static int fits_sums(const pad_strokes *h, double per_m)
+static int fits_sums(const dl_pad_strokes *h, double per_m)
 {
     const double across = 0.5 * fmax(h->length_m, h->width_m) + h->margin_m;
     const int drawn = h->leg_m > 0.0 && h->bar_m > 0.0 && h->margin_m >= 0.0 && h->width_m >= 2.0 * h->leg_m && h->length_m >= h->bar_m;
@@ -104,7 +104,7 @@ static int fits_sums(const pad_strokes *h, double per_m)
 }
 
 /* The boxes of the legs, of the cross-bar, and of the H with its margin, from a pixel of the sums. */
-static int boxes_of(const pad_strokes *h, double per_m, int across, box out[BOXES], float *area, float *area_around)
+static int boxes_of(const dl_pad_strokes *h, double per_m, int across, box out[BOXES], float *area, float *area_around)
 {
     const double length = 0.5 * h->length_m * per_m, width = 0.5 * h->width_m * per_m, leg = h->leg_m * per_m;
     const double bar = 0.5 * h->bar_m * per_m, margin = h->margin_m * per_m;
@@ -170,7 +170,7 @@ static int best_places(int cells, float *score, int across, int apart, stroke_pl
     return n;
 }
 
-int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES])
+int strokes_fit(const dl_pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES])
 {
     const int step = width >= 2.0 * STROKE_PX ? (int)(width / STROKE_PX) : 1, cells = n / step;
     const double stroke = width / step, per_m = stroke / h->leg_m;

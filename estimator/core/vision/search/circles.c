@@ -29,17 +29,17 @@ static float *next(float **at, int64_t count)
 int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
 {
     const int64_t w = image->width, h = image->height, n = w * h, room = image->room;
-    const int64_t columns = (w + 2 * image->margin) / SEARCH_CELL, high = (h + 2 * image->margin) / SEARCH_CELL;
+    const int64_t columns = (w + 2 * image->margin) / DL_SEARCH_CELL, high = (h + 2 * image->margin) / DL_SEARCH_CELL;
     block_grid *b = &r->blocks;
     vote_tiles *t = &r->tiles;
-    b->columns = (int)((w + SEARCH_BLOCK - 1) / SEARCH_BLOCK);
-    b->rows = (int)((h + SEARCH_BLOCK - 1) / SEARCH_BLOCK);
+    b->columns = (int)((w + DL_SEARCH_BLOCK - 1) / DL_SEARCH_BLOCK);
+    b->rows = (int)((h + DL_SEARCH_BLOCK - 1) / DL_SEARCH_BLOCK);
     t->columns = (int)((columns + TILE_CELLS - 1) / TILE_CELLS);
     t->rows = (int)((high + TILE_CELLS - 1) / TILE_CELLS);
     const int64_t blocks = (int64_t)b->columns * b->rows, tiles = (int64_t)t->columns * t->rows;
     const int64_t sizes[] = {
         4 * room, (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
-        room, room, room, room, h + 1, (2 * SEARCH_RADII * columns * high + 4) / 4, columns + TILE_CELLS,
+        room, room, room, room, h + 1, (2 * DL_SEARCH_RADII * columns * high + 4) / 4, columns + TILE_CELLS,
         5 * (tiles > blocks ? tiles : blocks), 2 * tiles, (w + 1) / 2, (w + 11) / 4, room,
     };
     enum { COUNT = sizeof sizes / sizeof *sizes };
@@ -78,7 +78,7 @@ int64_t search_most(int64_t width, int64_t height)
     return most > blobs ? most : blobs;
 }
 
-static int known(const search_circle *one, const search_circle *others, int n)
+static int known(const dl_circle *one, const dl_circle *others, int n)
 {
     for (int k = 0; k < n; k++) {
         const double apart = hypot(one->centre[0] - others[k].centre[0], one->centre[1] - others[k].centre[1]);
@@ -100,7 +100,7 @@ static int is_halved(const dl_frame *frame)
 }
 
 int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *grey, const float *rays, const dl_circle_search *how,
-                          search_circle *out)
+                          dl_circle *out)
 {
     const search_radii radii = {how->radii, how->most, how->only_bright, how->least, how->ratio};
     search_rows rows;
@@ -109,7 +109,7 @@ int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *
     if (grey == NULL) {
         return frame != NULL && is_halved(frame) && blob_room(&frame->level[1]) <= t->floats ? search_areas(t, frame, how, out) : DL_WRONG_SIZE;
     }
-    if (!is_image(grey, 1) || rays == NULL || radii.radii < 1 || radii.radii > SEARCH_RADII || how->step < 1 || how->margin < 0
+    if (!is_image(grey, 1) || rays == NULL || radii.radii < 1 || radii.radii > DL_SEARCH_RADII || how->step < 1 || how->margin < 0
         || how->margin > MARGIN_MAX) {
         return DL_WRONG_SIZE;
     }

@@ -62,8 +62,8 @@ static void block_means(const search_image *image, const search_rows *rows, floa
     const int w = (int)image->width, h = (int)image->height;
     for (int i = 0; i < b->rows; i++) {
         for (int j = 0; j < b->columns; j++) {
-            const int left = j * SEARCH_BLOCK, right = left + SEARCH_BLOCK < w ? left + SEARCH_BLOCK : w;
-            const int top = i * SEARCH_BLOCK, low = top + SEARCH_BLOCK < h ? top + SEARCH_BLOCK : h;
+            const int left = j * DL_SEARCH_BLOCK, right = left + DL_SEARCH_BLOCK < w ? left + DL_SEARCH_BLOCK : w;
+            const int top = i * DL_SEARCH_BLOCK, low = top + DL_SEARCH_BLOCK < h ? top + DL_SEARCH_BLOCK : h;
             uint32_t sum = 0;
             for (int row = top; row < low; row++) {
                 for (int k = left; k < right; k++) {
@@ -110,7 +110,7 @@ static void corners_on_plane(const search_image *image, const float *rays, block
 /* The pixels per unit of the plane in each block: the inverse of the plane's differences between its corners. */
 static void block_scales(block_grid *b)
 {
-    const float by = 0.5f / SEARCH_BLOCK;
+    const float by = 0.5f / DL_SEARCH_BLOCK;
     for (int i = 0; i < b->rows; i++) {
         for (int j = 0; j < b->columns; j++) {
             const float *top = b->corners + 2 * (i * (b->columns + 1) + j), *low = top + 2 * (b->columns + 1);
@@ -176,7 +176,7 @@ static void least_of_columns(int w, int row_of_blocks, const block_grid *b, int1
 {
     for (int block = 0; block < b->columns; block++) {
         const float strength = b->least[row_of_blocks * b->columns + block];
-        const int left = block * SEARCH_BLOCK, right = left + SEARCH_BLOCK < w ? left + SEARCH_BLOCK : w;
+        const int left = block * DL_SEARCH_BLOCK, right = left + DL_SEARCH_BLOCK < w ? left + DL_SEARCH_BLOCK : w;
         const int16_t least = strength < (float)STRONGEST ? (int16_t)ceilf(strength) : STRONGEST;
         for (int i = left; i < right; i++) {
             out[i] = least;
@@ -198,10 +198,10 @@ void search_edges(const search_image *image, const uint8_t *grey, const float *r
     memset(rows->marks, 0, (size_t)w + MARKS);
     for (int row = 0; row < h; row++) {
         const size_t at = (size_t)row * (size_t)w;
-        const float *scale = b->scale + (size_t)4 * (size_t)(row / SEARCH_BLOCK * b->columns);
+        const float *scale = b->scale + (size_t)4 * (size_t)(row / DL_SEARCH_BLOCK * b->columns);
         edges->first[row] = edges->n;
-        if (row % SEARCH_BLOCK == 0) {
-            least_of_columns(w, row / SEARCH_BLOCK, b, rows->least);
+        if (row % DL_SEARCH_BLOCK == 0) {
+            least_of_columns(w, row / DL_SEARCH_BLOCK, b, rows->least);
         }
         if (row == 0 || row >= h - 1) {
             continue;
@@ -212,7 +212,7 @@ void search_edges(const search_image *image, const uint8_t *grey, const float *r
             memcpy(&some, rows->marks + i, sizeof some);
             for (int k = i; some != 0 && k < i + MARKS && edges->n < image->room; k++) {
                 if (rows->marks[k]) {
-                    add_edge(w, row, k, rows, scale + 4 * (k / SEARCH_BLOCK), edges);
+                    add_edge(w, row, k, rows, scale + 4 * (k / DL_SEARCH_BLOCK), edges);
                 }
             }
         }
@@ -223,7 +223,7 @@ void search_edges(const search_image *image, const uint8_t *grey, const float *r
 /* The block at a place along one side, or the one nearest to it. */
 static int block_at(float at, int count)
 {
-    const float block = at / SEARCH_BLOCK;
+    const float block = at / DL_SEARCH_BLOCK;
     return block > 0.0f ? block < (float)count ? (int)block : count - 1 : 0;
 }
 
@@ -236,7 +236,7 @@ float search_scale(const block_grid *b, float x, float y)
 int search_place(const block_grid *b, float x, float y, double out[2])
 {
     const int j = block_at(x, b->columns), i = block_at(y, b->rows);
-    const double u = (double)x / SEARCH_BLOCK - j, v = (double)y / SEARCH_BLOCK - i;
+    const double u = (double)x / DL_SEARCH_BLOCK - j, v = (double)y / DL_SEARCH_BLOCK - i;
     const float *top = b->corners + 2 * (i * (b->columns + 1) + j), *low = top + 2 * (b->columns + 1);
     for (int k = 0; k < 2; k++) {
         out[k] = (1.0 - v) * ((1.0 - u) * (double)top[k] + u * (double)top[2 + k])

@@ -94,19 +94,19 @@ static int fit_once(const edge_choice *of, double tolerance, trial *t)
 }
 
 /* The edge nearest to the circle in each sector. */
-static int outline(const search_image *image, const search_rows *rows, const edge_choice *of, const trial *t, search_circle *out)
+static int outline(const search_image *image, const search_rows *rows, const edge_choice *of, const trial *t, dl_circle *out)
 {
-    const double by = SEARCH_SECTORS / (2.0 * acos(-1.0)), step = (double)image->step;
-    double nearest[SEARCH_SECTORS];
-    int found[SEARCH_SECTORS], n = 0;
-    for (int k = 0; k < SEARCH_SECTORS; k++) {
+    const double by = DL_SEARCH_SECTORS / (2.0 * acos(-1.0)), step = (double)image->step;
+    double nearest[DL_SEARCH_SECTORS];
+    int found[DL_SEARCH_SECTORS], n = 0;
+    for (int k = 0; k < DL_SEARCH_SECTORS; k++) {
         nearest[k] = INFINITY;
         found[k] = -1;
     }
     for (int i = 0; i < of->n; i++) {
         double at[2];
         if (lies_on(of, i, t, TOLERANCE[FITS - 1], at)) {
-            const int k = ((int)floor((atan2(at[1], at[0]) + acos(-1.0)) * by)) % SEARCH_SECTORS;
+            const int k = ((int)floor((atan2(at[1], at[0]) + acos(-1.0)) * by)) % DL_SEARCH_SECTORS;
             const double off = fabs(sqrt(at[0] * at[0] + at[1] * at[1]) - t->radius);
             if (off < nearest[k]) {
                 nearest[k] = off;
@@ -114,7 +114,7 @@ static int outline(const search_image *image, const search_rows *rows, const edg
             }
         }
     }
-    for (int k = 0; k < SEARCH_SECTORS; k++) {
+    for (int k = 0; k < DL_SEARCH_SECTORS; k++) {
         if (found[k] >= 0) {
             out->outline_px[2 * n] = ((double)rows->edges.x[found[k]] + 0.5) * step - 0.5;
             out->outline_px[2 * n + 1] = ((double)rows->edges.y[found[k]] + 0.5) * step - 0.5;
@@ -125,7 +125,7 @@ static int outline(const search_image *image, const search_rows *rows, const edg
 }
 
 int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
-               search_circle *out)
+               dl_circle *out)
 {
     const double radius = radii->least * pow(radii->ratio, peak->radius);
     trial t = {{0.0, 0.0}, radius, peak->bright_inside ? 1.0 : -1.0, peak->x, peak->y, 0.0f};
@@ -145,6 +145,6 @@ int search_fit(const search_image *image, const search_radii *radii, const searc
     out->bright_inside = peak->bright_inside;
     out->centre[0] = t.centre[0], out->centre[1] = t.centre[1];
     out->radius = t.radius;
-    out->support = fmin(1.0, (double)out->points / fmin(SEARCH_SECTORS, 5.0 * px));
+    out->support = fmin(1.0, (double)out->points / fmin(DL_SEARCH_SECTORS, 5.0 * px));
     return out->support > LEAST_SUPPORT;
 }

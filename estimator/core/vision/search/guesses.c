@@ -20,7 +20,7 @@ static const double PLAIN = 0.5;
 static int level_of(double radius_px)
 {
     int level = 0;
-    while (level + 1 < SEARCH_LEVELS && radius_px >= 2.0 * SHARP_PX) {
+    while (level + 1 < DL_SEARCH_LEVELS && radius_px >= 2.0 * SHARP_PX) {
         radius_px *= 0.5;
         level++;
     }
@@ -28,9 +28,9 @@ static int level_of(double radius_px)
 }
 
 /* The half of the disc where a circle's edges are, if they lie on one side. */
-static int side_of(const search_circle *circle, const double *rays, const circle_stand *stand, double side[2])
+static int side_of(const dl_circle *circle, const double *rays, const circle_stand *stand, double side[2])
 {
-    double places[2 * SEARCH_SECTORS], mean[2] = {0.0, 0.0};
+    double places[2 * DL_SEARCH_SECTORS], mean[2] = {0.0, 0.0};
     const int n = (int)circle->points;
     if (circle->support > COVERED || n < 1 || !search_on_plane(n, rays, stand->R, places)) {
         return 0;
@@ -45,13 +45,13 @@ static int side_of(const search_circle *circle, const double *rays, const circle
 
 /* The guess that a circle is one of the drawing's in a plane, at the heading that fits best. */
 static int guess_of(const dl_tracker *t, const dl_frame *frame, const circle_stand *stand, double radius_m, const double *side,
-                    search_guess *out)
+                    dl_guess *out)
 {
-    const camera_lens *c = &t->camera.lens;
-    const polar_pad *pad = &t->pad.polar;
+    const dl_lens *c = &t->camera.lens;
+    const dl_polar_pad *pad = &t->pad.polar;
     const double depth = radius_m / stand->radius, at[3] = {stand->centre[0] * depth, stand->centre[1] * depth, depth};
-    pad_pose pose;
-    polar_fit fit;
+    dl_pad_pose pose;
+    dl_polar_fit fit;
     memcpy(pose.R, stand->R, sizeof pose.R);
     rotated(stand->R, at, pose.t);
     const double radius_px = c->fx * pad->radius_m / pose.t[2];
@@ -74,7 +74,7 @@ static int guess_of(const dl_tracker *t, const dl_frame *frame, const circle_sta
 }
 
 /* The planes that a circle may lie in: that of the search, and if its tilt is not known those in which the outline is round. */
-static int stands_of(const dl_guess_search *how, const search_circle *circle, const double *rays, circle_stand out[STANDS])
+static int stands_of(const dl_guess_search *how, const dl_circle *circle, const double *rays, circle_stand out[STANDS])
 {
     memcpy(out[0].R, how->R_cam_plane, sizeof out[0].R);
     out[0].centre[0] = circle->centre[0], out[0].centre[1] = circle->centre[1];
@@ -84,10 +84,10 @@ static int stands_of(const dl_guess_search *how, const search_circle *circle, co
 }
 
 /* All guesses of one circle, as far as there is room; returns how many. */
-static int32_t guesses_of(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, const search_circle *circle, int32_t most,
-                          search_guess *out)
+static int32_t guesses_of(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, const dl_circle *circle, int32_t most,
+                          dl_guess *out)
 {
-    double rays[2 * SEARCH_SECTORS], side[2];
+    double rays[2 * DL_SEARCH_SECTORS], side[2];
     circle_stand stands[STANDS];
     int32_t n = 0;
     for (int i = 0; i < (int)circle->points; i++) {
@@ -107,17 +107,17 @@ static int32_t guesses_of(const dl_tracker *t, const dl_frame *frame, const dl_g
 }
 
 /* Whether numbers of circles and of guesses from them are some that there can be, and the sizes of the frame were made. */
-static int is_held(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles, const search_circle *circle,
+static int is_held(const dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles, const dl_circle *circle,
                    const int64_t *rated)
 {
     int64_t known = 0;
     for (int k = 0; k < circles; k++) {
         known += rated[k] > 0 ? rated[k] : 0;
-        if (circle[k].points < 0 || circle[k].points > SEARCH_SECTORS || rated[k] > how->before) {
+        if (circle[k].points < 0 || circle[k].points > DL_SEARCH_SECTORS || rated[k] > how->before) {
             return 0;
         }
     }
-    for (int k = 0; k < SEARCH_LEVELS; k++) {
+    for (int k = 0; k < DL_SEARCH_LEVELS; k++) {
         if (frame->level[k].px == NULL) {
             return 0;
         }
@@ -126,7 +126,7 @@ static int is_held(const dl_tracker *t, const dl_frame *frame, const dl_guess_se
 }
 
 int32_t dl_search_guesses(dl_tracker *t, const dl_frame *frame, const dl_guess_search *how, int32_t circles,
-                          const search_circle *circle, int64_t *rated, const search_guess *before, search_guess *out)
+                          const dl_circle *circle, int64_t *rated, const dl_guess *before, dl_guess *out)
 {
     const int32_t most = (int32_t)how->most;
     if (!is_held(t, frame, how, circles, circle, rated)) {
@@ -143,7 +143,7 @@ int32_t dl_search_guesses(dl_tracker *t, const dl_frame *frame, const dl_guess_s
             before += known;
         } else {
             n += guesses_of(t, frame, how, circle, most - n, out + n);
-            rated[k] = n < most ? n - first : -1;
+            rated[k] = n < most ? n - first : DL_NONE;
         }
         for (int32_t i = first; i < n; i++) {
             best = fmax(best, out[i].drawing);

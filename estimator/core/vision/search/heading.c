@@ -8,7 +8,7 @@
 #include "base/vectors.h"
 #include "base/wide.h"
 
-enum { CELLS = POLAR_RADII * POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = POLAR_ANGLES / 2 };
+enum { CELLS = DL_POLAR_RADII * DL_POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = DL_POLAR_ANGLES / 2 };
 /* Least depth of a cell, m. */
 static const double NEAREST_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
@@ -42,7 +42,7 @@ typedef struct {
 
 /* The frame's places of the cells for a lens without distortion, px; those behind it are of no use. */
 WIDE
-static void project_straight(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, polar_places *out)
+static void project_straight(const dl_lens *c, const dl_polar_pad *pad, const dl_pad_pose *pose, polar_places *out)
 {
     const double *R = pose->R, *t = pose->t, fx = c->fx, fy = c->fy, cx = c->cx, cy = c->cy;
     for (int k = 0; k < CELLS; k++) {
@@ -53,7 +53,7 @@ static void project_straight(const camera_lens *c, const polar_pad *pad, const p
     }
 }
 
-static void project_distorted(const camera_lens *c, const polar_pad *pad, const pad_pose *pose, polar_places *out)
+static void project_distorted(const dl_lens *c, const dl_polar_pad *pad, const dl_pad_pose *pose, polar_places *out)
 {
     for (int k = 0; k < CELLS; k++) {
         const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1];
@@ -69,7 +69,7 @@ static void project_distorted(const camera_lens *c, const polar_pad *pad, const 
 /* Bring the places to an image `step` times smaller, and choose the cells that it has and that lie within a radius, more than
  * `beyond` along a direction. */
 WIDE
-static void choose(const polar_pad *pad, int32_t step, int w, int h, double within, const double side[2], double beyond,
+static void choose(const dl_polar_pad *pad, int32_t step, int w, int h, double within, const double side[2], double beyond,
                    polar_places *of)
 {
     const double by = 1.0 / step, within2 = within * within, right = w - 0.5, low = h - 0.5;
@@ -131,11 +131,11 @@ static void between(const polar_places *at, const polar_corners *of, int channel
 
 /* The light of the cells that count. */
 WIDE
-static void weigh(const polar_pad *pad, const polar_places *at, const float light[3][CELLS], polar_view *out)
+static void weigh(const dl_polar_pad *pad, const polar_places *at, const float light[3][CELLS], polar_view *out)
 {
-    for (int r = 0; r < POLAR_RADII; r++) {
+    for (int r = 0; r < DL_POLAR_RADII; r++) {
         const float weight = (float)pad->area_inside[r];
-        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k++) {
+        for (int k = DL_POLAR_ANGLES * r; k < DL_POLAR_ANGLES * (r + 1); k++) {
             out->of[0][k] = at->counts[k] ? weight : 0.0f;
             for (int i = 0; i < 3; i++) {
                 out->of[1 + i][k] = at->counts[k] ? weight * light[i][k] : 0.0f;
@@ -154,16 +154,16 @@ static inline void four_doubles(const float *from, double4 *out)
 
 /* The sums of the whole disc, of its ring, and of what lies outside of the ring; and of the squares of light. */
 WIDE
-static void add_up(const polar_pad *pad, const float light[3][CELLS], const polar_view *seen, disc_sums *out)
+static void add_up(const dl_polar_pad *pad, const float light[3][CELLS], const polar_view *seen, disc_sums *out)
 {
-    int outermost = POLAR_RADII - 1;
+    int outermost = DL_POLAR_RADII - 1;
     while (outermost > 0 && !(pad->ring[outermost] > 0.0)) {
         outermost--;
     }
     memset(out, 0, sizeof *out);
-    for (int r = 0; r < POLAR_RADII; r++) {
+    for (int r = 0; r < DL_POLAR_RADII; r++) {
         double4 sum[VALUES] = {{0.0}}, squares = {0.0}, weighed, bare;
-        for (int k = POLAR_ANGLES * r; k < POLAR_ANGLES * (r + 1); k += 4) {
+        for (int k = DL_POLAR_ANGLES * r; k < DL_POLAR_ANGLES * (r + 1); k += 4) {
             four_doubles(seen->of[0] + k, &weighed);
             sum[0] += weighed;
             for (int i = 0; i < 3; i++) {
@@ -173,7 +173,7 @@ static void add_up(const polar_pad *pad, const float light[3][CELLS], const pola
                 squares += weighed * bare;
             }
         }
-        out->area += POLAR_ANGLES * pad->area_inside[r];
+        out->area += DL_POLAR_ANGLES * pad->area_inside[r];
         out->squares += (squares[0] + squares[1]) + (squares[2] + squares[3]);
         for (int value = 0; value < VALUES; value++) {
             const double all = (sum[value][0] + sum[value][1]) + (sum[value][2] + sum[value][3]);
@@ -185,7 +185,7 @@ static void add_up(const polar_pad *pad, const float light[3][CELLS], const pola
     out->in_view = out->whole[0];
 }
 
-static void look(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
+static void look(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
                  polar_view *out, disc_sums *sums)
 {
     const int w = (int)image->width, h = (int)image->height;
@@ -210,8 +210,8 @@ static void look(const camera_lens *c, const polar_pad *pad, const dl_image *ima
 
 /* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
 typedef struct {
-    int n, turns, cell[POLAR_ANGLES];
-    float share[POLAR_ANGLES];
+    int n, turns, cell[DL_POLAR_ANGLES];
+    float share[DL_POLAR_ANGLES];
 } ring_shape;
 
 static void shape_of(const double *shape, ring_shape *out)
@@ -221,7 +221,7 @@ static void shape_of(const double *shape, ring_shape *out)
         same &= shape[a] == shape[a + HALF_TURN];
     }
     out->n = 0;
-    out->turns = same ? HALF_TURN : POLAR_ANGLES;
+    out->turns = same ? HALF_TURN : DL_POLAR_ANGLES;
     for (int a = 0; a < out->turns; a++) {
         out->cell[out->n] = a;
         out->share[out->n] = (float)shape[a];
@@ -233,8 +233,8 @@ static void shape_of(const double *shape, ring_shape *out)
 WIDE
 static void add_turned(const ring_shape *of, const float *ring, float *out)
 {
-    float around[2 * POLAR_ANGLES];
-    float8 sum[POLAR_ANGLES / LANES] = {{0.0f}};
+    float around[2 * DL_POLAR_ANGLES];
+    float8 sum[DL_POLAR_ANGLES / LANES] = {{0.0f}};
     const int turns = of->turns;
     if (turns == HALF_TURN) {
         for (int a = 0; a < HALF_TURN; a++) {
@@ -246,25 +246,25 @@ static void add_turned(const ring_shape *of, const float *ring, float *out)
             }
         }
     } else {
-        memcpy(around, ring, POLAR_ANGLES * sizeof *around);
-        memcpy(around + POLAR_ANGLES, ring, POLAR_ANGLES * sizeof *around);
+        memcpy(around, ring, DL_POLAR_ANGLES * sizeof *around);
+        memcpy(around + DL_POLAR_ANGLES, ring, DL_POLAR_ANGLES * sizeof *around);
         for (int k = 0; k < of->n; k++) {
-            for (int i = 0; i < POLAR_ANGLES / LANES; i++) {
+            for (int i = 0; i < DL_POLAR_ANGLES / LANES; i++) {
                 sum[i] += of->share[k] * *eight_of(around + of->cell[k] + LANES * i);
             }
         }
     }
-    for (int i = 0; i < POLAR_ANGLES / LANES; i++) {
+    for (int i = 0; i < DL_POLAR_ANGLES / LANES; i++) {
         *eight(out + LANES * i) += sum[i % (turns / LANES)];
     }
 }
 
 /* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. The drawing's shapes
  * cover few cells, so those are added one by one. */
-static void turned_sums(const polar_view *seen, const double *shape, float out[VALUES][POLAR_ANGLES])
+static void turned_sums(const polar_view *seen, const double *shape, float out[VALUES][DL_POLAR_ANGLES])
 {
-    memset(out, 0, sizeof(float) * POLAR_ANGLES * VALUES);
-    for (int ring = 0; ring < CELLS; ring += POLAR_ANGLES) {
+    memset(out, 0, sizeof(float) * DL_POLAR_ANGLES * VALUES);
+    for (int ring = 0; ring < CELLS; ring += DL_POLAR_ANGLES) {
         ring_shape of;
         shape_of(shape + ring, &of);
         for (int value = 0; value < VALUES && of.n > 0; value++) {
@@ -278,11 +278,11 @@ static void turned_sums(const polar_view *seen, const double *shape, float out[V
  * The ring's red is compared with that of the disc about it, or of the disc outside of it where pixels mix it with the H. A paint
  * with less than `least` in view is ignored. */
 WIDE
-static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][POLAR_ANGLES], const disc_sums *of, double least,
-                 double spread, double polarity, int resolved, double score[POLAR_ANGLES])
+static void rate(const float h[VALUES][DL_POLAR_ANGLES], const float arrow[VALUES][DL_POLAR_ANGLES], const disc_sums *of, double least,
+                 double spread, double polarity, int resolved, double score[DL_POLAR_ANGLES])
 {
     const double *whole = of->whole, *ring = of->ring;
-    for (int k = 0; k < POLAR_ANGLES; k++) {
+    for (int k = 0; k < DL_POLAR_ANGLES; k++) {
         const double n_h = (double)h[0][k], n_ring = ring[0] + (double)arrow[0][k], n_disc = whole[0] - n_h - n_ring;
         const double some_h = n_h > least ? n_h : least, some_ring = n_ring > least ? n_ring : least;
         const double some_disc = n_disc > least ? n_disc : least, n_outside = of->outside[0] - (double)arrow[0][k];
@@ -305,12 +305,12 @@ static void rate(const float h[VALUES][POLAR_ANGLES], const float arrow[VALUES][
     }
 }
 
-int search_heading(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
-                   polar_fit *out)
+int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
+                   dl_polar_fit *out)
 {
     polar_view seen;
-    float h[VALUES][POLAR_ANGLES], arrow[VALUES][POLAR_ANGLES];
-    double score[POLAR_ANGLES];
+    float h[VALUES][DL_POLAR_ANGLES], arrow[VALUES][DL_POLAR_ANGLES];
+    double score[DL_POLAR_ANGLES];
     disc_sums of;
     look(c, pad, image, step, pose, side, &seen, &of);
     if (!(of.in_view >= LEAST_IN_VIEW * of.area)) {
@@ -326,23 +326,23 @@ int search_heading(const camera_lens *c, const polar_pad *pad, const dl_image *i
     }
     turned_sums(&seen, pad->h_marking, h);
     turned_sums(&seen, pad->arrow, arrow);
-    rate((const float(*)[POLAR_ANGLES])h, (const float(*)[POLAR_ANGLES])arrow, &of, LEAST_PAINT * of.area, spread, pad->polarity,
+    rate((const float(*)[DL_POLAR_ANGLES])h, (const float(*)[DL_POLAR_ANGLES])arrow, &of, LEAST_PAINT * of.area, spread, pad->polarity,
          resolved, score);
     int best = 0;
-    for (int k = 0; k < POLAR_ANGLES; k++) {
+    for (int k = 0; k < DL_POLAR_ANGLES; k++) {
         best = score[k] > score[best] ? k : best;
     }
-    const double before = score[(best + POLAR_ANGLES - 1) % POLAR_ANGLES], after = score[(best + 1) % POLAR_ANGLES];
+    const double before = score[(best + DL_POLAR_ANGLES - 1) % DL_POLAR_ANGLES], after = score[(best + 1) % DL_POLAR_ANGLES];
     const double bend = before - 2.0 * score[best] + after;
     const double fine = bend < -1e-9 ? 0.5 * (before - after) / bend : 0.0;
-    out->turn_rad = (best + fine) * 2.0 * acos(-1.0) / POLAR_ANGLES;
+    out->turn_rad = (best + fine) * 2.0 * acos(-1.0) / DL_POLAR_ANGLES;
     out->score = score[best];
-    out->arrow = score[best] - score[(best + POLAR_ANGLES / 2) % POLAR_ANGLES];
+    out->arrow = score[best] - score[(best + DL_POLAR_ANGLES / 2) % DL_POLAR_ANGLES];
     out->in_view = of.in_view / of.area;
     return 1;
 }
 
-int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const pad_pose *pose, const double *side, polar_fit *out)
+int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side, dl_polar_fit *out)
 {
     if (!t->has_drawing || !is_image(image, 3) || step < 1) {
         return DL_WRONG_SIZE;

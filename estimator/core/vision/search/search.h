@@ -80,11 +80,11 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *ou
 int64_t search_most(int64_t width, int64_t height);
 
 /* Outlines of areas as circles; as `dl_search_circles`. */
-int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle_search *how, search_circle *out);
+int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle_search *how, dl_circle *out);
 
 /* The best heading of a drawing, as `dl_search_heading`. */
-int search_heading(const camera_lens *c, const polar_pad *pad, const dl_image *image, int32_t step, const pad_pose *pose, const double *side,
-                   polar_fit *out);
+int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
+                   dl_polar_fit *out);
 
 /* Find the edges: ridges of the gradient that stand out from their neighbourhood. */
 void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows);
@@ -103,12 +103,12 @@ int search_peak(const search_image *image, search_rows *rows, vote_peak *out);
 
 /* Fit a circle to the edges about a peak; returns whether there is one. */
 int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
-               search_circle *out);
+               dl_circle *out);
 
 /* Where rays, (n, 2), meet a plane at unit distance, (n, 2); returns whether all do. */
 int search_on_plane(int n, const double *rays, const double R_cam_plane[9], double *out);
 
-/* The planes in which an outline of at most SEARCH_SECTORS rays, (n, 2), is a circle; returns how many there are. */
+/* The planes in which an outline of at most DL_SEARCH_SECTORS rays, (n, 2), is a circle; returns how many there are. */
 int search_tilts(int n, const double *rays, circle_stand out[2]);
 
 #endif

@@ -96,8 +96,8 @@ int strokes_widths(int n, const int8_t *mask, int32_t *starts, double widths[2])
 }
 
 /* The pose of an H found in an upright view; returns whether it is in front of the lens. */
-static int pose_of(const strokes_image *image, const upright_view *view, const pad_strokes *h, const stroke_place *at, double width,
-                   search_guess *out)
+static int pose_of(const strokes_image *image, const upright_view *view, const dl_pad_strokes *h, const stroke_place *at, double width,
+                   dl_guess *out)
 {
     const double quarter = acos(0.0), depth = h->leg_m * view->focal / width, *to = view->to_plane;
     const double x = (double)at->x, y = (double)at->y;
@@ -114,7 +114,7 @@ static int pose_of(const strokes_image *image, const upright_view *view, const p
 }
 
 /* Put a guess into a list of the best. */
-static int32_t ranked(const search_guess *one, int32_t n, int32_t most, search_guess *out)
+static int32_t ranked(const dl_guess *one, int32_t n, int32_t most, dl_guess *out)
 {
     int32_t at = n < most ? n : most;
     while (at > 0 && out[at - 1].drawing < one->drawing) {
@@ -130,8 +130,8 @@ static int32_t ranked(const search_guess *one, int32_t n, int32_t most, search_g
 }
 
 /* Find the strokes of an H in an image; returns how many places. */
-static int32_t find(const camera_lens *c, const strokes_image *image, const pad_strokes *h, const uint8_t *px, float *scratch,
-                    int32_t most, search_guess *out)
+static int32_t find(const dl_lens *c, const strokes_image *image, const dl_pad_strokes *h, const uint8_t *px, float *scratch,
+                    int32_t most, dl_guess *out)
 {
     const int64_t pixels = image->width * image->height, n = strokes_size(image);
     uint8_t *grey = (uint8_t *)(void *)scratch;
@@ -156,7 +156,7 @@ static int32_t find(const camera_lens *c, const strokes_image *image, const pad_
             stroke_place places[STROKES_PLACES];
             const int fits = strokes_fit(h, (int)n, mask, widths[i], sums, score, places);
             for (int j = 0; j < fits; j++) {
-                search_guess one;
+                dl_guess one;
                 found = pose_of(image, &view, h, &places[j], widths[i], &one) ? ranked(&one, found, most, out) : found;
             }
         }
@@ -164,7 +164,7 @@ static int32_t find(const camera_lens *c, const strokes_image *image, const pad_
     return found;
 }
 
-int32_t dl_search_strokes(dl_tracker *t, const dl_image *of, const dl_stroke_search *how, search_guess *out)
+int32_t dl_search_strokes(dl_tracker *t, const dl_image *of, const dl_stroke_search *how, dl_guess *out)
 {
     if (!t->has_drawing || !is_image(of, 3) || how->step < 1 || strokes_room(of->width, of->height) > t->floats) {
         return DL_WRONG_SIZE;

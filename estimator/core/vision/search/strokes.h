@@ -41,7 +41,7 @@ int strokes_limits(int n, const uint8_t *grey, int limits[2]);
 int strokes_direction(int w, int h, const uint8_t *grey, double *angle);
 
 /* The upright view for a direction in the frame; returns whether the plane can be seen. */
-int strokes_place(const camera_lens *c, const strokes_image *image, double angle, upright_view *out);
+int strokes_place(const dl_lens *c, const strokes_image *image, double angle, upright_view *out);
 
 /* The upright view of a grey image; -1 outside of the frame. */
 void strokes_upright(const strokes_image *image, const upright_view *view, const uint8_t *grey, int16_t *out);
@@ -50,7 +50,7 @@ void strokes_upright(const strokes_image *image, const upright_view *view, const
 int strokes_widths(int n, const int8_t *mask, int32_t *starts, double widths[2]);
 
 /* Find the best places of an H with strokes of a width in a mask, best first for each heading. Returns how many. */
-int strokes_fit(const pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES]);
+int strokes_fit(const dl_pad_strokes *h, int n, const int8_t *mask, double width, int32_t *sums, float *score, stroke_place out[STROKES_PLACES]);
 
 /* Room for the sums of a mask, in numbers. */
 int64_t strokes_sums(int64_t n);

@@ -154,7 +154,7 @@ static int circle_of(int n, const double *xy, circle_stand *out)
 
 int search_tilts(int n, const double *rays, circle_stand out[2])
 {
-    double mean[2], p[CONIC], Q[9], normals[2][3], places[2 * SEARCH_SECTORS];
+    double mean[2], p[CONIC], Q[9], normals[2][3], places[2 * DL_SEARCH_SECTORS];
     int found = 0;
     const double scale = spread_about(n, rays, mean);
     if (n < FEWEST || !(scale > 0.0) || !conic_of(n, rays, mean, scale, p)) {

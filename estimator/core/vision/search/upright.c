@@ -121,7 +121,7 @@ int strokes_direction(int w, int h, const uint8_t *grey, double *angle)
 }
 
 /* A place of the small frame on the plane; returns whether its ray meets the plane. */
-static int on_plane(const camera_lens *c, const strokes_image *image, double u, double v, double out[2])
+static int on_plane(const dl_lens *c, const strokes_image *image, double u, double v, double out[2])
 {
     const double step = (double)image->step;
     double ray[3] = {0.0, 0.0, 1.0}, at[3];
@@ -131,7 +131,7 @@ static int on_plane(const camera_lens *c, const strokes_image *image, double u, 
     return at[2] > LEAST_FACING;
 }
 
-int strokes_place(const camera_lens *c, const strokes_image *image, double angle, upright_view *out)
+int strokes_place(const dl_lens *c, const strokes_image *image, double angle, upright_view *out)
 {
     const double u = 0.5 * (double)(image->width - 1), v = 0.5 * (double)(image->height - 1), step = (double)image->step;
     double centre[2], ahead[2];

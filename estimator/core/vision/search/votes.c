@@ -13,7 +13,7 @@ static const float TURN = 6.2831853f;
 
 static int cells(const search_image *image, int64_t px)
 {
-    return (int)((px + 2 * image->margin) / SEARCH_CELL);
+    return (int)((px + 2 * image->margin) / DL_SEARCH_CELL);
 }
 
 static float radius_of(const search_radii *radii, int k)
@@ -25,7 +25,7 @@ static float radius_of(const search_radii *radii, int k)
 WIDE
 static void cells_of(const edge_list *edges, float radius, float margin, int columns, int rows, int32_t *restrict out)
 {
-    const float by = 1.0f / SEARCH_CELL, right = (float)columns, low = (float)rows;
+    const float by = 1.0f / DL_SEARCH_CELL, right = (float)columns, low = (float)rows;
     const float *at_x = edges->x, *at_y = edges->y, *to_x = edges->to_x, *to_y = edges->to_y;
     const int32_t outside = columns * rows;
     for (int i = 0, n = edges->n; i < n; i++) {
@@ -124,8 +124,8 @@ static void outlines(const search_image *image, const block_grid *blocks, const 
 {
     for (int k = 0; k < t->rows * t->columns; k++) {
         const int i = k / t->columns, j = k % t->columns;
-        const float x = (float)(j * TILE_CELLS * SEARCH_CELL - (int)image->margin);
-        const float y = (float)(i * TILE_CELLS * SEARCH_CELL - (int)image->margin);
+        const float x = (float)(j * TILE_CELLS * DL_SEARCH_CELL - (int)image->margin);
+        const float y = (float)(i * TILE_CELLS * DL_SEARCH_CELL - (int)image->margin);
         out[k] = TURN * search_scale(blocks, x, y);
     }
 }
@@ -191,8 +191,8 @@ int search_peak(const search_image *image, search_rows *rows, vote_peak *out)
             const int sum = cell[0] + cell[1] + cell[columns] + cell[columns + 1];
             if (sum > most) {
                 most = sum;
-                out->x = (float)((j + 1) * SEARCH_CELL - (int)image->margin);
-                out->y = (float)((i + 1) * SEARCH_CELL - (int)image->margin);
+                out->x = (float)((j + 1) * DL_SEARCH_CELL - (int)image->margin);
+                out->y = (float)((i + 1) * DL_SEARCH_CELL - (int)image->margin);
             }
         }
     }
