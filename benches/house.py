@@ -211,6 +211,41 @@ def entries(tree: Tree, *headers: str) -> list[tuple[str, int]]:
 FLYING = ("estimator/core/decklander.h", "estimator/core/interface.h")
 
 
+HEADERS = (FLYING[0], "sitl/core/decklander_sim.h")
+_MEMBERS_OF_ONE_COMMENT = 3
+
+
+def bare_members(tree: Tree) -> list[str]:
+    """Return the members of the headers' structures without a comment above them or behind them on their line.
+
+    A comment serves at most three members of one declaration.
+    """
+    found = []
+    for header in HEADERS:
+        for inside, kind in re.findall(r"typedef struct \{(.*?)\n\} (\w+);", tree.texts.get(header, ""), re.DOTALL):
+            has_comment = False
+            for line in inside.splitlines():
+                code = _COMMENT.sub("", line).strip()
+                has_comment |= "*/" in line
+                names = re.findall(r"(\w+)(?:\[[^]]*\])*\s*[,;]", code)
+                if not has_comment or len(names) > _MEMBERS_OF_ONE_COMMENT:
+                    found += [f"{kind}.{name}" for name in names]
+                has_comment &= ";" not in code
+    return found
+
+
+def bare_names(tree: Tree) -> list[str]:
+    """Return the types, enumerators and entries of the headers that do not begin with dl_."""
+    found = []
+    for header in HEADERS:
+        text = re.sub(r"^#.*$", "", _COMMENT.sub(" ", tree.texts.get(header, "")), flags=re.MULTILINE)
+        found += re.findall(r"^\} (\w+);", text, re.MULTILINE) + re.findall(r"\benum (\w+) \{", text)
+        found += [name for name, _ in _PROTOTYPE.findall(text)]
+        for inside in re.findall(r"\benum \w* ?\{(.*?)\}", text, re.DOTALL):
+            found += re.findall(r"(?:^|,)\s*([A-Z]\w*)", inside)
+    return [name for name in found if not name.lower().startswith("dl_")]
+
+
 def public_keys(tree: Tree) -> int:
     """Return the number of keys that docs/configuration.md shows to everybody."""
     page = tree.texts.get("docs/configuration.md", "").partition(EXPERT)[0]
@@ -288,6 +323,8 @@ FIGURES = (
     counted("entries of more than 8 parameters", 0, wide_entries),
     counted("C functions of more than 8 parameters", 0, wide_c),
     counted("Python functions of more than 8", 0, wide_python),
+    counted("header members without a comment", 0, bare_members),
+    counted("names without dl_", 0, bare_names),
     counted("modules with exactly one importer", 60, one_importer),
     Figure("median lines of a module", 180, lambda t: float(median(t.lines_of.values())), more_is_better=True),
     Figure("import lines, %", 5.5, import_share),
