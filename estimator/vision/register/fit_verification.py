@@ -81,8 +81,8 @@ h_disagrees: half of a distant pad's pixels disagree with the drawing, by the fr
 _UNTRACKED = ("no_ring", "no_h", "corner", "edges_astray", "h_astray", "half_disagrees", "no_h_in_view", "h_disagrees")
 """Inputs that count only while no track has confirmed the pad before."""
 
-FITTED, EVIDENCE = tuple(_FITTED), (*_FITTED, *_HAND_SET)
-"""Names of the inputs with fitted weights, and of all, in the order of the core's `look_evidence`."""
+FITTED, HAND_SET, EVIDENCE = tuple(_FITTED), tuple(_HAND_SET), (*_FITTED, *_HAND_SET)
+"""Names of the inputs with fitted weights, of those set by hand, and of all, in the order of the core's `look_evidence`."""
 SEARCHED = np.array([*_FITTED.values(), *_HAND_SET.values()])
 """Weights in the order of `EVIDENCE` of a drawing where a search or a cue led to."""
 TRACKED = np.where([name in _UNTRACKED for name in EVIDENCE], 0.0, SEARCHED)
