@@ -10,9 +10,16 @@ from typing import Any
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata_flight import Altitude, Demo, PhysMeasures, RawMeasures
-from drivers.ardrone.navdata_layout import TAG_OF_CLASS, OptionLayout
-from drivers.ardrone.navdata_sensors import Gps, PressureRaw
+from drivers.ardrone.navdata_options import (
+    TAG_OF_CLASS,
+    Altitude,
+    Demo,
+    Gps,
+    OptionLayout,
+    PhysMeasures,
+    PressureRaw,
+    RawMeasures,
+)
 
 
 class NavdataReadings(Struct, frozen=True):

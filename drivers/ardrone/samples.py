@@ -18,6 +18,7 @@ from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vect
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import (
     UNKNOWN_VAR,
+    Attitude,
     Baro,
     BodyVelocity,
     GeoFix,
@@ -25,9 +26,7 @@ from estimator.contracts.samples import (
     Range,
     Sample,
     VehicleStatus,
-    known_attitude,
-    known_imu,
-    known_velocity,
+    known,
 )
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
@@ -63,7 +62,7 @@ def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions
     roll, pitch, yaw, vx, vy = r.phi_mdeg, r.theta_mdeg, r.psi_mdeg, r.vx_mm_s, r.vy_mm_s
     if roll is not None and pitch is not None and yaw is not None and _finite((roll, pitch, yaw)):
         angles = math.radians(roll * 1e-3), math.radians(pitch * 1e-3), math.radians(yaw * 1e-3)
-        out.append(known_attitude(stamp, Rotation.from_rpy(*angles), attitude_cov))
+        out.append(known(Attitude, stamp, Rotation.from_rpy(*angles), attitude_cov))
     if vx is not None and vy is not None and _finite((vx, vy)):
         out.append(_velocity(vx, vy, stamp, options))
     return out
@@ -128,7 +127,7 @@ def _imu(r: NavdataReadings, stamp: Stamp) -> Imu | None:
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None or not _finite((ax, ay, az, wx, wy, wz)):
         return None
     w_body = fixed_vector(math.radians(wx), math.radians(wy), math.radians(wz))
-    return known_imu(stamp, w_body, fixed_vector(ax * _M_S2_PER_MG, ay * _M_S2_PER_MG, az * _M_S2_PER_MG))
+    return known(Imu, stamp, w_body, fixed_vector(ax * _M_S2_PER_MG, ay * _M_S2_PER_MG, az * _M_S2_PER_MG))
 
 
 def _velocity(vx_mm_s: float, vy_mm_s: float, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
@@ -136,7 +135,7 @@ def _velocity(vx_mm_s: float, vy_mm_s: float, stamp: Stamp, options: ArDroneOpti
     ahead, aside = scale * vx_mm_s, scale * vy_mm_s
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
     cov = fixed_matrix(var, 0.0, 0.0, 0.0, var, 0.0, 0.0, 0.0, UNKNOWN_VAR)
-    return known_velocity(stamp, fixed_vector(ahead, aside, 0.0), cov)
+    return known(BodyVelocity, stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
 def _range(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> Range | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -15,10 +15,6 @@ from estimator.contracts.time import MonoNs, Stamp
 
 UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
-
-
-_CHECKED: dict[str, F64] = {}
-"""The newest read-only covariance that was found to be one, by name: a driver may give the same one with each of its samples."""
 
 
 def checked_vector(name: str, value: F64) -> F64:
@@ -44,8 +40,6 @@ def checked_covariance(name: str, value: F64, n: int) -> F64:
     Raises:
         ValueError: it has another shape, a number is not finite, or it is no covariance.
     """
-    if value is _CHECKED.get(name):
-        return value
     a = own_array(value)
     if a.shape != (n, n):
         raise ValueError(f"{name} needs finite numbers of shape ({n}, {n}), got {value!r}")
@@ -60,8 +54,6 @@ def checked_covariance(name: str, value: F64, n: int) -> F64:
     gap = 0.0 if alike else float(np.abs(a - a.T).max())
     if min(numbers[:: n + 1]) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
-    if a is value:
-        _CHECKED[name] = a
     return a
 
 
@@ -163,38 +155,23 @@ class BodyVelocity(Struct, frozen=True, eq=False):
             force_setattr(self, "cov_level", own)
 
 
+_S = TypeVar("_S", bound=Imu | Attitude | BodyVelocity)
+_copied: Callable[[_S], _S] = Struct.__copy__  # type: ignore[assignment]
 _NO_STAMP, _ZEROS, _NO_COV = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), np.zeros(3), np.zeros((3, 3))
-_ANY_IMU = Imu(_NO_STAMP, _ZEROS, _ZEROS)
-_ANY_ATTITUDE = Attitude(_NO_STAMP, Rotation.identity(), _NO_COV)
-_ANY_VELOCITY = BodyVelocity(_NO_STAMP, _ZEROS, _NO_COV)
-_S = TypeVar("_S", bound=Struct)
-_copied: Callable[[_S], _S] = Struct.__copy__  # type: ignore[attr-defined]
+_BLANK: dict[type, Any] = {
+    Imu: Imu(_NO_STAMP, _ZEROS, _ZEROS),
+    Attitude: Attitude(_NO_STAMP, Rotation.identity(), _NO_COV),
+    BodyVelocity: BodyVelocity(_NO_STAMP, _ZEROS, _NO_COV),
+}
 
 
-def known_imu(stamp: Stamp, w_body: F64, f_body: F64) -> Imu:
-    """Return a sample whose arrays the caller has checked: read-only and finite. Drivers make hundreds a second."""
-    made = _copied(_ANY_IMU)
+def known(cls: type[_S], stamp: Stamp, first: F64 | Rotation, second: F64) -> _S:
+    """Return a sample whose arrays the caller has checked: read-only, finite, a covariance. Drivers make hundreds a second."""
+    made = _copied(_BLANK[cls])
+    _, first_name, second_name, *_ = cls.__struct_fields__
     force_setattr(made, "stamp", stamp)
-    force_setattr(made, "w_body", w_body)
-    force_setattr(made, "f_body", f_body)
-    return made
-
-
-def known_attitude(stamp: Stamp, R_ned_body: Rotation, cov_body: F64) -> Attitude:
-    """Return a sample whose covariance the caller has checked; as `known_imu`."""
-    made = _copied(_ANY_ATTITUDE)
-    force_setattr(made, "stamp", stamp)
-    force_setattr(made, "R_ned_body", R_ned_body)
-    force_setattr(made, "cov_body", cov_body)
-    return made
-
-
-def known_velocity(stamp: Stamp, v_level: F64, cov_level: F64) -> BodyVelocity:
-    """Return a sample whose velocity and covariance the caller has checked; as `known_imu`."""
-    made = _copied(_ANY_VELOCITY)
-    force_setattr(made, "stamp", stamp)
-    force_setattr(made, "v_level", v_level)
-    force_setattr(made, "cov_level", cov_level)
+    force_setattr(made, first_name, first)
+    force_setattr(made, second_name, second)
     return made
 
 

@@ -11,6 +11,7 @@ from msgspec import Struct, field
 
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
+from drivers.ardrone.navdata_options import UNREAD_BYTES
 from estimator.contracts.motion import G_M_S2
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.airframe import StickLimits
@@ -243,33 +244,27 @@ def _clip(value: float, low: int, high: int) -> int:
     return low if whole < low else high if whole > high else whole
 
 
-_OPTIONS: dict[int, Callable[[Situation], Any]] = {
+def _zeros(tag: int) -> Callable[[Situation], bytes]:
+    body = bytes(UNREAD_BYTES[tag])
+    return lambda s: body
+
+
+_FILLED: dict[int, Callable[[Situation], Any]] = {
     0: _demo,
     1: lambda s: navdata.NavdataTime.of_us(s.time_us),
     2: _raw_measures,
     3: _phys_measures,
-    4: lambda s: navdata.GyrosOffsets(),
     5: _euler_angles,
     6: _references,
-    7: lambda s: navdata.Trims(),
-    8: lambda s: navdata.RcReferences(),
     9: _pwm,
     10: _altitude,
-    11: lambda s: navdata.VisionRaw(),
-    12: lambda s: navdata.VisionOf(),
     13: _vision,
-    14: lambda s: navdata.VisionPerf(),
-    15: lambda s: navdata.TrackersSend(),
-    16: lambda s: navdata.VisionDetect(),
     17: lambda s: navdata.Watchdog(s.ticks % 2**31),
-    18: lambda s: navdata.AdcDataFrame(),
     19: _video_stream,
-    20: lambda s: navdata.Games(),
     21: _pressure,
     22: _magneto,
-    23: lambda s: navdata.WindSpeed(),
     24: _kalman_pressure,
     25: lambda s: navdata.HdvideoStream(frame_number=s.shot.number),
-    26: lambda s: navdata.Wifi(),
     27: lambda s: s.gps,
 }
+_OPTIONS = {tag: _FILLED.get(tag) or _zeros(tag) for tag in range(28)}

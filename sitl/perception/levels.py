@@ -23,7 +23,7 @@ from estimator.contracts.estimates import PathName, RelativeState, Sighting, Ver
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, known_rotation, rpy_matrix, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, Sample, known_attitude
+from estimator.contracts.samples import Attitude, Frame, Sample, known
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.gimbal_history import HeldCamera
@@ -318,7 +318,7 @@ class TruthPilot(Pilot):
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the true attitude now; nothing is computed from it."""
-        return known_attitude(stamp, self._level.world.truth().R_ned_body, _TRUE_TILT_COV)
+        return known(Attitude, stamp, self._level.world.truth().R_ned_body, _TRUE_TILT_COV)
 
     def admit(self, frame: Frame) -> Verdict | None:
         """Admit every frame: none is searched."""

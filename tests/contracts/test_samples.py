@@ -14,9 +14,7 @@ from estimator.contracts.samples import (
     Imu,
     Range,
     VesselReport,
-    known_attitude,
-    known_imu,
-    known_velocity,
+    known,
 )
 from estimator.contracts.time import MonoNs, Stamp
 
@@ -120,10 +118,9 @@ def test_height_lateral_and_age():
 
 def test_what_the_caller_has_checked_makes_the_same_samples():
     v, cov, R = fixed_vector(1.0, 2.0, 3.0), fixed_matrix(1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0), Rotation.identity()
-    of = {Imu: (known_imu, v, v), Attitude: (known_attitude, R, cov), BodyVelocity: (known_velocity, v, cov)}
-    for cls, (make, *values) in of.items():
-        made, checked = make(STAMP, *values), cls(STAMP, *values)
+    for cls, *values in (Imu, v, v), (Attitude, R, cov), (BodyVelocity, v, cov):
+        made, checked = known(cls, STAMP, *values), cls(STAMP, *values)
         assert type(made) is cls
         assert all(getattr(made, name) is getattr(checked, name) for name in cls.__struct_fields__)
-        assert make(OTHER, *values).stamp is OTHER
+        assert known(cls, OTHER, *values).stamp is OTHER
         assert made.stamp is STAMP, "one sample does not change with the next"
