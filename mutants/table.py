@@ -185,7 +185,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "sitl/flight/sight.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter.py",),
     "drivers/ardrone/landing_watch.py": (
-        "tests/drivers/test_landing_watch_bounds.py",
         "tests/drivers/test_arbiter.py",
         "tests/drivers/test_command_streamer.py",
     ),

@@ -126,30 +126,6 @@ def test_it_is_held_for_a_bounded_time() -> None:
     assert arbiter.commands(ms(2130)) == []
 
 
-def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_order() -> None:
-    assert TimedCommand(ms(0), AHEAD).commands() == [AHEAD]
-    assert TimedCommand(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
-    assert TimedCommand(ms(0), AHEAD, FLY.bits, watchdog=True).commands() == [at.ComWdg(), FLY, AHEAD]
-
-
-def test_before_the_first_word_nothing_is_fresh_and_nothing_is_silent() -> None:
-    arbiter = CommandArbiter(2.0, 2.0)
-    assert not arbiter.fresh(ms(0))
-    assert arbiter.silent_s(ms(0)) == 0.0
-    assert arbiter.latest is None
-    arbiter.lost(ms(0))
-    assert arbiter.latest is None
-    assert arbiter.hovers == 0
-
-
-@pytest.mark.parametrize("watchdog", [True, False])
-def test_without_a_report_the_watchdog_is_reset_where_the_word_requested_it(watchdog: bool) -> None:
-    expected = [at.ComWdg(), HOVER] if watchdog else [HOVER]
-    arbiter = CommandArbiter(60.0, 2.0)
-    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits, watchdog=watchdog))
-    assert arbiter.commands(ms(121)) == expected
-
-
 @pytest.mark.parametrize(
     ("control", "flying", "on_ground"),
     [

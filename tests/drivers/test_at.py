@@ -1,5 +1,4 @@
 import math
-import struct
 from typing import Any
 
 import pytest
@@ -124,12 +123,6 @@ def test_reasons_of_refusal(line: bytes, why: Refusal) -> None:
 def test_what_cannot_travel_is_our_mistake(command: at.AtCommand) -> None:
     with pytest.raises(ValueError, match=type(command).__name__.upper()[:3] + "|float"):
         at.encode(1, command)
-
-
-def test_floats_travel_as_the_bits_of_their_float32() -> None:
-    ((_, command),) = at.decode(b"AT*PCMD=1,1,-1085485875,1028443341,0,0\r")  # type: ignore[misc]
-    assert isinstance(command, at.Pcmd)
-    assert command.roll == struct.unpack("<f", struct.pack("<f", -0.8))[0]
 
 
 def test_sequence_rule_of_the_receiver() -> None:

@@ -57,11 +57,6 @@ def test_before_any_word_of_the_drone_only_hover_is_sent(cockpit: Cockpit) -> No
     assert cockpit.sends(0) == [HOVER]
 
 
-def test_on_the_ground_no_wish_to_fly(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDED)
-    assert cockpit.sends(1) == [GROUND, HOVER]
-
-
 def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.HOVERING)
     cockpit.measures(0)
@@ -220,20 +215,6 @@ def test_the_tilt_against_the_wind_is_kept_over_a_hover_and_forgotten_on_the_gro
     assert _sticks(cockpit, 402).pitch == pytest.approx(0.0)
 
 
-def test_each_age_may_be_reached_and_is_counted(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.measures(50)
-    cockpit.streamer.take(FORWARD, ms(0))
-    assert _sticks(cockpit, 250) != HOVER
-    assert cockpit.sends(250.001)[-1] == HOVER
-    cockpit.streamer.take(FORWARD, ms(200))
-    assert cockpit.sends(250.001)[-1] == HOVER
-    assert (cockpit.counters.hover_for_age, cockpit.counters.hover_for_blindness) == (1, 1)
-    cockpit.hears(300, nd.ControlState.FLYING)
-    assert cockpit.sends(500)[0] == FLY
-    assert cockpit.sends(501) == [HOVER], "the bit would start the motors of a drone that has landed since"
-
-
 def test_a_datagram_without_the_control_state_leaves_the_one_before(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.TAKING_OFF)
     cockpit.streamer.take(FORWARD, ms(0))
@@ -256,22 +237,6 @@ def test_a_landing_that_guidance_renews_no_more_is_called_off_high_up_and_finish
     assert (cockpit.counters.landings_given_up, cockpit.counters.landings_called_off) == (1, 1)
     cockpit.streamer.take(Land(persistent=True), ms(2700))
     assert not cockpit.streamer.command(ms(2700)).landing
-
-
-def test_the_loop_steps_by_the_time_between_periods_and_begins_again_after_a_hover() -> None:
-    def flown(*instants_ms: float, hover_at: float | None = None) -> at.Pcmd:
-        cockpit = Cockpit()
-        for t in instants_ms:
-            cockpit.hears(t, nd.ControlState.FLYING)
-            cockpit.measures(t)
-            cockpit.streamer.take(Hover() if t == hover_at else FORWARD, ms(t))
-            sticks = _sticks(cockpit, t)
-        return sticks
-
-    assert flown(0) == flown(1000)
-    assert flown(0, 30) != flown(0), "the integral has grown"
-    assert flown(0, 30) != flown(0, 60)
-    assert flown(0, 30, 60, hover_at=30) == flown(0)
 
 
 def test_what_holds_against_the_wind_stays_where_it_blows_from_while_the_nose_turns(cockpit: Cockpit) -> None:

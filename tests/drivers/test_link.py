@@ -15,7 +15,6 @@ from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from tests.drivers.test_video import clip
 from tests.support.fake_ardrone import HOST, FakeArDrone
@@ -80,14 +79,6 @@ async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
     assert 1 <= numbers.count(1) <= 8, "the first datagrams make the drone count anew, lest one lost datagram deafens it"
     grown = [n for n in numbers if n != 1]
     assert grown == list(range(2, len(grown) + 2)), "one sequence for all commands"
-
-
-async def test_without_ids_no_ids_are_sent() -> None:
-    fake = FakeArDrone()
-    async with linked(fake, configuration_ids="") as drone:
-        await until(lambda: drone.ready)
-    assert fake.of(at.ConfigIds) == []
-    assert not any(key.startswith("custom:") for key in fake.configured_in_order)
 
 
 async def test_samples_flow_with_stamps_on_our_clock() -> None:
@@ -166,17 +157,6 @@ async def test_take_off_velocity_hover_land() -> None:
     assert not any(c.emergency for c in fake.of(at.Ref))
 
 
-async def test_a_silent_pilot_means_hover_within_the_timeout() -> None:
-    fake = FakeArDrone()
-    async with linked(fake, command_timeout_s=0.1) as drone:
-        await until(lambda: drone.ready)
-        drone.command(TakeOff())
-        await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
-        await steer(drone, fake)
-        await until(lambda: fake.of(at.Pcmd)[-1].flags == 0)
-        await until(lambda: drone.counters.hover_for_age > 0)
-
-
 @pytest.mark.parametrize("how", ["leave", "error", "cancel"])
 async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
     fake = FakeArDrone()
@@ -208,15 +188,6 @@ async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
         assert fake.state & nd.NavdataState.FLYING
 
 
-async def test_after_leaving_readers_and_commands_hear_of_it() -> None:
-    async with linked(FakeArDrone()) as drone:
-        pass
-    with pytest.raises(Recoverable, match="closed"):
-        drone.command(Hover())
-    with pytest.raises(Recoverable, match="closed"):
-        await drone.frames.get()
-
-
 async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.MonkeyPatch) -> None:
     fake = FakeArDrone()
 
@@ -246,14 +217,6 @@ async def test_video_lost_and_found_again_alone() -> None:
         restarts = drone.counters.restarts
         assert restarts["video"] >= 1
         assert restarts["navdata"] == restarts["at"] == restarts["setup"] == 0
-
-
-async def test_silent_video_is_opened_again() -> None:
-    fake = FakeArDrone()
-    async with linked(fake) as drone:
-        await until(lambda: fake.video_connections >= 3)
-        assert drone.counters.restarts["video"] >= 2
-        await until(lambda: drone.ready)
 
 
 async def test_control_connection_lost_and_found_again_alone() -> None:
@@ -294,24 +257,6 @@ async def test_silent_navdata_is_requested_again_and_commands_go_on() -> None:
         await until(lambda: drone.counters.samples > received)
 
 
-async def test_order_loss_and_damage_of_navdata_are_counted() -> None:
-    fake = FakeArDrone()
-    async with linked(fake, navdata_silence_s=5.0, reopen_after_s=9.0) as drone:
-        await until(lambda: drone.ready)
-        fake.silent = True
-        await asyncio.sleep(0.03)
-        counters = drone.counters
-        good = counters.samples
-        a, lost, b, c = (fake.datagram() for _ in range(4))
-        assert lost
-        for datagram in (a, c, b, c[:-3], c[:40] + b"\xff" + c[41:], b"\x88\x77\x66\x55", c):
-            fake._navdata.transport.sendto(datagram, fake.client)  # type: ignore[union-attr]
-        await until(lambda: counters.navdata_out_of_order == 2)
-        assert counters.navdata_lost == 2
-        assert counters.navdata_refused == {"torn": 1, "bad_checksum": 1, "too_short": 1}
-        assert counters.samples > good
-
-
 async def test_a_drone_that_begins_again_is_configured_again() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
@@ -323,16 +268,6 @@ async def test_a_drone_that_begins_again_is_configured_again() -> None:
         assert drone.counters.navdata_restarts == 1
         assert "video:video_channel" in fake.configured_in_order
         assert not fake.state & (nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG)
-
-
-async def test_a_drone_that_falls_back_to_demo_mode_is_configured_again() -> None:
-    fake = FakeArDrone()
-    async with linked(fake) as drone:
-        await until(lambda: drone.ready)
-        fake.state |= nd.NavdataState.NAVDATA_DEMO
-        await until(lambda: not drone.ready)
-        fake.state &= ~nd.NavdataState.NAVDATA_DEMO
-        await until(lambda: drone.ready)
 
 
 async def test_a_key_that_is_not_acknowledged_is_tried_again_later() -> None:
@@ -366,12 +301,3 @@ async def test_no_drone_at_all_then_one_appears() -> None:
         await until(lambda: drone.counters.at_errors > 0)
         assert not drone.ready
         assert drone.counters.frames == drone.counters.samples == 0
-
-
-def test_options_refuse_nonsense() -> None:
-    with pytest.raises(ValueError, match="video_port"):
-        ArDroneOptions(video_port=0)
-    with pytest.raises(ValueError, match="command_period_s"):
-        ArDroneOptions(command_period_s=0.0)
-    with pytest.raises(ValueError, match="hexadecimal"):
-        ArDroneOptions(configuration_ids="x,y,z")

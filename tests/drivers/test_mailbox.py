@@ -74,15 +74,6 @@ async def test_cancelling_a_reader_at_any_turn_of_the_loop_loses_nothing(make, t
 
 
 @pytest.mark.parametrize("make", BOXES)
-async def test_a_reader_that_waits_with_a_timeout_misses_nothing(make):
-    box = make()
-    with pytest.raises(TimeoutError):
-        await asyncio.wait_for(box.get(), 0.001)
-    box.offer(7)
-    assert await asyncio.wait_for(box.get(), 60) == 7
-
-
-@pytest.mark.parametrize("make", BOXES)
 async def test_a_failure_reaches_the_reader_after_what_was_left(make):
     box, got = make(), []
     box.offer("last")
@@ -97,24 +88,6 @@ async def test_a_failure_reaches_the_reader_after_what_was_left(make):
     assert got == ["last"]
     with pytest.raises(Recoverable):
         await box.get()
-
-
-@pytest.mark.parametrize("make", BOXES)
-async def test_a_failure_wakes_a_reader_that_waits(make):
-    box = make()
-    reader = asyncio.create_task(box.get())
-    await asyncio.sleep(0)
-    box.fail(Recoverable("gone"))
-    with pytest.raises(Recoverable):
-        await asyncio.wait_for(reader, 60)
-
-
-@pytest.mark.parametrize("falsy", [0, "", b"", False])
-@pytest.mark.parametrize("make", BOXES)
-async def test_a_falsy_item_is_an_item(make, falsy):
-    box = make()
-    box.offer(falsy)
-    assert await asyncio.wait_for(box.get(), 60) == falsy
 
 
 @settings(max_examples=60)

@@ -76,16 +76,6 @@ def test_a_captured_datagram_cut_or_changed_anywhere_is_refused() -> None:
         assert isinstance(nd.decode(bytes(changed)), Refusal)
 
 
-@needs_captures
-def test_time_capture_is_milliseconds_just_before_the_datagram() -> None:
-    navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
-    assert isinstance(navdata, nd.Navdata)
-    time, vision = navdata.get(nd.NavdataTime), navdata.get(nd.Vision)
-    assert time is not None
-    assert vision is not None
-    assert 0 < time.time_us / 1000 - vision.time_capture_ms < 50
-
-
 @pytest.mark.parametrize("layout", LAYOUT_OF_CLASS.values(), ids=lambda layout: layout.cls.__name__)
 def test_no_two_fields_are_swapped(layout: OptionLayout) -> None:
     option = of_distinct_numbers(layout)
@@ -176,10 +166,3 @@ def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(bodies, da
     for one, as_walked in zip((bytes(damaged), summed), expected, strict=True):
         nd.decode(good)
         assert outcome(nd.decode(one)) == as_walked
-
-
-def test_no_more_outlines_are_kept_than_a_drone_has() -> None:
-    for size in range(100):
-        head = struct.pack("<IIIIHH", nd.MAGIC, 0, 1, 1, 999, 4 + size) + bytes(size)
-        assert isinstance(nd.decode(head + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(head))), nd.Navdata)
-    assert len(nd._outlines) <= nd._OUTLINES_MOST

@@ -129,13 +129,3 @@ def test_after_the_last_frame_or_another_stream_comes_a_discontinuity() -> None:
     last = frame(1, b"x", control=CONTROL_LAST_FRAME)
     frames = PaveParser().feed(STREAM[0] + last + STREAM[2] + frame(3, b"y", stream_id=6))
     assert [f.discontinuity for f in frames] == [False, False, True, True]
-
-
-def test_reset_forgets_the_unfinished_frame() -> None:
-    parser = PaveParser()
-    parser.feed(STREAM[0] + STREAM[1][:100])
-    parser.reset()
-    frames = parser.feed(STREAM[2] + STREAM[3])
-    assert packed(frames) == STREAM[2:4]
-    assert [f.discontinuity for f in frames] == [True, False]
-    assert parser.skipped_bytes == 100

@@ -148,11 +148,6 @@ def test_pressure_and_height_are_inverses(height_m: float) -> None:
     assert height_of_pressure_m(100129.0) == pytest.approx(100.0, abs=0.5)  # ISO 2533: 1001.29 hPa at 100 m
 
 
-def test_options_refuse_nonsense() -> None:
-    with pytest.raises(ValueError, match="velocity_scale"):
-        ArDroneOptions(velocity_scale=0.0)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -315,14 +315,6 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
             client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
-def test_the_wall_clock_may_jump() -> None:
-    """Deadlines are of the monotonic clock in both processes: no clock that can be set is read."""
-    names = ("sender", "sender_lock", "sender_wire", "arbiter", "landing_watch", "command_streamer", "command_channel")
-    sources = [(ROOT / f"drivers/ardrone/{name}.py").read_text() for name in names]
-    assert any("time.monotonic_ns()" in source for source in sources)
-    assert not any("time.time" in source or "datetime" in source for source in sources)
-
-
 def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"\0decklander-test/{os.getpid()}"
     claimed = sender_lock.claim(name, f"{name}/mark", replaces=False)
@@ -355,17 +347,6 @@ async def test_a_service_that_has_lost_its_sender_gets_the_drone_back_before_a_n
         with listener:
             await until(lambda: newcomer.done() or sender_lock.yield_to(listener, None))
             assert await newcomer is None
-
-
-async def test_a_mark_without_a_sender_keeps_a_newcomer_waiting_for_a_while_only() -> None:
-    name = f"\0decklander-test/{os.getpid()}/waits"
-    with sender_lock.mark(f"{name}/mark") or socket.socket():
-        claimed = await asyncio.to_thread(sender_lock.claim, name, f"{name}/mark", replaces=False)
-        assert claimed is not None
-        listener, sequence = claimed
-        assert listener is not None
-        listener.close()
-        assert sequence == 0
 
 
 async def test_a_sender_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
-from drivers.camera.options import CameraOptions, Size, check_size
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
 from drivers.camera.v4l2_device import Buffer, DrivenExposure
@@ -252,26 +252,6 @@ async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplo
     assert caplog.text.count("claims 30000x30000 px in place of") == 1
 
 
-async def test_the_count_goes_on_over_its_wrap_and_a_new_count_is_no_gap() -> None:
-    camera, device = VideoSource(), FakeDevice()
-
-    async def story() -> None:
-        for sequence in (2**32 - 1, 0, 2, 0):
-            device.put(buffer(sequence))
-            await camera.frames.get()
-        device.unplug()
-
-    await run(camera, device, story)
-    assert camera.counters.frames_lost == 1
-
-
-async def test_silence_ends_the_run() -> None:
-    async def story() -> None:
-        return
-
-    assert await run(VideoSource(), FakeDevice(), story, silence_s=0.05) == "silent"
-
-
 async def test_cancelled_at_any_time_it_closes_the_device() -> None:
     loop = asyncio.get_running_loop()
     for delay_s in (0.0, 0.001, 0.01, 0.03):
@@ -479,19 +459,3 @@ def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(tmp_path,
 
     monkeypatch.setattr(os, call, gone)
     assert find("usb", cameras((by_id,), sysfs, tmp_path)) is None
-
-
-def test_options_refuse_what_cannot_be() -> None:
-    for wrong in (
-        {"rate_hz": 0.0},
-        {"format": "RGB9"},
-        {"latency_s": float("nan")},
-        {"buffers": 1},
-        {"device": ""},
-        {"controls": "gain"},
-        {"reconnect_most_s": 0.01, "reconnect_first_s": 1.0},
-    ):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            options(**wrong)
-    with pytest.raises(ValueError, match="frame of 8x48 px"):
-        check_size((8, 48))

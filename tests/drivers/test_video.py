@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader
+from drivers.ardrone.pave import FrameType, PaveFrame, PaveHeader
 from drivers.ardrone.video import VideoDecoder
 from tests.drivers.captures import frames_of, needs_captures
 
@@ -99,11 +99,6 @@ def test_after_a_gap_everything_is_dropped_to_the_next_idr() -> None:
     assert decoder.waiting == 3
 
 
-def test_an_idr_after_a_gap_is_a_good_start() -> None:
-    units = [clip()[0][k] for k in (0, 1)] + [replace(clip()[0][5], discontinuity=True), clip()[0][6]]
-    assert one_by_one(VideoDecoder(), units) == [0, 1, 2, 3]
-
-
 def test_after_damage_everything_is_dropped_to_the_next_idr() -> None:
     units = list(clip()[0])
     torn = units[7].payload[: len(units[7].payload) // 2]
@@ -111,14 +106,6 @@ def test_after_damage_everything_is_dropped_to_the_next_idr() -> None:
     decoder = VideoDecoder()
     assert one_by_one(decoder, units) == [0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 14, 15]
     assert (decoder.damaged, decoder.waiting) == (1, 2)
-
-
-def test_damage_before_an_idr_in_one_batch_does_no_harm() -> None:
-    units = list(clip()[0])
-    units[3] = replace(units[3], payload=b"\0\0\0\1garbage")
-    image = VideoDecoder().newest(units)
-    assert image is not None
-    assert image.index == 15
 
 
 def test_an_image_that_is_not_as_its_header_says_is_refused() -> None:
@@ -134,14 +121,6 @@ def test_other_codecs_and_parts_of_frames_are_unsupported() -> None:
     assert decoder.newest([replace(unit, header=replace(unit.header, codec=3))]) is None
     assert decoder.newest([replace(unit, header=replace(unit.header, total_slices=2))]) is None
     assert decoder.unsupported == 2
-
-
-def test_announcements_break_nothing() -> None:
-    a, b = clip()[0][:2]
-    announcement = PaveFrame(PaveHeader(0, 1, 33, FrameType.P, control=CONTROL_ADVERTISEMENT, advertised_size=9), b"", False)
-    decoder = VideoDecoder()
-    assert one_by_one(decoder, [a, announcement, b]) == [0, 2]
-    assert decoder.empty == 1
 
 
 @settings(max_examples=40)

@@ -56,13 +56,6 @@ def test_a_line_gets_the_newest_setpoint_first_and_nothing_old(steps: list[tuple
     assert ordinary == sorted(ordinary)
 
 
-def test_what_cannot_be_packed_costs_no_other_message() -> None:
-    queue = SendQueue(WireCounts())
-    queue.put(lambda: b"", "", at(0.0))
-    queue.put(lambda: b"next", "", at(0.0))
-    assert queue.take(at(0.0)) == b"next"
-
-
 async def test_a_serial_line_that_stood_still_carries_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
     far, near = os.openpty()
     tty.setraw(far)

@@ -188,11 +188,3 @@ def test_a_call_ends_with_the_step_of_a_contact() -> None:
         done += physics.run(decks, done, 2000 - done)
     assert v.touched_s == pytest.approx(done * DT)
     assert v.touched_phase == VehiclePhase.LANDING
-
-
-def test_a_delay_beyond_the_core_s_queue_is_refused() -> None:
-    with pytest.raises(ValueError, match="more than 1024 steps"):
-        Vehicle(replace(Airframe(), command_delay_s=0.5), SHAPES[0], 0.0004, np.random.SeedSequence(1))
-    sensors = SensorSettings(ultrasound_rate_hz=60.0, ultrasound_delay_s=0.5)
-    v = Vehicle(replace(Airframe(), command_delay_s=0.0), SHAPES[0], 0.0001, np.random.SeedSequence(1))
-    Sensors(sensors, v, np.random.SeedSequence(1))

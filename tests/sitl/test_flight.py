@@ -13,8 +13,7 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict
-from sitl.camera.render_worker import render_worker
-from sitl.faults.kinds import KINDS, STREAMS, LensCovered
+from sitl.faults.kinds import KINDS, STREAMS
 from sitl.flight.flight import Flight
 from sitl.flight.grader import FlightResult
 from sitl.perception.levels import perceive
@@ -107,18 +106,6 @@ def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another() -> None:
     assert one != other
 
 
-def test_images_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
-    covered = LensCovered(at_s=0.8, for_s=0.3)
-    short = msgspec.structs.replace(LOW, duration_limit_s=1.8, faults=(*LOW.faults, covered))
-    in_place = fly(short, 3)[1]
-    diary = Diary()
-    diary.flight = flight = Flight(short, 3, SIM, make_pilot(SIM, shadows=("median_mean",)), observers=[diary])
-    with render_worker(flight.world.renderer) as flight.worker:
-        flight.run()
-    assert len(diary.verdicts) > 40
-    assert diary.digest == in_place.digest
-
-
 def decisions_blind(diary: Diary) -> int:
     """Return at how many decisions sight was stale, none of which descends; what the air does to the drone is not a command."""
     blind = 0
@@ -151,9 +138,3 @@ def test_it_lands_after_the_lens_was_covered_for_a_while_in_which_it_never_sank_
     assert result.landed_on_pad
     phases = {d.phase for d in diary.decisions}
     assert "go around" in phases
-
-
-def test_the_truth_and_the_belief_agree_in_flight() -> None:
-    _, diary = calm()
-    assert len(diary.errors_m) > 200
-    assert max(diary.errors_m[50:]) < 0.25

@@ -9,21 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.settings.load import SHIPPED, shipped
+from companion.settings.load import SHIPPED
 from companion.settings.refusal import unit_of, walk
 from estimator.contracts.errors import BadInput
 from sitl.faults.kinds import KINDS
-from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios
+from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load, shipped_scenarios
 from sitl.sea.sea import SEA_STATES
-
-
-@pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4"])
-def test_shipped_scenarios_load(name: str) -> None:
-    assert name in shipped("scenarios")
-    scenario = load(name)
-    assert scenario.title
-    assert camera_model(scenario).width == 640
-    assert pad_model(scenario).disc_radius_m == 0.39
 
 
 def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

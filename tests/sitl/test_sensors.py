@@ -14,7 +14,6 @@ from sitl.scenario.scenario import Scenario
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import Readings, Sensors
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.vessel import Mounted
@@ -148,21 +147,6 @@ def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
         assert (fly(v, s, 20)[-1].ultrasound_m is not None) is hears
 
 
-def test_blind_optical_flow_reports_no_velocity() -> None:
-    v, s = setup(PERFECT)
-    fly(v, s, 30)
-    v.flow_works = False
-    r = fly(v, s, 30)[-1]
-    assert r.v_level_m_s == (0.0, 0.0)
-
-
-def test_battery_lasts_its_life_in_flight_only() -> None:
-    v, s = setup(msgspec.structs.replace(PERFECT, battery_start=1.0, battery_life_s=10.0))
-    fly(v, s, 250)
-    v.cut_motors()
-    assert fly(v, s, 250)[-1].battery_fraction == pytest.approx(0.9, abs=1e-9)
-
-
 def test_reading_changes_nothing() -> None:
     """The same seed gives the same readings to the bit, however often and whatever is asked in between."""
     often, seldom = setup(SensorSettings(), 5), setup(SensorSettings(), 5)
@@ -176,17 +160,6 @@ def test_reading_changes_nothing() -> None:
     for name in ("f_body", "w_body", "rpy_rad", "v_level_m_s", "magnetometer"):
         assert np.array_equal(getattr(once, name), getattr(last, name)), name
     assert (once.ultrasound_m, once.pressure_pa) == (last.ultrasound_m, last.pressure_pa)
-
-
-def test_one_sensor_does_not_disturb_another() -> None:
-    """Each draws from its own generator: another ultrasound rate leaves the rest as it was to the bit."""
-    a = fly(*setup(SensorSettings(), 5), 300)[-1]
-    b = fly(*setup(SensorSettings(ultrasound_rate_hz=10.0, pressure_sigma_pa=0.0), 5), 300)[-1]
-    assert np.array_equal(a.f_body, b.f_body)
-    assert np.array_equal(a.rpy_rad, b.rpy_rad)
-    assert a.magnetometer is not None
-    assert b.magnetometer is not None
-    assert np.array_equal(a.magnetometer, b.magnetometer)
 
 
 @pytest.mark.skipif(not RECORDED.exists(), reason="the recorded flight is not at hand")
@@ -210,10 +183,3 @@ def test_noise_in_flight_is_that_of_the_real_drone() -> None:
 def _recorded(name: str, columns: list[str]) -> F64:
     with (RECORDED / name).open() as file:
         return np.array([[float(row[c]) for c in columns] for row in csv.DictReader(file)])
-
-
-def test_defaults_of_airframe_and_scenario_agree() -> None:
-    made, base = airframe(Scenario(title="bench")), Airframe()
-    assert made.mass_kg == base.mass_kg
-    assert made.avionics.flow_scale == base.avionics.flow_scale
-    assert made.avionics.tilt_bias_sigma_rad == pytest.approx(base.avionics.tilt_bias_sigma_rad, rel=0.05)

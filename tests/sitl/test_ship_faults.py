@@ -49,12 +49,6 @@ def test_a_vessel_that_stops_comes_to_rest_where_her_speed_takes_her() -> None:
     assert math.degrees(math.atan2(ran[1], ran[0])) == pytest.approx(30.0, abs=1e-3)
 
 
-def test_a_change_of_speed_with_an_end_is_taken_back() -> None:
-    track = decks(UNDER_WAY, ShipSpeed(at_s=0.5, for_s=3.0, to_m_s=4.0, over_s=1.0), until_s=6.0)
-    assert np.hypot(*track[20][1][:2]) == pytest.approx(4.0, abs=1e-6)
-    assert np.hypot(*track[-1][1][:2]) == pytest.approx(2.0, abs=1e-6)
-
-
 def test_a_turning_vessel_changes_her_heading_and_goes_where_she_points() -> None:
     track = decks(UNDER_WAY, ShipTurn(at_s=1.0, rate_deg_s=3.0, over_s=2.0), until_s=11.0)
     assert heading(track[5][2]) == pytest.approx(30.0, abs=1e-6)
@@ -117,14 +111,6 @@ def test_the_motion_ahead_is_what_comes_and_the_acceleration_that_of_the_velocit
         truth = at(w, 2.0 + later).truth()
         np.testing.assert_allclose(ahead.p_ned[0, n], truth.p_pad_ned, atol=1e-4)
         np.testing.assert_allclose(ahead.v_ned[0, n], truth.v_pad_ned, atol=1e-6)
-
-
-def test_a_fault_that_begins_later_changes_nothing_before_and_only_itself_after() -> None:
-    one = decks(ROUGH, ALL[0], until_s=2.0, each_s=0.05)
-    both = decks(ROUGH, ALL[0], DeckRoll(at_s=1.51, period_s=2.0), until_s=2.0, each_s=0.05)
-    assert all(np.array_equal(a, b) for x, y in zip(one[:31], both[:31], strict=True) for a, b in zip(x, y, strict=True))
-    course = [np.hypot(*(y[1] - x[1])[:2]) for x, y in zip(one, both, strict=True)]
-    assert max(course) < 1.5, "the course goes on from where it was"
 
 
 def test_a_limited_tilt_is_never_exceeded() -> None:

@@ -40,13 +40,3 @@ def test_the_tilt_rates_are_those_of_the_deck_whatever_the_ships_heading() -> No
     assert np.abs(off).max() < 2e-3
     assert np.abs(differences).max() > 2e-2, "there is a motion to be told"
     assert max(size) < math.radians(30.0)
-
-
-def test_the_motion_of_the_pad_is_that_of_the_newest_step() -> None:
-    world = World(load("moderate"), 1)
-    for to_ns in (0, STEP_NS, 99 * STEP_NS, 100 * STEP_NS, 101 * STEP_NS, 250 * STEP_NS):
-        world.advance(MonoNs(to_ns))
-        truth, pad = world.truth(), world.pad_motion()
-        np.testing.assert_allclose(pad.p_ned, truth.p_pad_ned, atol=1e-12)
-        np.testing.assert_allclose(pad.v_ned, truth.v_pad_ned, atol=1e-12)
-        np.testing.assert_allclose(pad.R_ned, truth.R_ned_pad.matrix, atol=1e-12)

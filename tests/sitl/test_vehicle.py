@@ -109,22 +109,6 @@ def test_each_stick_moves_its_own_way(yaw_rad, stick, expected):
     assert np.abs(moved * (np.array(expected) == 0.0)).max() < 0.1
 
 
-def test_full_stick_means_the_limits() -> None:
-    v = flying()
-    v.command(0.0, -1.0, 0.0, 0.0, progressive=True)
-    run(v, 15.0)
-    roll, pitch, _ = Rotation(v.R_ned_body).rpy_rad
-    assert pitch == pytest.approx(-v.limits.euler_angle_max_rad, abs=1e-3)
-    assert abs(roll) < 1e-6
-    speed = G_M_S2 * math.tan(v.limits.euler_angle_max_rad) / STILL.drag_per_s[0]
-    assert v.v_ned[0] == pytest.approx(speed, rel=0.02)
-    v = flying()
-    v.command(0.0, 0.0, 1.0, 1.0, progressive=True)
-    run(v, 5.0)
-    assert v.v_ned[2] == pytest.approx(-v.limits.vz_max_m_s, rel=0.03)
-    assert v.w_body[2] == pytest.approx(v.limits.yaw_rate_max_rad_s, rel=0.01)
-
-
 def test_tilt_answers_as_the_thesis_loop_does() -> None:
     """The loop with instant motors and no delay is theta'' = P (asked - theta) - D theta'."""
     v = flying(replace(STILL, motor_lag_s=0.0, command_delay_s=0.0))
@@ -139,23 +123,6 @@ def test_tilt_answers_as_the_thesis_loop_does() -> None:
         assert Rotation(v.R_ned_body).rpy_rad[0] == pytest.approx(exact, abs=0.003)
 
 
-def test_a_command_waits_for_its_delay() -> None:
-    v = flying(replace(STILL, command_delay_s=0.1))
-    v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
-    run(v, 0.1)
-    assert v.w_body[0] == 0.0
-    assert v.phase == VehiclePhase.HOVERING
-    run(v, 0.02)
-    assert v.w_body[0] > 0.0
-
-
-def test_without_progressive_the_fractions_are_ignored() -> None:
-    v = flying()
-    v.command(1.0, 1.0, 1.0, 1.0, progressive=False)
-    run(v, 2.0)
-    assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
-
-
 def test_hover_stops_and_stays_against_a_new_wind() -> None:
     v = flying()
     v.v = (1.5, -1.0, 0.0)
@@ -163,13 +130,6 @@ def test_hover_stops_and_stays_against_a_new_wind() -> None:
     run(v, 30.0)
     assert np.abs(v.v_ned).max() < 0.01
     assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / G_M_S2, rel=0.05)
-
-
-def test_starts_in_balance_with_the_steady_wind() -> None:
-    v = flying(wind=Wind((2.0, -1.0, 0.0)), yaw_rad=0.7)
-    run(v, 5.0)
-    assert np.hypot(*v.p_ned[:2]) < 0.02
-    assert v.p_ned[2] == pytest.approx(-10.0, abs=0.01)
 
 
 def test_hover_drifts_with_the_deck_it_sees() -> None:
@@ -285,18 +245,6 @@ def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
     assert np.hypot(*at_rest[:2]) < 0.5
 
 
-def test_slides_off_a_deck_too_steep_to_stand_on() -> None:
-    R = Rotation.from_rpy(math.radians(40), 0.0, 0.0).matrix
-    steep = Ground.of(np.array([0.0, 0.0, -5.0]), np.zeros(3), R, np.zeros(3))
-    v = make()
-    v.stand(steep, np.array([0.0, 0.0, -STILL.feet.below_m]), 0.0)
-    run(v, 0.5, steep)
-    assert not v.tied
-    slid = on_pad(v, steep)[1]
-    mu = STILL.feet.friction
-    assert slid == pytest.approx(0.5 * G_M_S2 * (math.sin(math.radians(40)) - mu * math.cos(math.radians(40))) * 0.25, rel=0.25)
-
-
 def test_friction_stops_a_sideways_touch() -> None:
     v = make()
     v.place(np.array([-0.5, 0.0, -0.5 - STILL.feet.below_m]), np.array([0.6, 0.0, 0.1]), 0.0)
@@ -307,18 +255,6 @@ def test_friction_stops_a_sideways_touch() -> None:
     slid = on_pad(v, flat_deck())[0] + 0.5
     assert 0.01 < slid < 0.2
     assert abs(on_pad(v, flat_deck())[1]) < 0.01
-
-
-def test_takes_off_and_hovers() -> None:
-    v = make()
-    v.stand(flat_deck(), np.array([0.0, 0.0, -STILL.feet.below_m]), 0.2)
-    v.land()
-    assert v.phase == VehiclePhase.LANDED
-    v.take_off()
-    run(v, 10.0, flat_deck())
-    assert v.phase == VehiclePhase.HOVERING
-    assert -v.p_ned[2] - 0.5 == pytest.approx(STILL.take_off_height_m, abs=0.25)
-    assert np.hypot(*v.p_ned[:2]) < 0.05
 
 
 def test_water_ends_the_flight() -> None:
@@ -357,32 +293,3 @@ def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
     v.rotor_health = (0.0, 1.0, 1.0, 1.0)
     run(v, 3.0)
     assert v.phase == VehiclePhase.EMERGENCY
-
-
-def test_gusts_have_their_size_and_memory() -> None:
-    wind = Wind(gust_sigma_m_s=1.5, gust_time_s=2.0)
-    each = [Vehicle(Airframe(), SHAPE, DT, seed, wind) for seed in np.random.SeedSequence(3).spawn(1500)]
-    first = np.array([v.gust for v in each]).T
-    for v in each:
-        v.place(np.array([0.0, 0.0, -50.0]), np.zeros(3), 0.0)
-        run(v, 1.0)
-    last = np.array([v.gust for v in each]).T
-    assert last.std(axis=1) == pytest.approx([1.5, 1.5, 0.75], rel=0.06)
-    assert (first * last).mean(axis=1) / (first.std(axis=1) * last.std(axis=1)) == pytest.approx([math.exp(-0.5)] * 3, abs=0.07)
-
-
-def test_deck_outline_with_pad_turned() -> None:
-    shape = DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=math.pi / 2)
-    assert shape.holds(0.0, -1.9)
-    assert not shape.holds(0.0, -3.1)
-    assert shape.holds(1.4, 0.0)
-    assert not shape.holds(1.6, 0.0)
-    assert not shape.holds(-1.1, 0.0)
-    assert not shape.holds(1.4, -2.9)
-    with pytest.raises(ValueError, match="length and a width"):
-        DeckShape(-1.0, 1.0, 1.0, 1.0)
-
-
-def test_step_length_is_bounded() -> None:
-    with pytest.raises(ValueError, match="step_s"):
-        Vehicle(Airframe(), SHAPE, 0.02, np.random.SeedSequence(1))

@@ -109,25 +109,6 @@ def test_a_vehicle_with_a_weak_rotor_and_authority_left_flies_on_level(name: str
     assert np.linalg.norm(v.v_ned) < 0.4
 
 
-@pytest.mark.parametrize("name", shipped("vehicles"))
-def test_without_a_disturbance_the_loops_make_up_for_nothing(name: str) -> None:
-    v = Vehicle(shipped_vehicle(name).airframe(), DeckShape(2.0, 2.0, 2.0, 2.0), STEP_S, np.random.SeedSequence(3))
-    v.place(np.array([0.0, 0.0, -30.0]), np.zeros(3), 0.3)
-    largest = 0.0
-    for i in range(1500):
-        v.command(math.sin(i / 80), math.cos(i / 130), 0.2 * math.sin(i / 200), 0.5, True)
-        v.step(Ground.nowhere())
-        largest = max(largest, *(abs(float(x)) for x in v.unasked_rad_s2))
-    assert largest < 1e-6
-
-
-def test_a_rotor_that_the_vehicle_does_not_have_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "w.toml"
-    path.write_text('title = "w"\nbase = "calm"\n[[faults]]\nkind = "weak_rotor"\nat_s = 1.0\nrotor = "left"\n')
-    with pytest.raises(BadInput, match=r"faults\[0\]\.rotor must be one of front_left, .* found 'left'"):
-        load_scenario(path)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

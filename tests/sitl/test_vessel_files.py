@@ -14,7 +14,6 @@ from sitl.sea.sea import SEA_STATES, Waves
 from sitl.vessel.file import Mode, RecordedMotion, Table, load
 from sitl.vessel.seakeeping import (
     FERRY,
-    HULLS,
     SUPPLY_SHIP,
     Hull,
     ResponseTable,
@@ -57,14 +56,6 @@ def test_every_shipped_vessel_loads_says_its_source_and_carries_the_pad() -> Non
         hull = load(SHIPPED / "vessels" / f"{name}.toml").hull
         assert min(hull.deck_m) >= 1.0, "the pad is 0.78 m wide"
         assert hull.gm_m is not None, "it can turn"
-
-
-@pytest.mark.parametrize("name", ["ferry", "supply_ship"])
-def test_the_files_of_the_older_hulls_move_as_those_do(name: str) -> None:
-    w, beta = np.linspace(0.2, 4.0, 40), np.linspace(-3, 3, 40)
-    of_file = load(SHIPPED / "vessels" / f"{name}.toml").hull
-    assert np.array_equal(responses(of_file, w, beta, 1.0), responses(HULLS[name], w, beta, 1.0))
-    assert of_file.d_vessel_pad_m == HULLS[name].d_vessel_pad_m
 
 
 def tabled(hull: Hull, w: F64, headings_deg: F64) -> Table:
@@ -160,15 +151,6 @@ def test_a_bad_recording_is_refused_in_one_line(tmp_path: Path, text: str, said:
     assert str(why.value).startswith(f"{path}: ")
     assert said in str(why.value)
     assert "\n" not in str(why.value)
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x00" * 50, b'"' + b"x" * 200_000])
-def test_a_recording_that_is_no_text_is_refused_too(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "bad.csv").write_bytes(content)
-    with pytest.raises(BadInput, match=r"bad\.csv: "):
-        RecordedMotion.read(tmp_path / "bad.csv")
-    with pytest.raises(BadInput, match=r"none\.csv: not readable"):
-        RecordedMotion.read(tmp_path / "none.csv")
 
 
 CLOSED = "[closed_form]\nblock = 0.6\nroll_period_s = 2.2\nroll_damping = 0.2\n"
@@ -309,12 +291,3 @@ def test_a_moored_ship_in_a_current_meets_the_waves_where_they_pass() -> None:
         water = np.array([waves.elevation(p[i, :2], t[i])[0] for i in range(t.size)])
         assert np.corrcoef(-p[:, 2], water)[0, 1] > 0.98
         assert np.hypot(*(p[-1, :2] - p[0, :2])) == pytest.approx(0.0 if mooring else 59.5 * math.hypot(1.2, 0.4), abs=4.0)
-
-
-@pytest.mark.parametrize("turn_rate_deg_s", [0.0, 0.7, -2.0])
-def test_the_way_is_the_velocity_of_the_pad_without_waves(turn_rate_deg_s: float) -> None:
-    course = {"heading_rad": 0.7, "speed_m_s": 4.0}
-    turn = Turn(math.radians(turn_rate_deg_s), 5.0, 10.0)
-    ship = TurningVessel(TURNING, Waves.flat(), turn, **course) if turn_rate_deg_s else Vessel(TURNING, Waves.flat(), **course)
-    for t_s in (0.0, 9.0, 40.0):
-        assert ship.way_at(t_s) == pytest.approx(ship.pad_at(t_s).v_ned, abs=0.01), "but for the heel"

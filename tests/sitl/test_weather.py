@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
@@ -276,8 +275,3 @@ def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
         assert output in page
     with pytest.raises(BadInput, match="a map needs flights that vary"):
         cells_of([{"seed": 1}])
-
-
-def test_the_names_of_old_seas_stay() -> None:
-    assert {f"sea_state_{n}" for n in range(7)} <= set(shipped("scenarios"))
-    assert not any(load(f"sea_state_{n}").weather.given for n in range(7))

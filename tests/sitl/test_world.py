@@ -11,8 +11,6 @@ from companion.base.mission import State
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.emulators.ardrone.truth_log import record
-from sitl.faults.kinds import KINDS, Gust, WeakRotor
-from sitl.faults.sensors import Magnetometer, Ultrasound
 from sitl.flight.grade import outside_commit
 from sitl.scenario.scenario import Scenario, Start, load
 from sitl.sea.sea import Sea
@@ -211,17 +209,6 @@ def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     assert touch.surface in ("pad", "deck")
 
 
-def test_water_is_recorded_as_such() -> None:
-    world = World(with_(load("demo"), start=Start(height_m=2.0, pad_right_m=6.0)), 1)
-    world.land()
-    run(world, 10.0)
-    truth = world.truth()
-    assert truth.phase == VehiclePhase.EMERGENCY
-    assert truth.touchdown is not None
-    assert truth.touchdown.surface == "water"
-    assert not truth.touchdown.on_pad
-
-
 def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> None:
     """It strikes the deck in flight, hops off, is landed, and nothing of it is overwritten."""
     world = World(with_(CALM, start=Start(height_m=0.6)), 1)
@@ -259,43 +246,6 @@ def test_emergency_stops_the_motors_at_once() -> None:
     run(world, 2.0)
     world.leave_emergency()
     assert phase_of(world) == VehiclePhase.LANDED
-
-
-def test_limits_can_be_set_in_flight() -> None:
-    world = World(CALM, 1)
-    world.limits.vz_max_m_s = 0.3
-    world.stick(Stick(gaz=1.0, progressive=True))
-    run(world, 3.0)
-    assert world.truth().v_body_ned[2] == pytest.approx(-0.3, abs=0.03)
-
-
-def test_faults_come_and_go() -> None:
-    kinds = ("lens_covered", "flow_blind", "link_lost")
-    silent = (Ultrasound(at_s=0.5, for_s=0.5, dropped_fraction=1.0), Magnetometer(at_s=0.5, for_s=0.5, dropped_fraction=1.0))
-    faults = (*(KINDS[kind](at_s=0.5, for_s=0.5) for kind in kinds), *silent)
-    world = World(with_(CALM, faults=faults), 1)
-    for at, on in ((0.4, False), (0.8, True), (1.3, False)):
-        world.advance(after(world.started, at))
-        r, px = world.readings(), world.render().px
-        assert all(world.active(f.kind) is on for f in faults)
-        assert bool(px.max() < 10) is on
-        assert (r.ultrasound_m is None) is on
-        assert (r.magnetometer is None) is on
-        assert (r.v_level_m_s == (0.0, 0.0)) is on
-
-
-def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
-    calm, gust = World(CALM, 1), World(with_(CALM, faults=(Gust(at_s=1.0, for_s=2.0, speed_m_s=8.0, from_deg=90.0),)), 1)
-    weak = World(with_(CALM, faults=(WeakRotor(at_s=1.0, for_s=5.0, rotor="front_left", thrust_fraction=0.9),)), 1)
-    for world in (calm, gust, weak):
-        run(world, 0.99)
-    assert same(calm.truth(), gust.truth())
-    for world in (calm, gust, weak):
-        run(world, 0.2)
-    assert weak.truth().R_ned_body.rpy_rad[0] - calm.truth().R_ned_body.rpy_rad[0] < -0.005
-    for world in (calm, gust):
-        run(world, 0.8)
-    assert gust.truth().p_body_ned[1] - calm.truth().p_body_ned[1] < -0.1
 
 
 def test_velocity_may_be_reported_against_the_water() -> None:

@@ -100,21 +100,6 @@ def test_a_quadrotor_is_seen() -> None:
     assert 30 <= counts["ATTITUDE_QUATERNION"] <= 42
 
 
-@pytest.mark.parametrize(("mode", "flying", "state"), [("landed", False, 1), ("taking_off", True, 3), ("landing", True, 4)])
-def test_landed_state(mode: str, flying: bool, state: int) -> None:
-    station = Station()
-    station.drone(flying=flying, mode=mode, seconds=0.6)
-    assert station.newest("EXTENDED_SYS_STATE").landed_state == state
-
-
-def test_no_heartbeat_of_a_drone_that_is_not_received() -> None:
-    station = Station()
-    station.bridge.tick(station.now)
-    station.bridge.on_sample(VehicleStatus(stamp(station.now), None, "unknown", None, False, False))
-    station.bridge.tick(MonoNs(station.now + 2 * S))
-    assert not [m for m in station.messages if m.get_type() == "HEARTBEAT"]
-
-
 def test_arm_take_off_hold_and_land() -> None:
     station = Station()
     station.drone(flying=False, mode="landed", seconds=0.5)

@@ -94,13 +94,6 @@ def test_a_velocity_that_is_hardly_known_is_nobodys_way() -> None:
     assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
-def test_a_pad_that_lies_still_has_none() -> None:
-    scene = Scene(np.zeros(3))
-    found = run(DeckVelocity(scene.believe, scene), scene, 3.0)
-    assert found[:2] == pytest.approx([0.0, 0.0], abs=0.06)
-    assert abs(found[2]) < 0.12
-
-
 def test_it_is_held_without_sight_then_kept_as_the_ship_s_way_and_forgotten_in_the_end() -> None:
     """A vehicle that gave up must not stay over the ground while the ship sails away from under it."""
     scene = Scene(np.array([1.5, 0.0, 0.0]))

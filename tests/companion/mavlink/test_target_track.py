@@ -119,12 +119,6 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
     assert max(theirs) > 20 * max(ours)
 
 
-def test_the_ring_is_one_loop_shorter_than_its_name() -> None:
-    assert effective_lag_s(0.02) == pytest.approx(0.0175)
-    assert effective_lag_s(0.25) == pytest.approx(0.2475)
-    assert effective_lag_s(0.0) == 0.0
-
-
 def filled(rate_hz: float = 50.0, seconds: float = 1.0) -> TargetTrack:
     track = TargetTrack()
     for k in range(round(seconds * 100) + 5):

@@ -2,7 +2,6 @@
 
 import gc
 import itertools
-import math
 import struct
 from collections import Counter
 from collections.abc import Sequence
@@ -226,11 +225,3 @@ def test_a_dataflash_log_that_is_refused_is_closed(content: bytes, tmp_path: Pat
     left = [link for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.resolve() == path.resolve()]
     assert left == []
     gc.collect()  # a file that was not closed says so here, which is an error in these tests
-
-
-def test_angles_of_a_log_are_degrees() -> None:
-    reader = dataflash._Reader(None)
-    attitude = reader._attitude(SimpleNamespace(Roll=1.0, Pitch=2.0, Yaw=359.0), 0)
-    assert isinstance(attitude, Attitude)
-    assert np.degrees(attitude.R_ned_body.rpy_rad) == pytest.approx([1.0, 2.0, -1.0])
-    assert reader._attitude(SimpleNamespace(Roll=math.nan, Pitch=0.0, Yaw=0.0), 0) is None

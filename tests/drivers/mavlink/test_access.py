@@ -29,10 +29,6 @@ def test_by_default_nobody_may_command() -> None:
         assert level(access, CABLE, ids) is AccessLevel.PEER, "spoken to since we were told to connect there"
 
 
-def test_whoever_signs_may_command() -> None:
-    assert level(Access(NamedSenders()), A, STATION, signed=True) is AccessLevel.OPERATOR
-
-
 def test_whoever_is_received_where_the_autopilot_is_may_command() -> None:
     access = Access(NamedSenders(), autopilot=(A, AUTOPILOT))
     assert level(access, A, STATION) is AccessLevel.OPERATOR
@@ -57,12 +53,6 @@ def test_a_named_system_is_held_to_its_peer_until_that_one_falls_silent() -> Non
     assert level(access, B, STATION, 58.0) is AccessLevel.UNKNOWN
     assert level(access, B, STATION, 60.0) is AccessLevel.OPERATOR
     assert access.refused["impostor"] == 3
-
-
-def test_one_component_of_a_system_may_be_named_alone() -> None:
-    access = Access(NamedSenders((Named(255, 190),)))
-    assert level(access, A, (255, 191)) is AccessLevel.UNKNOWN
-    assert level(access, A, STATION) is AccessLevel.OPERATOR
 
 
 def test_a_ship_is_listened_to_and_may_not_command() -> None:

@@ -91,10 +91,6 @@ def test_what_is_no_attitude_is_refused_and_counted(message: Message, why: str) 
     assert sampler.refused == {why: 1}
 
 
-def test_at_the_limit_of_its_travel_it_still_knows_where_it_is() -> None:
-    assert taken(status(failure=1 | 2 | 4 | 512))[0] is not None
-
-
 def test_the_older_message_counts_only_while_the_newer_one_does_not_come() -> None:
     sampler = GimbalSampler(GimbalOptions(154))
     older = mav.MAVLink_mount_orientation_message(0, 0.0, -90.0, 0.0, 0.0)

@@ -182,9 +182,3 @@ async def test_signed_links_hear_each_other_only() -> None:
             ours.send(heartbeat())
             assert (await signed.received.get()).message.get_signed()
             assert len(unsigned.received) == 0
-
-
-async def test_an_error_of_the_caller_comes_out_as_itself() -> None:
-    with pytest.raises(KeyError):
-        async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191)):
-            raise KeyError("mine")

@@ -58,14 +58,6 @@ def test_velocity_is_turned_into_level_by_the_heading_alone(yaw_deg: int) -> Non
     assert s.positions[-1].p_body_ned == pytest.approx((11.0, 12.0, -13.0))
 
 
-def test_velocity_needs_an_attitude_of_its_time() -> None:
-    s = sampler()
-    assert s.samples(mav.MAVLink_local_position_ned_message(4000, 1, 2, 3, 4, 5, 6), NOW) == []
-    s.samples(attitude(0.0), NOW)
-    late = MonoNs(NOW + 2_000_000_000)
-    assert s.samples(mav.MAVLink_local_position_ned_message(6000, 1, 2, 3, 4, 5, 6), late) == []
-
-
 def test_imu_of_both_stacks() -> None:
     (raw,) = sampler().samples(mav.MAVLink_raw_imu_message(4_000_000, 100, -200, -1000, 10, -20, 30, 0, 0, 0), NOW)
     assert isinstance(raw, Imu)
@@ -167,10 +159,6 @@ def test_range() -> None:
 )
 def test_a_range_that_is_none(message: Any) -> None:
     assert sampler().samples(message, NOW) == []
-
-
-def test_our_own_range_echoed_by_the_autopilot_is_not_a_measurement() -> None:
-    assert sampler(ranges=False).samples(distance(345), NOW) == []
 
 
 def status(s: MavlinkSampler, message: Any, at: int = NOW) -> VehicleStatus | None:
@@ -299,12 +287,6 @@ def test_what_no_sensor_can_measure_is_refused_before_its_stamp_is_accepted(mess
     assert s.samples(message, NOW) == []
     assert s.refused.total() == 1
     assert s._clock._newest is None, "nor does it move the autopilot's clock"
-
-
-def test_a_bow_beyond_the_circle_is_refused() -> None:
-    s = sampler()
-    assert s.vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 36_001), NOW) == []
-    assert s.refused == {"GLOBAL_POSITION_INT": 1}
 
 
 def test_a_message_that_came_twice_or_was_overtaken_is_counted_and_makes_no_sample() -> None:

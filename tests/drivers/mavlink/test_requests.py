@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, message_id, parameter_value, wire_value
+from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, parameter_value, wire_value
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.time import MonoNs
 
@@ -93,12 +93,6 @@ def test_the_mode_is_polled_where_its_reports_come_less_often_than_asked(result:
     assert streams.refused == ({"HEARTBEAT": 4} if result else {})
 
 
-def test_a_name_the_dialect_lacks_is_a_mistake() -> None:
-    assert message_id("LANDING_TARGET") == 149
-    with pytest.raises(KeyError):
-        message_id("LANDING_TARGETS")
-
-
 def value(name: str, number: float, kind: int = 9) -> Message:
     return mav.MAVLink_param_value_message(name.encode(), number, kind, 900, 65535)
 
@@ -118,14 +112,6 @@ def test_parameters_are_read_a_few_at_a_time() -> None:
     assert reader.values["PLND_0"] == 0.5
     reader.request(["PLND_3"])
     assert not reader.settled
-
-
-def test_a_refused_parameter_is_absent_at_once() -> None:
-    reader = Parameters(Stack.PX4, ["NO_SUCH"])
-    reader.due(at(0), TARGET)
-    reader.on_message(mav.MAVLink_param_error_message(255, 190, b"NO_SUCH", -1, 1))
-    assert reader.settled
-    assert reader.absent == {"NO_SUCH"}
 
 
 @pytest.mark.parametrize(("number", "kind", "layout"), [(-7, 6, "<i"), (1, 6, "<i"), (65000, 3, "<Hxx"), (200, 1, "<Bxxx")])

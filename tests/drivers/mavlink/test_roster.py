@@ -93,21 +93,6 @@ def test_another_id_is_taken_when_the_autopilot_has_been_silent() -> None:
     assert not roster.chosen(1, late, at(20.0)), "which of the two is its new id?"
 
 
-def test_a_chosen_system_is_the_one_whatever_else_is_there() -> None:
-    roster = roster_of(system_id=7)
-    heard(roster, 3.0, 1)
-    assert not roster.chosen(1, None, at(3.0))
-    assert roster.chosen(7, None, at(3.0))
-    assert names(roster, SEVEN, 3.0) == {}
-
-
-def test_others_are_no_autopilots() -> None:
-    roster = roster_of(vessel_id=17)
-    for one in (beat(17, 0.0), beat(3, 0.0, component=154), beat(4, 0.0, kind=11)):
-        roster.on_heartbeat(one)
-    assert names(roster, SEVEN, 0.5) == {}
-
-
 @pytest.mark.hazard("H8")
 def test_two_of_one_id_are_named_and_nobody_is_commanded() -> None:
     roster = roster_of(system_id=7)

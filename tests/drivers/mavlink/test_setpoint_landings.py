@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.mavlink.custody import Hand
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.dialect import Message
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.vehicle import Condition, Identity, Stack
@@ -12,8 +12,8 @@ from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveE
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
+from tests.drivers.mavlink.test_setpoint_streamer import GO, modes, stops, velocities
 
-GO = Velocity(np.array([0.5, -0.25, 0.125]), 0.3)
 GUIDED, LAND, BRAKE = (4, 0), (9, 0), (17, 0)
 OFFBOARD, LOITER, AUTO_LAND = (6, 0), (4, 3), (4, 6)
 
@@ -35,22 +35,20 @@ class Flight:
     def take(self, command: Command, t: float, way: F64 | None = None) -> None:
         self.streamer.take(command, ms(t), way)
 
-    def sends(self, t: float, *, blind: bool = False) -> tuple[list[tuple[float, ...]], list[tuple[float, float]]]:
-        """Velocities and modes of one period."""
+    def sends(
+        self, t: float, *, blind: bool = False
+    ) -> tuple[list[tuple[float, float, float, float]], list[tuple[float, float]]]:
+        """Return the velocities and modes of one period."""
         if not blind:
             self.streamer.on_attitude(Attitude(Stamp(ms(t), ms(t), 0.001, "synced"), Rotation.identity(), 1e-4 * np.eye(3)))
         return said(self.streamer.period(ms(t)))
 
 
-def said(messages: list[Message]) -> tuple[list[tuple[float, ...]], list[tuple[float, float]]]:
-    v: list[tuple[float, ...]] = [
-        (m.vx, m.vy, m.vz, m.yaw_rate) for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
-    ]
-    return v, [(m.param2, m.param3) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_DO_SET_MODE]
+def said(messages: list[Message]) -> tuple[list[tuple[float, float, float, float]], list[tuple[float, float]]]:
+    return velocities(messages), modes(messages)
 
 
 STILL = (0.0, 0.0, 0.0, 0.0)
-GOING = (0.5, -0.25, 0.125, 0.3)
 
 
 def ours(stack: Stack = Stack.ARDUPILOT, way: F64 | None = None, **options: object) -> Flight:
@@ -61,24 +59,6 @@ def ours(stack: Stack = Stack.ARDUPILOT, way: F64 | None = None, **options: obje
     flight.told("guided" if stack is Stack.ARDUPILOT else "offboard")
     assert flight.streamer.hand is Hand.OURS
     return flight
-
-
-def test_a_velocity_is_flown_up_to_its_age_and_without_a_way_it_then_stands_still() -> None:
-    flight = ours()
-    assert flight.sends(250) == ([GOING], [])
-    assert flight.streamer.stale_periods == 0
-    assert flight.sends(250.001) == ([STILL], [])
-    assert flight.sends(251) == ([STILL], [])
-    assert flight.streamer.stale_periods == 2
-
-
-def test_a_hover_is_a_command_and_stands_over_what_lies_below() -> None:
-    flight = ours(way=np.array([1.0, 2.0, 3.0]))
-    for t in range(100, 7000, 200):
-        flight.take(Hover(), t)
-        assert flight.sends(t)[0] == [(1.0, 2.0, 0.0, 0.0) if t <= 3000 else STILL]
-    assert flight.streamer.hand is Hand.OURS
-    assert flight.streamer.stale_periods == 0
 
 
 @pytest.mark.parametrize(("flying", "hand"), [(True, Hand.TAKING), (None, Hand.TAKING), (False, Hand.NOBODY)])
@@ -174,17 +154,6 @@ def test_a_landing_by_velocity_ends_by_its_depth(down_m: float, v: tuple[float, 
     assert flight.sends(100)[0] == [v]
 
 
-def test_the_velocity_that_is_carried_is_a_mean_over_a_second() -> None:
-    flight = ours(Stack.PX4)
-    flight.take(Velocity(np.array([1.5, 0.75, 0.0]), 0.0), 250)
-    flight.take(Land(), 250)
-    assert flight.sends(250)[0][0] == pytest.approx((0.75, 0.0, 0.4, 0.0))
-    late = ours(Stack.PX4)
-    late.take(Velocity(np.array([1.5, 0.75, 0.0]), 0.0), 2000)
-    late.take(Land(), 2000)
-    assert late.sends(2000)[0][0] == pytest.approx((1.5, 0.75, 0.4, 0.0))
-
-
 def test_a_landing_by_mode_is_requested_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:
     flight = ours()
     for t in (100, 600, 1099, 1100):
@@ -237,22 +206,6 @@ def test_the_last_word_is_to_stand_still_where_the_vehicle_is_ours() -> None:
     assert said(taking.streamer.leave(ms(10))) == ([STILL], [])
 
 
-def test_arming_and_taking_off_carry_nothing_else_and_are_requested_again_though_one_try_is_allowed() -> None:
-    flight = Flight(mode="guided", request_tries=1)
-    flight.told("guided", flying=False, armed=False)
-    flight.take(TakeOff(), 0)
-    for t in (0, 1000, 2000):
-        (arm,) = flight.streamer.period(ms(t))
-        assert arm.command == mav.MAV_CMD_COMPONENT_ARM_DISARM
-        assert (arm.target_system, arm.target_component, arm.confirmation) == (7, 1, 0)
-        assert [getattr(arm, f"param{n}") for n in range(1, 8)] == [1, 0, 0, 0, 0, 0, 0]
-        assert flight.streamer.period(ms(t + 999)) == []
-    flight.told("guided", flying=False, armed=True)
-    (up,) = flight.streamer.period(ms(3000))
-    assert (up.command, up.confirmation) == (mav.MAV_CMD_NAV_TAKEOFF, 0)
-    assert [getattr(up, f"param{n}") for n in range(1, 8)] == [0, 0, 0, 0, 0, 0, 3.0]
-
-
 # A landing by mode, on deck, the motors, and a person during a take-off
 
 
@@ -263,13 +216,6 @@ def standing(armed: bool | None = True) -> Flight:
     flight.told("offboard", armed=armed)
     assert flight.streamer.hand is Hand.STANDING
     return flight
-
-
-def stops(messages: list[Message]) -> list[tuple[float, float]]:
-    """First two parameters of the requests to arm or disarm."""
-    return [
-        (m.param1, m.param2) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM
-    ]
 
 
 FORCED, ASKED = (0.0, 21196.0), (0.0, 0.0)
@@ -337,26 +283,3 @@ def test_what_was_flown_is_held_once_when_it_is_unclear_who_is_the_autopilot(sta
     taken = ours(stack)
     taken.told("poshold" if stack is Stack.ARDUPILOT else "posctl")
     assert taken.streamer.suspend(ms(40)) == []
-
-
-def climbing_from_deck() -> Flight:
-    """Climbing with a deck that makes 1.5 m/s north and 0.5 m/s west, a metre above it."""
-    flight = Flight(Stack.PX4, "offboard")
-    flight.told("offboard", flying=False)
-    flight.streamer.on_velocity(np.array([1.5, -0.5, 0.2]), np.zeros(3), ms(0))
-    flight.streamer.on_position(0.0)
-    flight.take(TakeOff(), 0)
-    assert flight.sends(0)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
-    flight.told("offboard")
-    flight.streamer.on_position(-1.0)
-    assert flight.sends(1000)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
-    return flight
-
-
-def test_a_person_who_chooses_another_mode_in_the_climb_has_the_vehicle() -> None:
-    flight = climbing_from_deck()
-    flight.told("offboard")
-    assert flight.sends(1100)[0] == [pytest.approx((1.5, -0.5, -1.0, 0.0))]
-    flight.told("posctl")
-    assert flight.streamer.hand is Hand.PERSON
-    assert flight.sends(1200) == ([], [])

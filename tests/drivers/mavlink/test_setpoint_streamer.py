@@ -95,15 +95,6 @@ def test_a_tilt_is_a_velocity_with_its_acceleration_fed_forward_and_no_trim(yaw_
     assert (m.vx, m.vy, m.vz, m.yaw_rate) == (plain.vx, plain.vy, plain.vz, plain.yaw_rate)
 
 
-def test_the_mask_uses_velocity_and_yaw_rate_and_nothing_else() -> None:
-    m = velocity_setpoint(0, (7, 1), GO, 0.0)
-    ignored = {n for n in range(12) if m.type_mask >> n & 1}
-    assert ignored == {0, 1, 2, 6, 7, 8, 10}
-    # ArduCopter: a setpoint with any velocity axis ignored stops it; PX4 takes acceleration unless all three are ignored
-    assert not m.type_mask & 0x38
-    assert m.type_mask & 0x1C0 == 0x1C0
-
-
 def test_every_mode_has_one_name_and_one_number() -> None:
     for number, name in COPTER_MODES.items():
         assert mode_name(Stack.ARDUPILOT, number) == name
@@ -270,24 +261,6 @@ def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
     assert velocities(sent)[-1] == pytest.approx((0.25, 0.5, 0.4, 0.0))
 
 
-def test_the_last_word() -> None:
-    flight = Flight(Stack.PX4, "auto.loiter")
-    assert flight.streamer.leave(flight.now) == []
-    flight.periods(2.5, GO)
-    flight.told("offboard")
-    last = flight.streamer.leave(flight.now)
-    assert velocities(last) == [(0.0, 0.0, 0.0, 0.0)]
-    assert modes(last) == [(4, 3)], "its stream ends, which is no exit from OFFBOARD"
-    flight.periods(0.2, Land())
-    assert modes(flight.streamer.leave(flight.now)) == [(4, 3)], (
-        "nobody renews the landing any more, and AUTO.LAND knows of no deck"
-    )
-    flight.streamer.take(Hover(), flight.now)
-    flight.told("offboard")
-    flight.periods(0.2, Land(persistent=True))
-    assert modes(flight.streamer.leave(flight.now)) == [(4, 6)], "a person's goes on"
-
-
 def over_a_deck(stack: Stack = Stack.PX4, **options: object) -> Flight:
     """Steered onto a deck that makes 1.5 m/s to the nose's right, with 0.2 m/s of correction on top."""
     flight = Flight(stack, "loiter" if stack is Stack.ARDUPILOT else "auto.loiter", **options)
@@ -317,13 +290,6 @@ def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_t
     assert flight.streamer.hand is Hand.HOLDING
     assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
     assert flight.streamer.hand is Hand.TAKING
-
-
-def test_a_persons_landing_needs_no_repeating() -> None:
-    flight = over_a_deck(Stack.ARDUPILOT)
-    flight.periods(0.04, Land(persistent=True))
-    flight.told("land")
-    assert flight.periods(20.0) == []
 
 
 def test_taking_off_step_by_step() -> None:

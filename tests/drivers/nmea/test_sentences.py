@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyais import encode_dict
 
-from drivers.nmea.sentences import KNOT_M_S, NmeaReader, checked
+from drivers.nmea.sentences import KNOT_M_S, NmeaReader
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
 
@@ -169,12 +169,6 @@ def test_the_second_of_ais_says_how_its_place_is_known() -> None:
         assert any(s.v_vessel_ned is not None for s in rest) == (second != 62)
 
 
-def test_a_datagram_holds_as_many_sentences_as_udp_carries() -> None:
-    reader = NmeaReader()
-    assert len(reader.samples(line("HEHDT,123.4,T") * 700, NOW)) == 700
-    assert not reader.refused
-
-
 def test_a_receiver_that_puts_its_clock_back_is_followed_within_seconds() -> None:
     reader = NmeaReader()
     for n in range(120):
@@ -217,8 +211,3 @@ def test_no_bytes_end_the_reader_and_every_place_exists(datagram: bytes) -> None
             assert abs(degrees(sample)[0]) <= 90.0
         elif sample.v_vessel_ned is not None:
             assert np.isfinite(sample.v_vessel_ned).all()
-
-
-def test_a_checksum() -> None:
-    assert checked("$GPHDT,123.4,T*31")
-    assert not checked("$GPHDT,123.5,T*31")

@@ -54,13 +54,6 @@ def test_a_larger_vehicle_takes_the_tilt_of_its_own_loops_and_an_ardrone_its_fir
     assert config.set("control:euler_angle_max", f"{loops_rad:.6f}") is Answer.SET
 
 
-def test_unknown_key_changes_nothing() -> None:
-    config = Configuration()
-    before = config.dump()
-    assert config.set("general:wings", "2") is Answer.UNKNOWN_KEY
-    assert config.dump() == before
-
-
 def test_outdoor_brings_its_own_limits_and_keeps_the_indoor_ones() -> None:
     config = Configuration()
     config.set("control:control_vz_max", "900")
@@ -85,18 +78,6 @@ def test_a_session_keeps_its_keys_from_others() -> None:
     config.set("custom:session_id", MINE.session)
     assert config["video:video_channel"] == "1"
     assert config.ids == MINE, "a session brings its user and application back"
-
-
-def test_deleting_a_set_in_use_falls_back_to_the_default() -> None:
-    config = chosen()
-    config.set("control:euler_angle_max", "0.3", MINE)
-    assert config.set("custom:profile_id", "-ca0000d3") is Answer.SET
-    assert config.ids.user == "00000000"
-    assert config["control:euler_angle_max"] == "0.20943952"
-    assert config.set("custom:session_id", "-all") is Answer.SET
-    assert config.ids == Ids()
-    assert config.set("custom:session_id", "-all") is Answer.BAD_VALUE
-    assert config.set("custom:session_id", "xyz") is Answer.BAD_VALUE
 
 
 def test_custom_ids_list_is_in_the_form_the_sdk_reads() -> None:

@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, cast
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -14,12 +13,11 @@ from companion.settings.model import ardrone_options
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
-from estimator.contracts.errors import BadInput
 from estimator.contracts.pictures import CodedPicture
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.uvlc import UvlcDecoder
-from sitl.ardrone.generations import FIRST, SECOND
+from sitl.ardrone.generations import FIRST
 from sitl.ardrone.uvlc import ArrivingFrames
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.flight.one_flight import fly, settings_for
@@ -174,17 +172,3 @@ def test_it_lands_in_virtual_time_by_decoded_pictures() -> None:
     ending = fly("ardrone1", scenario, 1, settings).as_json()
     assert ending["landed_on_pad"]
     assert ending["touchdown"]["lateral_m"] < 0.2
-
-
-def test_another_camera_is_refused_with_the_one_that_fits() -> None:
-    scenario = load_scenario("ardrone1")
-    other = msgspec.structs.replace(scenario, camera=msgspec.structs.replace(scenario.camera, file="sim"))
-    with pytest.raises(BadInput, match=r'176x144 px.*found 640x360 px; "ardrone1_bottom" does'):
-        fly("ardrone1", other, 1, settings_for(other, None))
-
-
-def test_the_keys_of_each_generation_are_its_own() -> None:
-    assert "video:max_bitrate" not in FIRST.keys
-    assert FIRST.keys["general:num_version_soft"].default == "1.7.4"
-    assert SECOND.keys["video:video_channel"].choices == frozenset("0123")
-    assert FIRST.options == (1 << 21) - 1, "no pressure, magnetometer or wind"

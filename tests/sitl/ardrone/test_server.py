@@ -16,9 +16,9 @@ from drivers.ardrone import at, control, navdata, pave
 from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.ardrone.navdata_options import UNREAD_BYTES
 from drivers.clock import SystemClock
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput
 from sitl.emulators.ardrone import truth_log
-from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.faults.kinds import FrameStream, NavdataStream
 from sitl.world.world import World
 from tests.sitl.ardrone.peer import Peer, Watcher
@@ -144,39 +144,6 @@ async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> Non
     assert not down.state & NavdataState.FLYING
 
 
-async def test_limits_of_the_configuration_rule_the_stick(peer: Peer, world: PointMass) -> None:
-    peer.ask()
-    await peer.configure("general:navdata_demo", "FALSE")
-    await peer.configure("control:euler_angle_max", "0.1")
-    await peer.configure("control:control_vz_max", "300")
-    assert world.limits.euler_angle_max_rad == 0.1
-    assert world.limits.vz_max_m_s == pytest.approx(0.3)
-    async with peer.talking(FLY, at.Pcmd(1, 0.0, 1.0, 0.0, 0.0)):
-        flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
-        flying = await peer.until(lambda n: True)
-    demo = flying.get(navdata.Demo)
-    assert demo is not None
-    assert demo.theta_mdeg == pytest.approx(np.degrees(0.1) * 1e3, rel=1e-4)
-
-
-async def test_altitude_max_is_a_ceiling(stack: ExitStack) -> None:
-    world = PointMass(SystemClock().now(), height_m=2.8)
-    async with serving(world) as server:
-        peer = Peer(HOST, server.ports)
-        stack.callback(peer.close)
-        peer.ask()
-        async with peer.talking(FLY, at.Pcmd(1, 0.0, 0.0, 1.0, 0.0)):
-            async with asyncio.timeout(60):
-                while -world.p[2] < 3.0:
-                    await peer.on_message()
-            await asyncio.sleep(0.2)
-            assert -world.p[2] < 3.05
-            peer.say(at.Config("control:altitude_max", "10000"))
-            async with asyncio.timeout(60):
-                while -world.p[2] < 3.2:
-                    await peer.on_message()
-
-
 async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer, world: PointMass) -> None:
     peer.ask()
     await peer.configure("general:com_watchdog", "1")
@@ -194,19 +161,6 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     assert 0.9e6 < landing_us - hovered_us < 1.1e6
     landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
     assert landed.state & NavdataState.COMMUNICATION_LOST
-
-
-async def test_two_clients_hear_the_same_navdata(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
-    other = Peer(HOST, server.ports)
-    stack.callback(other.close)
-    peer.ask()
-    await peer.configure("general:navdata_demo", "FALSE")
-    other.ask()
-    seen: dict[Peer, set[int]] = {peer: set(), other: set()}
-    async with asyncio.timeout(60):
-        while len(seen[peer] & seen[other]) <= 20:
-            for client, numbers in seen.items():
-                numbers.add((await client.on_message()).sequence)
 
 
 async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: ExitStack) -> None:
@@ -236,19 +190,6 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
     assert (await again.frame()).payload
 
 
-async def test_navdata_clients_are_forgotten_in_the_end(server, monkeypatch, stack):
-    monkeypatch.setattr("sitl.emulators.ardrone.sockets.NAVDATA_LEASE_S", 0.6)
-    peer = Peer(HOST, server.ports)
-    stack.callback(peer.close)
-    peer.ask()
-    async with peer.talking(at.ComWdg()):
-        await asyncio.sleep(1.3)
-        await peer.on_message()
-        assert server.counters["navdata_client_expired"] == 0, "commands from its host keep it"
-    await until(lambda: server.counters["navdata_client_expired"] > 0)
-    assert server.counters["navdata_client_expired"] == 1
-
-
 async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
     await until(lambda: server.drone.state.config["video:video_channel"] == "1")
@@ -276,24 +217,6 @@ async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneSe
     assert np.abs(images[-1].astype(int) - images[0]).mean() > 5, "the texture moves"
 
 
-@pytest.mark.parametrize("size", [64, 68, 76])
-async def test_header_size_of_every_firmware(world: PointMass, stack: ExitStack, size: int) -> None:
-    async with serving(world, habits=Habits(pave_header_size=size)) as server:
-        watcher = Watcher(HOST, server.ports)
-        stack.callback(watcher.close)
-        frames = [await watcher.frame() for _ in range(3)]
-        assert {f.header.header_size for f in frames} == {size}
-        assert not any(f.discontinuity for f in frames[1:])
-
-
-async def test_the_front_camera_is_what_a_drone_shows_unasked(server: ArDroneServer, stack: ExitStack) -> None:
-    watcher = Watcher(HOST, server.ports)
-    stack.callback(watcher.close)
-    decoder = av.CodecContext.create("h264", "r")
-    px = decoder.decode(av.Packet((await watcher.frame()).payload))[0].to_ndarray(format="bgr24").astype(int)
-    assert px[20].mean() > px[340].mean() + 60, "sky above, sea below"
-
-
 async def test_a_slow_client_loses_frames_not_freshness(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
     peer.say(at.Config("video:max_bitrate", "20000"))
@@ -313,17 +236,6 @@ async def test_a_slow_client_loses_frames_not_freshness(server: ArDroneServer, p
     assert server.counters["navdata_not_sent"] == 0
 
 
-async def test_a_new_video_client_takes_over(server: ArDroneServer, stack: ExitStack) -> None:
-    old, new = Watcher(HOST, server.ports), None
-    stack.callback(old.close)
-    await old.frame()
-    new = Watcher(HOST, server.ports)
-    stack.callback(new.close)
-    assert (await new.frame()).payload
-    with pytest.raises((EOFError, ConnectionError)):
-        await old.exhausted()
-
-
 async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> None:
     reader, writer = await asyncio.open_connection(HOST, server.ports.control)
     peer.ask()
@@ -338,17 +250,6 @@ async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> No
     peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
     async with asyncio.timeout(60):
         assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")
-    writer.close()
-    await writer.wait_closed()
-
-
-async def test_a_request_that_overtakes_its_connection_is_answered(server: ArDroneServer, peer: Peer) -> None:
-    taken = server.drone.state.counters["at_taken"]
-    peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
-    await until(lambda: server.drone.state.counters["at_taken"] > taken)
-    reader, writer = await asyncio.open_connection(HOST, server.ports.control)
-    async with asyncio.timeout(60):
-        assert b"general:num_version_soft = 2.4.8\n" in await reader.readuntil(b"\0")
     writer.close()
     await writer.wait_closed()
 
@@ -423,13 +324,6 @@ async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) 
         truth_log.read(path)
     with pytest.raises(BadInput, match="No such file"):
         truth_log.read(tmp_path / "none")
-
-
-async def test_a_taken_port_is_a_plain_error(server: ArDroneServer, world: PointMass) -> None:
-    ports_in_use = Ports(navdata=0, video=0, at=server.ports.at, control=0)
-    with pytest.raises(Recoverable, match="Address already in use"):
-        async with ArDroneServer(cast(World, world), HOST, ports_in_use):
-            pass
 
 
 async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: pytest.MonkeyPatch) -> None:

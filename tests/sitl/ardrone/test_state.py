@@ -110,18 +110,6 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     assert list(drone.tick(at_s(4.6), VehiclePhase.FLYING)) == []
 
 
-def test_old_numbers_do_not_feed_the_watchdog(pilot: Pilot) -> None:
-    pilot.sequence = 1000
-    pilot.say(AHEAD, phase=VehiclePhase.FLYING)
-    list(pilot.drone.take(at.encode(10, AHEAD), at_s(1.5), VehiclePhase.FLYING))
-    assert list(pilot.drone.tick(at_s(2.0), VehiclePhase.FLYING)) == [HOVER]
-
-
-def test_nobody_was_ever_there_so_nobody_is_missed(pilot: Pilot) -> None:
-    assert NavdataState.COM_WATCHDOG in pilot.word(), "set at first contact"
-    assert list(pilot.drone.tick(at_s(100.0), VehiclePhase.HOVERING)) == []
-
-
 def test_bootstrap_and_handshake(pilot: Pilot) -> None:
     assert NavdataState.NAVDATA_BOOTSTRAP in pilot.word()
     pilot.say(at.Config("general:navdata_demo", "TRUE"))
@@ -138,12 +126,6 @@ def test_bootstrap_and_handshake(pilot: Pilot) -> None:
     pilot.say(at.Config("general:wings", "2"))
     assert pilot.drone.counters["config_unknown_key"] == 1
     assert pilot.drone.counters["config_during_ack"] == 1
-
-
-def test_asking_for_the_configuration_is_acknowledged_too(pilot: Pilot) -> None:
-    assert pilot.say(at.Ctrl(4)) == [RefAction.SEND_CONFIGURATION]
-    assert NavdataState.COMMAND_ACK in pilot.word()
-    assert pilot.say(at.Ctrl(5), at.Ctrl(6, None)) == [RefAction.SEND_CUSTOM_IDS]
 
 
 def test_ids_hold_for_the_next_command_only(pilot: Pilot) -> None:

@@ -7,8 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.time import MonoNs
-from sitl.ardrone.drone import DroneClock
 from sitl.emulators.ardrone.wire_pictures import IDR_EVERY, Encoder, front_view, split_annex_b
 
 SPS, PPS, IDR, SLICE = 7, 8, 5, 1
@@ -45,21 +43,6 @@ def test_every_access_unit_decodes_at_once_to_its_own_image() -> None:
         assert unit.data.startswith(b"\0\0\0\1")
 
 
-def test_encoder_refuses_what_it_cannot_encode() -> None:
-    with pytest.raises(ValueError, match="641x360"):
-        Encoder(641, 360, 30.0, 1000.0)
-    with pytest.raises(ValueError, match="uint8"):
-        Encoder(640, 360, 30.0, 1000.0).encode(np.zeros((360, 640), np.uint8))
-
-
-def test_split_annex_b_finds_both_lengths_of_start_code() -> None:
-    assert split_annex_b(b"junk\0\0\0\1\x67ab\0\0\1\x68c\0\0\1\x65d") == [
-        (SPS, b"\0\0\0\1\x67ab"), (PPS, b"\0\0\1\x68c"), (IDR, b"\0\0\1\x65d"),
-    ]  # fmt: skip
-    assert split_annex_b(b"") == []
-    assert split_annex_b(b"\0\0\1") == []
-
-
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.2, 0.0), (0.0, 0.15), (-0.1, -0.1)])
 def test_front_view_puts_the_horizon_where_a_pinhole_would(roll: float, pitch: float) -> None:
     px = front_view(Rotation.from_rpy(roll, pitch, 1.0)).astype(int)
@@ -71,10 +54,3 @@ def test_front_view_puts_the_horizon_where_a_pinhole_would(roll: float, pitch: f
         y = (np.tan(pitch) - np.sin(roll) * x) / np.cos(roll)
         v = 179.5 + f * y
         assert abs(int(sky[:, u].sum()) - v) < 2.0
-
-
-def test_drone_clock_runs_from_boot_with_its_own_drift() -> None:
-    clock = DroneClock(MonoNs(5_000_000_000), drift_ppm=100.0)
-    assert clock.microseconds(MonoNs(5_000_000_000)) == 0
-    assert clock.microseconds(MonoNs(15_000_000_000)) == 10_001_000
-    assert clock.milliseconds(MonoNs(15_000_000_000)) == 10_001

@@ -11,7 +11,6 @@ from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
-from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -88,23 +87,6 @@ def test_without_truth_it_is_the_autopilots_own_and_of_the_attitudes_instant() -
     assert source.newest(at(6.0), there, attitude(6.0)) is None, "too far apart"
     assert source.newest(at(6.0), (), attitude(6.0)) is None
     assert source.newest(at(6.0), there, None) is None
-
-
-def test_rubbish_is_no_truth() -> None:
-    source = PoseSource()
-    there = (position(1.0, np.zeros(3), np.zeros(3)),)
-    message = truth("SIM_STATE", np.zeros(3))
-    message.alt = math.nan
-    source.on_message(message, at(1.0), there)
-    assert not source.truthful(at(1.0))
-
-
-def test_the_truth_is_requested_a_few_times() -> None:
-    source = PoseSource()
-    asked = [m for n in range(400) for m in source.ask(Stack.ARDUPILOT, (1, 1), at(0.1 * n))]
-    assert [m.param1 for m in asked] == [108, 108, 108]
-    assert PoseSource().ask(Stack.PX4, (1, 1), at(0.0))[0].param1 == 115
-    assert PoseSource().ask(Stack.OTHER, (1, 1), at(0.0)) == []
 
 
 def test_the_pad_lies_where_the_scenarios_start_says() -> None:

@@ -42,16 +42,6 @@ async def test_sleepers_wake_in_the_order_of_their_time_and_not_before_it() -> N
     assert woke == [("at once", pytest.approx(0.01)), ("early", pytest.approx(0.01)), ("late", pytest.approx(0.03))]
 
 
-async def test_a_sleeper_that_was_cancelled_is_passed_over() -> None:
-    clock = LockStepClock()
-    task = asyncio.ensure_future(clock.sleep(0.01))
-    await clock.settle()
-    task.cancel()
-    await clock.settle()
-    clock.advance(0.02)
-    assert task.cancelled()
-
-
 async def filmed(timing: CameraTiming, eyes_s: float | None, seconds: float) -> tuple[LockStepCamera, list[Frame], LockStepClock]:
     """Return a camera over the deck; eyes that take so long of wall time for each frame, or wait for the time to go on."""
     clock, frames, done = LockStepClock(), [], [0]

@@ -16,7 +16,7 @@ from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import Rotation
-from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
+from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode, serve_json
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.motors import thrust_fraction, wrench
 from sitl.emulators.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
@@ -107,15 +107,6 @@ def test_packets_of_both_sizes_and_what_is_none() -> None:
     whole = servo_packet(7, REST)
     for bad in (b"", whole[:-1], whole + b"\0", b"\0" * len(whole), servo_packet(7, REST, rate_hz=0)):
         assert decode(bad) is None
-
-
-def test_the_answer_is_one_line_with_what_the_interface_requests() -> None:
-    body = Body(on_the_pad(), 1, 0.0025)
-    body.step(REST)
-    output = json.loads(encode(body.state()))
-    assert output["timestamp"] == pytest.approx(0.0025)
-    assert set(output) >= {"timestamp", "imu", "position", "quaternion", "velocity"}
-    assert output["imu"]["accel_body"][2] == pytest.approx(-9.8, abs=0.5)
 
 
 def test_a_lost_answer_is_repeated_and_a_restart_begins_again() -> None:

@@ -15,7 +15,6 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
 from estimator.contracts.commands import Lean, Velocity
-from estimator.contracts.geodesy import moved
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.ardupilot_json import CURVE
 from sitl.emulators.autopilots.body import Body
@@ -23,7 +22,6 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.scenario.scenario import load
-from sitl.sensors.gnss import ORIGIN
 
 ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 DISARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
@@ -116,18 +114,6 @@ def test_px4_takes_a_take_off_to_latitude_0_for_a_place_and_only_nan_for_here() 
     assert away.aside_m > 3.0 or not away.body.upright
     assert here.aside_m < 0.3
     assert here.height_m > 1.0
-
-
-@pytest.mark.parametrize("d_ned", [(900.0, -700.0, 0.0), (0.0, 1000.0, 0.0)])
-def test_px4_flies_a_take_off_to_the_place_that_the_world_s_coordinates_name(d_ned: tuple[float, float, float]) -> None:
-    deck = Deck("calm", Stack.PX4, QUICK)
-    deck.armed("auto.loiter", None)
-    place = moved(ORIGIN, np.array(d_ned))
-    degrees = math.degrees(place.latitude_rad), math.degrees(place.longitude_rad)
-    assert deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, *degrees, 20.0) == mav.MAV_RESULT_ACCEPTED
-    assert isinstance(deck.pilot, Px4StandIn)
-    assert deck.pilot._place.tolist() == pytest.approx([*d_ned[:2], -20.0], abs=0.2)
-    assert deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 91.0, 0.0, 20.0) == mav.MAV_RESULT_DENIED
 
 
 def test_px4_by_its_own_take_off_mode_leaves_a_ship_under_way_and_with_her_velocity_does_not() -> None:
