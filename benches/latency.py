@@ -35,7 +35,7 @@ from companion.settings.restart import RestartOptions
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
-from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS
+from drivers.ardrone.navdata_options import LAYOUT_OF_CLASS
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line

@@ -8,8 +8,10 @@ the recovery. The caller's counters and health count every failure.
 import asyncio
 import logging
 import random
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
@@ -107,3 +109,25 @@ class _Outage:
             _log.info("%s: up again after %d failed attempts", self._name, self._failures)
         self._failures, self._at_cap = 0, False
         self._reasons.clear()
+
+
+@asynccontextmanager
+async def running_beside(tasks: Iterable[tuple[str, Coroutine[Any, Any, None]]]) -> AsyncIterator[None]:
+    """Run each (name, coroutine) as a task until the block ends; then cancel the tasks and wait for them.
+
+    Raises:
+        Exception: the block's own error, as it is.
+        ExceptionGroup: the errors of tasks, which also end the block.
+    """
+    failed: Exception | None = None
+    async with asyncio.TaskGroup() as group:
+        started = [group.create_task(body, name=name) for name, body in tasks]
+        try:
+            yield
+        except Exception as why:
+            failed = why
+        finally:
+            for task in started:
+                task.cancel()
+    if failed is not None:
+        raise failed

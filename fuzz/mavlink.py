@@ -11,8 +11,7 @@ from typing import Any
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.signing import Signing, SigningKey, load_key
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
 from estimator.contracts.errors import BadInput
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 

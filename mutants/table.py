@@ -182,7 +182,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
-    "sitl/flight/sight.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter.py",),
     "drivers/ardrone/landing_watch.py": (
         "tests/drivers/test_arbiter.py",

@@ -41,8 +41,7 @@ from drivers.imports.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.signing import Signing, load_key
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningTimes, load_key
 from estimator.contracts.errors import BadInput
 
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]

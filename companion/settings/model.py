@@ -24,9 +24,9 @@ from drivers.camera.exposure_options import DRIVEN_SOURCES
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.options import AutopilotOptions
-from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
+from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 

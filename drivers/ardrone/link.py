@@ -23,13 +23,11 @@ from drivers.ardrone.setup import ControlChannel, Setup
 from drivers.ardrone.video import AccessUnitDecoder, VideoDecoder
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mailbox import Latest, Line
-from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
-from drivers.reconnect import BackOff, reconnect
-from drivers.running_beside import running_beside
+from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.pictures import CodedPicture, PictureDecoder, PictureRefusal
-from estimator.contracts.ports import Clock
+from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS, Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 

@@ -195,7 +195,7 @@ class _Bodies(Mapping[int, Any]):
 class Navdata(Struct, frozen=True):
     """One navdata datagram. `options` maps a tag to its option in the order of the wire.
 
-    An option of which nobody reads a field is left out by `decode`; for `encode` it is the bytes of its body.
+    `decode` leaves out an option that nobody reads; for `encode` it is the bytes of its body.
     """
 
     state: int

@@ -1,11 +1,11 @@
 """The navdata channel requests the stream, keeps its order, maps its clock to ours and makes samples."""
 
 from collections.abc import Callable
+from enum import Enum
 
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.datagrams import WaitingDatagrams, open_waiting
 from drivers.ardrone.navdata import Navdata, decode
-from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import NavdataSampler, time_us
@@ -14,6 +14,48 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+_REORDER = 64
+"""A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
+
+
+class SequencePlace(Enum):
+    """The place of a datagram in its stream."""
+
+    NEXT = "next"
+    """It is newer than all before it."""
+    OLD = "old"
+    """It was overtaken, or arrived a second time."""
+    RESTARTED = "restarted"
+    """It is the first one of a drone that has restarted."""
+
+
+class NavdataOrder:
+    """Tells where each datagram belongs; only `OLD` ones are to be left out."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._expected: int | None = None
+
+    def place(self, sequence: int) -> tuple[SequencePlace, int]:
+        """Return the place of a datagram that has arrived, and how many are missing just before it."""
+        newest, expected = self._newest, self._expected
+        place, missing = SequencePlace.NEXT, 0
+        if newest is not None and sequence < newest:
+            if sequence != 1 and expected is not None and newest - sequence < _REORDER:
+                return SequencePlace.OLD, 0
+            place = SequencePlace.RESTARTED
+        elif expected is not None:
+            if sequence < expected:
+                return SequencePlace.OLD, 0
+            missing = sequence - expected
+        self._newest, self._expected = sequence, sequence + 1
+        return place, missing
+
+    def silence(self) -> None:
+        """Count no gap to the datagram before: the stream was silent and has been requested again."""
+        self._expected = None
+
 
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the unicast stream."""

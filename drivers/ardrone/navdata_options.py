@@ -98,7 +98,7 @@ def option(tag: int, unread: int = 0) -> Callable[[C], C]:
 
 
 UNREAD_BYTES = {4: 12, 7: 12, 8: 20, 11: 12, 12: 40, 14: 104, 15: 360, 16: 324, 18: 36, 20: 8, 23: 52, 26: 4, 27: 8}
-"""The size of the body of each option of which nobody reads a field, by tag; 27 is that of firmware up to 2.3, without GPS."""
+"""Sizes of the bodies of options that nobody reads, by tag; 27 is that of firmware up to 2.3, without GPS."""
 
 
 @option(0, unread=108)

@@ -12,8 +12,7 @@ from typing import Any
 from drivers.ardrone.navdata import ControlState, Gps, Navdata, NavdataState, NavdataTime, control_state_of
 from drivers.ardrone.navdata_readings import NavdataReadings
 from drivers.ardrone.options import ArDroneOptions
-from drivers.atmosphere import height_of_pressure_m
-from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import (

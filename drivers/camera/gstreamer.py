@@ -21,10 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import gstreamer_program as wire
-from drivers.camera.counters import CameraCounters
 from drivers.camera.options import CameraOptions, Size, check_size
-from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.stamping import stamp_of
+from drivers.camera.source import CameraCounters, CameraLost, VideoSource, stamp_of
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame

@@ -14,8 +14,7 @@ from drivers.camera.exposure import ExposureDrive
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.pyav import require_pyav
-from drivers.reconnect import BackOff, reconnect
-from drivers.running_beside import running_beside
+from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 

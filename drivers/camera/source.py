@@ -1,13 +1,54 @@
-"""The interface between camera drivers and readers of frames: the open camera, and the error of a lost one."""
+"""The interface between camera drivers and readers of frames: the open camera, its counters, its stamps and the lost camera."""
 
 import logging
+import math
+from collections import Counter
+from dataclasses import dataclass, field, fields
 
-from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure import ExposureDrive
+from drivers.camera.options import CameraOptions
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+
+@dataclass(slots=True)
+class CameraCounters:
+    """Running totals since the camera was opened. Every buffer is counted as given out, overtaken, damaged or waiting."""
+
+    buffers: int = 0
+    """Buffers received from the device or the stream."""
+    frames: int = 0
+    """Frames that were given out."""
+    frames_overtaken: int = 0
+    """Frames that were skipped because a newer one had already arrived."""
+    frames_damaged: int = 0
+    """Frames marked bad by the kernel, torn, of another size than was agreed, or refused by the decoder."""
+    frames_wrong_size: int = 0
+    """Frames that claimed another size than was agreed and were not decoded: a part of `frames_damaged`."""
+    frames_waiting: int = 0
+    """Frames dropped until the next IDR (H.264)."""
+    frames_lost: int = 0
+    """Frames missing in the device's own count; they were never received and are not among `buffers`."""
+    frames_replaced: int = 0
+    """Frames that were given out and replaced by a newer one before anyone read them: a part of `frames`."""
+    stamps_refused: int = 0
+    """Kernel time stamps that were impossible; the arrival was used instead."""
+    restarts: Counter[str] = field(default_factory=Counter)
+    """Restarts by reason: unplugged, silent, absent, failed."""
+
+    def as_dict(self) -> dict[str, int]:
+        """Return the counters as a flat dict for records and telemetry; restarts have keys like `restarts.unplugged`."""
+        out: dict[str, int] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, Counter):
+                out.update({f"{f.name}.{key}": n for key, n in sorted(value.items())})
+            else:
+                out[f.name] = value
+        return out
+
 
 _DAMAGE_OVER_S, _DAMAGE_AGAIN_S = 5.0, 60.0
 """The time over which damaged frames are counted before they are reported, and that until they are reported again."""
@@ -67,3 +108,41 @@ class VideoSource:
         if self._reported_at is None or seconds_between(self._reported_at, now) >= _DAMAGE_AGAIN_S:
             self._reported_at = now
             log.warning("%s", self.damage)
+
+
+_OLDEST_S = 2.0
+"""A frame whose stamp is older than this was not stamped by this host's monotonic clock."""
+_AHEAD_S = 0.005
+"""A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
+
+
+def stamp_of(
+    stamped: MonoNs | None,
+    to_middle_s: float,
+    received_at: MonoNs,
+    options: CameraOptions,
+    exposure_s: float,
+    error_s: float = 0.0,
+) -> tuple[Stamp, bool]:
+    """Return the stamp of mid-exposure, and whether the given stamp had to be refused (future, or older than 2 s).
+
+    If the exposure is not known, half a frame's time is added to the variance.
+
+    Args:
+        stamped: by CLOCK_MONOTONIC; None if nothing or another clock stamped the frame, whose arrival is used then.
+        to_middle_s: from the stamped instant to mid-exposure, s; `latency_s` is subtracted besides.
+        exposure_s: exposure time, 0 if unknown.
+        error_s: largest error of `to_middle_s`.
+    """
+    unknown_s = 0.5 / options.rate_hz / math.sqrt(3.0) if exposure_s == 0.0 else 0.0
+    sigma_s = math.hypot(options.latency_sigma_s, unknown_s, error_s / math.sqrt(3.0))
+    if stamped is not None:
+        measured_at = after(stamped, to_middle_s - options.latency_s)
+        possible = (
+            -_AHEAD_S <= seconds_between(stamped, received_at) <= _OLDEST_S
+            and seconds_between(received_at, measured_at) <= 5.0 * sigma_s
+        )
+        if possible:
+            return Stamp(measured_at, received_at, sigma_s, "kernel"), False
+    measured_at = after(received_at, -0.5 * exposure_s - max(0.0, options.latency_s))
+    return Stamp(measured_at, received_at, math.hypot(sigma_s, options.arrival_sigma_s), "arrival"), stamped is not None

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from drivers.camera.exposure import ExposureDrive, ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
-from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.stamping import stamp_of
+from drivers.camera.source import CameraLost, VideoSource, stamp_of
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.errors import BadInput

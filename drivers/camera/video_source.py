@@ -27,11 +27,10 @@ from av.packet import Packet as AnyPacket
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from drivers.camera.counters import CameraCounters
 from drivers.camera.images import ImageRefused, claimed_size, decode
 from drivers.camera.live_bytes import Arrival, ArrivalClock, JpegSplitter, LiveBytes
 from drivers.camera.options import CameraOptions, Size, check_size
-from drivers.camera.source import CameraLost, VideoSource
+from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import BadInput

@@ -10,12 +10,11 @@ from pathlib import Path
 
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell, quiet, timeline
-from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.requests import parameter_value
 from drivers.mavlink.samples import MavlinkSampler
-from drivers.mavlink.timesync import TimeSync
+from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import is_autopilot, stack_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample

@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
-from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.custody import LEFT_ALONE, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.joined_texts import JoinedTexts
@@ -29,7 +28,7 @@ from drivers.mavlink.samples import (
 )
 from drivers.mavlink.setpoint import Rested
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
-from drivers.mavlink.timesync import TimeSync, answer_to
+from drivers.mavlink.timesync import BootClock, TimeSync, answer_to
 from drivers.mavlink.vehicle import (
     VELOCITY_MODE,
     Condition,
@@ -40,12 +39,11 @@ from drivers.mavlink.vehicle import (
     stack_of,
     version_of,
 )
-from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
-from drivers.running_beside import running_beside
+from drivers.reconnect import running_beside
 from estimator.contracts.commands import Command, CutMotors, Hover, Lean, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.ports import Clock
+from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS, Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 

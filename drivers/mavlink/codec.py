@@ -11,8 +11,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from drivers.mavlink.dialect import Message, mav, unfit_field
-from drivers.mavlink.signing import Signing
-from drivers.mavlink.signing_times import TICKS_PER_S
+from drivers.mavlink.signing import TICKS_PER_S, Signing
 
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED

@@ -26,12 +26,12 @@ from msgspec.structs import replace
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.requests import Streams
-from drivers.running_beside import running_beside
+from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms
+from drivers.reconnect import running_beside
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import GimbalAttitude, GimbalFrame

@@ -24,8 +24,7 @@ from drivers.mavlink.codec import Codec, CodecCounters, Unfit
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing
-from drivers.reconnect import BackOff, reconnect
-from drivers.running_beside import running_beside
+from drivers.reconnect import BackOff, reconnect, running_beside
 from drivers.wires import SILENT_S, Wire, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock

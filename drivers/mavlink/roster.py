@@ -14,10 +14,10 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from drivers.mavlink.boot_clock import MS_WRAP_NS
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.timesync import MS_WRAP_NS
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 

@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.atmosphere import height_of_pressure_m
 from drivers.clock_map import ClockMap, ClockMapOptions
-from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import SampleOptions
+from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
-from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport

@@ -1,4 +1,4 @@
-"""Places on the Earth, and the local level frame about one of them.
+"""Places on the Earth, the local level frame about one of them, and heights by pressure.
 
 Source: NIMA TR8350.2, Department of Defense World Geodetic System 1984, 3rd ed., chapter 3 (the ellipsoid); Hofmann-Wellenhof,
 Lichtenegger and Wasle, GNSS, section 8.2 (ellipsoidal to Cartesian coordinates, local level frame); Bowring, Transformation from
@@ -87,3 +87,13 @@ def _level(at: GeoPoint) -> F64:
     s, c = math.sin(at.latitude_rad), math.cos(at.latitude_rad)
     sl, cl = math.sin(at.longitude_rad), math.cos(at.longitude_rad)
     return np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
+
+
+def height_of_pressure_m(pressure_pa: float) -> float:
+    """Return the pressure altitude in metres, by the troposphere of the international standard atmosphere (ISO 2533)."""
+    return float(44330.77 * (1.0 - (pressure_pa / 101325.0) ** 0.190263))
+
+
+def pressure_of_height_pa(height_m: float) -> float:
+    """Return the pressure at a pressure altitude, Pa: the inverse of `height_of_pressure_m`."""
+    return float(101325.0 * (1.0 - height_m / 44330.77) ** (1.0 / 0.190263))

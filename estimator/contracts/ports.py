@@ -4,6 +4,9 @@ from typing import Protocol
 
 from estimator.contracts.time import MonoNs
 
+SAMPLE_QUEUE_ITEMS = 4096
+"""Samples that wait for the reader of a link unless a setting names another number; the oldest is dropped and counted."""
+
 
 class Clock(Protocol):
     """The only source of time in the service; replay and simulation pass another one."""

@@ -156,7 +156,7 @@ class BodyVelocity(Struct, frozen=True, eq=False):
 
 
 _S = TypeVar("_S", bound=Imu | Attitude | BodyVelocity)
-_copied: Callable[[_S], _S] = Struct.__copy__  # type: ignore[assignment]
+_copied: Callable[[Any], Any] = Struct.__copy__  # type: ignore[attr-defined]
 _NO_STAMP, _ZEROS, _NO_COV = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), np.zeros(3), np.zeros((3, 3))
 _BLANK: dict[type, Any] = {
     Imu: Imu(_NO_STAMP, _ZEROS, _ZEROS),
@@ -167,7 +167,7 @@ _BLANK: dict[type, Any] = {
 
 def known(cls: type[_S], stamp: Stamp, first: F64 | Rotation, second: F64) -> _S:
     """Return a sample whose arrays the caller has checked: read-only, finite, a covariance. Drivers make hundreds a second."""
-    made = _copied(_BLANK[cls])
+    made: _S = _copied(_BLANK[cls])
     _, first_name, second_name, *_ = cls.__struct_fields__
     force_setattr(made, "stamp", stamp)
     force_setattr(made, first_name, first)

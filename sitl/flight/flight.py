@@ -29,7 +29,7 @@ from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.navdata import Navdata
-from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
+from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace
 from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible

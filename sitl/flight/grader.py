@@ -19,8 +19,7 @@ from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.faults.timer import FaultTimer
 from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m
 from sitl.flight.hands import of_at
-from sitl.flight.referee import Errand, Referee
-from sitl.flight.sight import BlindDescent
+from sitl.flight.referee import BlindDescent, Errand, Referee
 from sitl.scenario.scenario import Scenario, pad_model, vehicle_model
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 

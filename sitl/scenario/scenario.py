@@ -32,7 +32,7 @@ from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
-from sitl.vehicle.effects import EffectSettings
+from sitl.vehicle.disturbances import EffectSettings
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
 from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings

@@ -18,7 +18,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2
-from sitl.vehicle.effects import EffectSettings
+from sitl.vehicle.disturbances import EffectSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,9 @@ import numpy as np
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from sitl.core.abi import DL_COMMANDS_MAX, DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_ROTORS_MAX, DL_TOUCHED_DECK, DL_TOUCHED_SEA
-from sitl.core.library import SIM
-from sitl.core.members import Number, Numbers
+from sitl.core.library import SIM, Number, Numbers
 from sitl.vehicle.airframe import Airframe, StickLimits, rotors
-from sitl.vehicle.disturbances import NoiseRows, Wind, keep_and_fresh
-from sitl.vehicle.effects import EffectSettings
+from sitl.vehicle.disturbances import EffectSettings, NoiseRows, Wind, keep_and_fresh
 from sitl.vessel.air import AirModel
 from sitl.vessel.contact import DeckShape, Ground
 

@@ -13,8 +13,7 @@ import pytest
 from companion.cli.main import main
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.signing import Signing, SigningKey, load_key
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
 
 HOST = "127.0.0.1"
 URL = f"udpin://{HOST}:0"

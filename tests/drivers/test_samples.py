@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler, time_us
-from drivers.atmosphere import height_of_pressure_m, pressure_of_height_pa
+from estimator.contracts.geodesy import height_of_pressure_m, pressure_of_height_pa
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.drivers.captures import CAPTURES, needs_captures

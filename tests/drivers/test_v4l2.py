@@ -21,10 +21,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.camera.counters import CameraCounters
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from drivers.camera.options import CameraOptions, Size
-from drivers.camera.source import CameraLost, VideoSource
+from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
 from drivers.camera.v4l2_device import Buffer, DrivenExposure
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr

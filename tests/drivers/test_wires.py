@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 
 from drivers import wires
 from drivers.endpoint import Address, Endpoint
-from drivers.resolve import resolve
-from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire
+from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire, resolve
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import NS_PER_S, MonoNs
 from tests.support.clocks import SteppedClock

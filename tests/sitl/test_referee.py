@@ -31,8 +31,7 @@ from estimator.contracts.time import MonoNs, after
 from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
 from sitl.flight.hands import Asks, MavlinkWires, SentPacket, of_at
-from sitl.flight.referee import Errand, Referee, limits_of, moment_of, unsafe_contacts
-from sitl.flight.sight import STAMP_ERROR_MAX_S, SightWatch
+from sitl.flight.referee import STAMP_ERROR_MAX_S, Errand, Referee, SightWatch, limits_of, moment_of, unsafe_contacts
 from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import ContactSettings
 from sitl.vehicle.airframe import load as load_vehicle

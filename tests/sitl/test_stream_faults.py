@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.ardrone.navdata_order import NavdataOrder
-from drivers.ardrone.navdata_order import SequencePlace as P
+from drivers.ardrone.navdata_channel import NavdataOrder
+from drivers.ardrone.navdata_channel import SequencePlace as P
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from sitl.faults.faulty_streams import FaultyStream, InTransit

@@ -22,8 +22,8 @@ from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s,
 from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
-from sitl.vehicle.effects import EffectSettings
-from sitl.vessel.logged_motion import read_log
+from sitl.vehicle.disturbances import EffectSettings
+from sitl.vessel.file import read_log
 from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World

@@ -22,7 +22,7 @@ from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
-from drivers.running_beside import running_beside
+from drivers.reconnect import running_beside
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera

@@ -35,7 +35,7 @@ from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
-from drivers.running_beside import running_beside
+from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample

@@ -17,8 +17,7 @@ from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
-from drivers.mavlink.signing import Signing, SigningKey
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock

@@ -32,7 +32,7 @@ from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.setpoint import Rested
-from drivers.running_beside import running_beside
+from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import MavlinkOptions
-from drivers.mavlink.signing import Signing, load_key
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningTimes, load_key
 
 _log = logging.getLogger(__name__)
 

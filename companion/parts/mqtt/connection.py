@@ -29,7 +29,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from companion.settings import secret_files
 from companion.settings.mqtt import MqttSettings
 from companion.settings.tls import tls_context
-from drivers.resolve import Address, resolve
+from drivers.wires import AddressInfo, resolve
 from estimator.contracts.errors import Recoverable
 
 INCOMING = 64
@@ -152,7 +152,7 @@ class Connection(aiomqtt.Client):
         )
         self.pending_calls_threshold = 1000
         self._endpoint = endpoint
-        self._addresses: list[Address] = []
+        self._addresses: list[AddressInfo] = []
         self._dialling: socket.socket | None = None
         self._interrupted = False
         self.dialling = False
@@ -216,7 +216,7 @@ class Connection(aiomqtt.Client):
         except TimeoutError as why:
             raise aiomqtt.MqttError(f"no answer within {self.timeout:g} s") from why
 
-    def dial_to(self, addresses: list[Address]) -> None:
+    def dial_to(self, addresses: list[AddressInfo]) -> None:
         """Connect to the first of these that answers."""
         self._addresses = addresses
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from sitl.core.members import Number, Numbers
+from sitl.core.library import Number, Numbers
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground, Vec

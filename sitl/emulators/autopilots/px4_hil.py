@@ -16,11 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.atmosphere import pressure_of_height_pa
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.geodesy import GeoPoint, moved
+from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.motors import Motors
 from sitl.sensors.gnss import ORIGIN_DEG

@@ -19,9 +19,8 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.signing import Signing, SigningKey
-from drivers.mavlink.signing_times import SigningTimes
-from drivers.running_beside import running_beside
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
+from drivers.reconnect import running_beside
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.waiting import until
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.signing import Signing, SigningKey
-from drivers.mavlink.signing_times import EPOCH_S, SigningTimes
+from drivers.mavlink.signing import EPOCH_S, Signing, SigningKey, SigningTimes
 
 KEY = SigningKey(bytes(range(32)))
 

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, MountStatus, mav
 from drivers.mavlink.gimbal import GimbalPointer, GimbalSampler, Step
 from drivers.mavlink.gimbal_options import GimbalOptions, GimbalReport
 from drivers.mavlink.options import TimeSyncOptions
-from drivers.mavlink.timesync import TimeSync
+from drivers.mavlink.timesync import BootClock, TimeSync
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import GimbalAttitude
 from estimator.contracts.time import NS_PER_S, MonoNs

@@ -7,13 +7,12 @@ from typing import Any, cast
 from drivers.clock import SystemClock
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.gimbal import Gimbal
 from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import TimeSyncOptions
-from drivers.mavlink.timesync import TimeSync
+from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import Identity, Stack
 from estimator.contracts.time import NS_PER_S, MonoNs
 

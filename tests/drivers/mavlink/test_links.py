@@ -16,8 +16,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.options import LinkLimits
-from drivers.mavlink.signing import Signing, SigningKey
-from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
 from tests.support.waiting import until
 

@@ -9,8 +9,7 @@ import pytest
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.signing import Signing, SigningKey, load_key
-from drivers.mavlink.signing_times import EPOCH_S, TICKS_PER_S, SigningTimes
+from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes, load_key
 from estimator.contracts.errors import BadInput
 
 SECRET = bytes(range(100, 132))

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from drivers.mavlink.boot_clock import BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import TimeSyncV2
-from drivers.mavlink.timesync import TimeSync, answer_to
+from drivers.mavlink.timesync import BootClock, TimeSync, answer_to, boot_ms, boot_us
 from estimator.contracts.time import MonoNs
 
 S, MS = 1_000_000_000, 1_000_000
