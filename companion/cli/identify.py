@@ -16,7 +16,7 @@ from companion.settings.load import find_file, read_toml, response_model, shippe
 from companion.settings.response import Response, TiltResponse, response_from_mapping
 from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
-from companion.tools.calibrate.touchdown_cost import ClimbCost, ResponseCost
+from companion.tools.calibrate.touchdown_cost import ResponseCost
 from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 
@@ -32,8 +32,6 @@ NOTHING_TOLD_S = 0.1
 _CURE = 'record a landing with guidance.controller = "follow_deck"'
 _CHI2_95 = 7.81
 """Chi-square of three values that 95 % lie below."""
-ClimbCosts = dict[str, tuple[ClimbCost, ClimbCost]]
-"""The worst by its speed and the worst by its drift; "was" for the given climb, "sigma" for the identified one."""
 DELAY_MARGIN_S = 0.06
 """Least delay beyond the known one that the law should stand."""
 
@@ -80,15 +78,13 @@ def run(args: argparse.Namespace) -> int:
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
     costs = touchdown_cost.tilt_of_file(start.tilt, tilt.response), touchdown_cost.tilt_of_sigma(tilt.response, tilt.cov)
-    climbs = None if climb is None else _climb_costs(start, response, climb)
     if args.json:
         record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
         record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
-        record |= _climb_record(climbs) if climbs is not None else {}
         record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
         sys.stdout.write(json.dumps(record) + "\n")
     else:
-        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs, climbs)) + "\n")
+        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs)) + "\n")
     return 0
 
 
@@ -143,7 +139,6 @@ def _lines(
     climb: ClimbFit | None,
     loops: dict[str, LoopMargins],
     costs: tuple[ResponseCost, ResponseCost],
-    climbs: ClimbCosts | None,
 ) -> list[str]:
     t = tilt.response
     out = [
@@ -171,7 +166,6 @@ def _lines(
     out.append(f"       this flight {verb} the given tilt: chi-square {apart:.1f}; 95 % of such flights lie below {_CHI2_95:.1f}")
     out += [f"loop   {name.replace('_', ' ')} response: {_margins(loop)}" for name, loop in loops.items()]
     out.append(_cost_line(*costs))
-    out += [] if climbs is None else _climb_cost_lines(climbs)
     out.append(_service_line(t.delay_sigma_s or 0.0))
     out += [f"written to {path}" for path in (args.out, args.plot) if path is not None]
     return out
@@ -185,34 +179,6 @@ def _cost_line(was: ResponseCost, now: ResponseCost) -> str:
     if not math.isfinite(now.error_cm):
         after = "by the identified one it is unstable one sigma away: fly longer, or in wind"
     return f"cost   tilt: {before}, {after}"
-
-
-def _climb_costs(start: Response, found: Response, fit: ClimbFit) -> ClimbCosts:
-    given = touchdown_cost.climb_of_file(start.climb, found)
-    return {"was": (given, given), "sigma": touchdown_cost.climb_of_sigma(found, fit.cov)}
-
-
-def _climb_cost_lines(costs: ClimbCosts) -> list[str]:
-    named = (("was", "by the given one"), ("sigma", "for one sigma"))
-    return [f"       climb: {_contacts(*costs[name])}, {words}" for name, words in named]
-
-
-def _contacts(speed: ClimbCost, drift: ClimbCost) -> str:
-    if not math.isfinite(speed.by_file.speed_m_s):
-        return "the loop is unstable"
-    return (
-        f"{speed.cost_m_s:.2f} m/s at the contact (one in forty above {speed.by_file.hard_m_s:.2f} instead of "
-        f"{speed.own.hard_m_s:.2f}), {drift.cost_cm:.1f} cm of drift ({drift.by_file.drift_cm:.1f} instead of "
-        f"{drift.own.drift_cm:.1f})"
-    )
-
-
-def _climb_record(costs: ClimbCosts) -> dict[str, object]:
-    return {
-        f"climb_cost_{name}_{unit}": _finite(value)
-        for name, (speed, drift) in costs.items()
-        for unit, value in (("m_s", speed.cost_m_s), ("cm", drift.cost_cm))
-    }
 
 
 def _service_line(delay_sigma_s: float) -> str:

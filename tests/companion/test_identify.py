@@ -178,7 +178,6 @@ def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(recording
     assert "tilt   delay" in output
     assert "climb  delay" in output
     assert "does not contradict the given tilt" in output
-    assert re.search(r"climb: 0\.0\d m/s at the contact .*, 0\.\d cm of drift .*, by the given one", output)
     sigma_ms = int(re.search(r"tilt   delay \d+ \+- (\d+) ms", output)[1])  # type: ignore[index]
     assert ("begins with softer gains, until the delay is known to 40 ms" in output) == (sigma_ms > 40)
     assert str(out) in output
@@ -214,10 +213,6 @@ def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], ca
     assert 0.0 <= noted["cost_was_cm"] < 8.0, "stiffer gains than are due cost centimetres: the margin is nearly used up"
     assert 0.1 < noted["cost_sigma_cm"] < 2.0
     assert noted["climb"]["delay_s"] == pytest.approx(GIVEN.climb.delay_s + 0.1, abs=0.05), "the climb is 100 ms later as well"
-    assert 0.0 <= noted["climb_cost_was_m_s"] < 0.05
-    assert 0.0 <= noted["climb_cost_was_cm"] < 2.0
-    assert 0.0 <= noted["climb_cost_sigma_m_s"] < 0.05
-    assert 0.0 < noted["climb_cost_sigma_cm"] < 1.0
     assert main(["calibrate", "vehicle", str(recordings["late"])]) == 0
     output = capsys.readouterr().out.splitlines()
     assert "ms of further delay, less than 60;" in next(line for line in output if "by the given response" in line)

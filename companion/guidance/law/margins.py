@@ -151,19 +151,6 @@ def expected_error_m(response: TiltResponse, late_s: float) -> float:
     return MEDIAN_OF_AXIS * math.hypot(_own_error_m(response), 0.5 * _LATE_M_S2 * late_s**2)
 
 
-def pushed_axis(response: TiltResponse) -> tuple[F64, F64]:
-    """Return the closed loop of one axis, x(k+1) = M x(k) + b push, by its own response; x begins with the place and the speed.
-
-    Returns:
-        M (n, n) and b (n,); the push is an acceleration of the vehicle in m/s^2 that the law knows nothing of.
-    """
-    loop = _closed(response, response, None, None, True, AxisDisturbances())
-    states = len(loop.vehicle.A)
-    b = loop.M[:, states].copy()
-    b[states] = 0.0
-    return loop.M, b
-
-
 class _Plant(NamedTuple):
     """One axis of the vehicle, and what of its state is measured."""
 
