@@ -27,7 +27,6 @@ import msgspec
 import numpy as np
 
 import configs
-from companion.settings.effect import refuse_moved, with_moved, without_retired
 from companion.settings.expert import in_file, joined
 from companion.settings.model import PadSettings, Settings
 from companion.settings.plain_file import LARGEST_BYTES, refuse_special
@@ -229,6 +228,8 @@ _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
 """A dotted key with this many parts is not one of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
+_INTO_HTTP = ("page", "metrics", "foxglove")
+"""Tables of 1.0 that are one table [http] now. A settings file with them is refused; a recording is read without them."""
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
     ("guidance", "tries"): {"heading": "align"},
     ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
@@ -325,15 +326,17 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
     Args:
         data: the tables.
         where: name of their source, for errors.
-        recorded: they are of a recording, which nobody can edit, so keys of older versions and a table `expert` are accepted.
+        recorded: they are of a recording, which nobody can edit, so tables of 1.0 and a table `expert` are accepted.
         by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
     """
     try:
-        data = without_retired(with_moved(joined(data, recorded=True)) if recorded else data, where)
-        refuse_moved(data)
+        if recorded:
+            data = {name: table for name, table in joined(data, recorded=True).items() if name not in _INTO_HTTP}
+        elif moved := [name for name in _INTO_HTTP if name in data]:
+            raise BadInput(f"{moved[0]} is now a part of the table [http] (docs/page.md)")
         return msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None

@@ -1,19 +1,13 @@
-"""Keys that change nothing are told; keys that are gone are read."""
+"""Keys that change nothing are reported."""
 
-import copy
-import logging
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from companion.cli.main import main
-from companion.settings.effect import MOVED, RETIRED, without_effect
-from companion.settings.expert import in_file
+from companion.settings.effect import without_effect
 from companion.settings.load import from_mapping, load, shipped
-from companion.settings.model import Settings
-from companion.settings.refusal import walk
-from estimator.contracts.errors import BadInput
 
 ARDRONE: dict[str, Any] = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
 AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550"}}
@@ -90,42 +84,3 @@ def test_what_does_not_go_together_about_the_ship_s_place_is_reported(lines, sai
     reported = capsys.readouterr().out.splitlines()[1:]
     assert [line for line in reported if said is not None and said in line] == reported
     assert len(reported) == (0 if said is None else 1)
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "told"),
-    [(path, value, told) for path, (default, _) in RETIRED.items() for value, told in ((default, 0), (0.3, 1))],
-)
-def test_a_retired_key_is_read_and_reported_only_where_it_meant_something(path, value, told, caplog):
-    data = with_key(path, value)
-    as_given = copy.deepcopy(data)
-    with caplog.at_level(logging.WARNING):
-        settings = from_mapping(data, "old.toml")
-    assert settings == from_mapping(AUTOPILOT, "new.toml")
-    assert len([r for r in caplog.messages if f"{path} is retired" in r]) == told
-    assert data == as_given
-
-
-def with_key(path: str, value: object) -> dict[str, Any]:
-    data = copy.deepcopy(AUTOPILOT)
-    *tables, last = path.split(".")
-    table = data
-    for name in tables:
-        table = table.setdefault(name, {})
-    table[last] = value
-    return data
-
-
-@pytest.mark.parametrize(("old", "new"), sorted(MOVED.items()))
-def test_a_key_that_has_another_name_now_is_refused_in_a_file_and_read_in_a_recording(old: str, new: str) -> None:
-    default = dict(walk(Settings, "mavlink"))[new].default
-    value = "on" if default == "auto" else not default if isinstance(default, bool) else 1.5 * default
-    data = with_key(old, value)
-    with pytest.raises(BadInput, match=rf"^own\.toml: {old} is now {in_file(new)}$"):
-        from_mapping(data, "own.toml")
-    assert from_mapping(data, "a recording", recorded=True) == from_mapping(with_key(new, value), "own.toml")
-
-
-def test_a_recording_with_no_table_where_a_moved_key_belongs_is_refused_in_one_line() -> None:
-    with pytest.raises(BadInput, match=r"^a recording: "):
-        from_mapping(with_key("vehicle.ranges", "on") | {"landing_target": 3}, "a recording", recorded=True)
