@@ -1,6 +1,7 @@
 """`decklander start` and what a person reads first: settings that load, a QR code that reads back, help, carets, completion."""
 
 import socket
+import subprocess
 import threading
 import tomllib
 from pathlib import Path
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.cli import completion, start
+from companion.cli import start
 from companion.cli.main import COMMANDS, main
 from companion.cli.progress import ProgressObserver
 from companion.cli.refusal_place import pointed
@@ -96,11 +97,16 @@ def test_the_place_of_a_fault_has_a_caret(text: str, message: str, row: int, mar
     assert "docs/configuration.md" in page
 
 
-def test_shells_complete_every_command_and_its_options() -> None:
-    words = completion.completions()
-    assert set(words) == set(COMMANDS)
-    assert {"--seed", "--perception"} <= set(words["simulate"])
-    assert {"check", "reference", "--expert"} <= set(words["config"])
+def test_shells_complete_every_command_and_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "bash"]) == 0
+    asked = """
+for words in "" "simulate --per" "config refer"; do
+  COMP_WORDS=(decklander $words); [ -z "$words" ] && COMP_WORDS+=("")
+  COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); _shtab_decklander; echo "${COMPREPLY[@]}"
+done"""
+    done = subprocess.run(["bash", "-c", capsys.readouterr().out + asked], capture_output=True, text=True, check=True)
+    offered = [line.split() for line in done.stdout.splitlines()]
+    assert offered == [[*COMMANDS], ["--perception", "--perception-model"], ["reference"]]
 
 
 def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -82,7 +82,7 @@ def test_a_drawing_takes_the_size_that_it_is_given_and_needs_one() -> None:
     ("text", "said"),
     [
         ("<svg", "no SVG drawing"),
-        ("<html/>", "its root is <html>"),
+        ("<html/>", "its root is no <svg>"),
         ('<svg viewBox="0 0 9 9"/>', "paints nothing"),
         ('<svg viewBox="0 0 9 9"><text>H</text></svg>', "convert it to paths"),
         ('<svg viewBox="0 0 9 9"><rect width="5" height="5" fill="url(#g)"/></svg>', "plain colours alone"),

@@ -77,10 +77,8 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
         BadInput: neither the file nor the caller says the size.
     """
     lines = [line for one in drawing.painted for line in one.lines]
-    left, top = (float(v) for v in np.maximum(np.min([line.min(axis=0) for line in lines], axis=0), (drawing.left, drawing.top)))
-    right, low = np.minimum(
-        np.max([line.max(axis=0) for line in lines], axis=0), (drawing.left + drawing.width, drawing.top + drawing.height)
-    ).tolist()
+    left, top = (float(v) for v in np.maximum(np.min([line.min(axis=0) for line in lines], axis=0), 0.0))
+    right, low = np.minimum(np.max([line.max(axis=0) for line in lines], axis=0), (drawing.width, drawing.height)).tolist()
     extent = max(right - left, low - top)
     if not extent > 0.0:
         raise BadInput(f"{where}: nothing is painted on the sheet")
@@ -98,11 +96,11 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
             cv2.fillPoly(image, moved, paints.index(one.rgb), cv2.LINE_8, 4)
     ground = _border(image[margin : size[0] - margin, margin : size[1] - margin])
     image[:margin], image[-margin:], image[:, :margin], image[:, -margin:] = ground, ground, ground, ground
-    if size_m is None and drawing.unit_mm is None:
+    if size_m is None and drawing.px_mm is None:
         raise BadInput(f"{where}: the drawing has no size in mm or cm: give it with --size-mm, across all that it paints")
     if size_m is None:
-        assert drawing.unit_mm is not None
-        return Picture(image, tuple(paints), 1000.0 * scale / drawing.unit_mm, ground)
+        assert drawing.px_mm is not None
+        return Picture(image, tuple(paints), 1000.0 * scale / drawing.px_mm, ground)
     rows, columns = np.nonzero(image != ground)
     return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
 
