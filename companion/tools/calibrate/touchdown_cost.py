@@ -8,8 +8,8 @@ wrong is a delay that differs from row to row. A focal length that is wrong by a
 that stays in the middle of the frame does not move aside by that, one beside it by the vehicle's tilt does.
 
 Of the vehicle's response: near the deck, at sea state 4, gusts, the deck and the filter's errors drive the loop of
-`companion.guidance.law.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by more,
-and the squares' difference is the cost.
+`companion.guidance.law.margins`. Its law is made for the response of a file. With another vehicle than the file's it errs by
+more, and the squares' difference is the cost.
 """
 
 import math
