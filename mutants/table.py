@@ -31,17 +31,16 @@ _LAW_CORE = "tests/companion/test_law_core.py"
 _AXIS = ("tests/companion/test_tilt_axis.py", "tests/companion/test_law.py")
 _VISION = "tests/estimator/vision"
 _KEPT = f"{_VISION}/test_unchanged_frames.py"
-_SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification_registered.py")
+_SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification.py")
 _ROOMS = {
-    "align": (f"{_VISION}/test_verification.py", f"{_VISION}/test_acquire_parts.py", *_SEEN, f"{_VISION}/test_covered.py"),
-    "lamps": (_KEPT, f"{_VISION}/test_lamps_core.py", f"{_VISION}/test_lamps.py"),
-    "look": (*_SEEN, f"{_VISION}/test_paint.py", f"{_VISION}/test_detection.py"),
-    "register": (f"{_VISION}/test_registration.py", *_SEEN, f"{_VISION}/test_registration_surroundings.py"),
+    "align": (f"{_VISION}/test_detect.py", *_SEEN, f"{_VISION}/test_covered.py"),
+    "lamps": (_KEPT, f"{_VISION}/test_lamps.py"),
+    "look": (*_SEEN, f"{_VISION}/test_thesis.py"),
+    "register": (f"{_VISION}/test_registration.py", *_SEEN),
     "search": (
         _KEPT,
-        f"{_VISION}/test_acquire_parts.py",
-        f"{_VISION}/test_blob_circles.py",
-        f"{_VISION}/test_letter_alone.py",
+        f"{_VISION}/test_detect.py",
+        f"{_VISION}/test_tracker.py",
         f"{_VISION}/test_acquire.py",
     ),
 }
@@ -81,11 +80,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/filter/correction.c": (*_CORE, *_SIGHTINGS[1:]),
     "estimator/core/base/rotation.c": (
         "tests/estimator/ekf/test_half_turn.py",
-        "tests/estimator/vision/test_pose_in_level.py",
+        "tests/estimator/vision/test_sighting.py",
         *_SIGHTINGS[1:3],
         "tests/estimator/ekf/test_process_event_bounds.py",
     ),
-    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_pose_in_level.py",),
+    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_sighting.py",),
     "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
     "estimator/core/vision/frame_noise.c": (f"{_VISION}/test_hard_light.py", *_SEEN),
     **{
@@ -115,15 +114,14 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/pad_tracker.py": ("tests/estimator/test_public_api.py",),
     "estimator/pipeline.py": ("tests/estimator/test_public_api.py", *_PIPELINE),
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
-    "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock_bounds.py", f"{_INTEGRITY}/test_clock.py"),
-    "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading_bounds.py", f"{_INTEGRITY}/test_heading.py"),
+    "estimator/integrity/clock.py": (f"{_INTEGRITY}/test_clock.py"),
+    "estimator/integrity/heading.py": (f"{_INTEGRITY}/test_heading.py"),
     "estimator/integrity/heights.py": (f"{_INTEGRITY}/test_heights.py",),
     "estimator/integrity/sensors.py": (
         f"{_INTEGRITY}/test_frames.py",
-        f"{_INTEGRITY}/test_sensors_bounds.py",
         f"{_INTEGRITY}/test_sensors.py",
     ),
-    "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks_bounds.py", f"{_INTEGRITY}/test_tracks.py"),
+    "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks.py"),
     "estimator/integrity/view.py": (f"{_INTEGRITY}/test_view.py",),
     "companion/guidance/mission/machine.py": ("tests/companion/test_mission_table.py",),
     "companion/guidance/landing.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),

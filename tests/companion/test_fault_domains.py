@@ -212,7 +212,7 @@ def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:
     assert not health.parts["failing.on_sample"].up
     assert health.parts["failing.on_sample"].last_error == "off after 20 failures in a row: bad"
     assert health.snapshot().counters["contained"] == {"failing.on_sample": 20}
-    assert health.parts["failing"].up is True  # its body is well
+    assert health.parts["failing"].up is True  # the part itself runs on
 
 
 def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_world() -> None:

@@ -9,7 +9,6 @@ import pytest
 from estimator.integrity.arbiter import Arbiter, compare, follow, judged
 from estimator.integrity.tracks import Place
 
-MS = 1_000_000
 T = 5_000_000_000
 SURE = (1e-4,) * 6
 
@@ -88,9 +87,3 @@ def test_single_sightings_elsewhere_do_not_move_it_and_five_in_a_row_do() -> Non
     assert not state.overrules
     state = follow(state, place(5.0 + 4 / 30.0, aside))
     assert (state.n, state.misses, state.axes[0].p) == (1, 0, aside[0])
-
-
-def test_a_late_sighting_changes_nothing_and_a_pause_begins_again() -> None:
-    state, _ = followed(5.0, swaying)
-    assert follow(state, place(1.0, swaying(1.0))) is state
-    assert follow(state, place(6.0, swaying(6.0))).n == 1

@@ -97,3 +97,53 @@ def test_samples_that_come_twice_or_after_a_pause_have_a_clock_that_goes() -> No
             twice = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.01 + late) * 1e9)), 0.001, "sim")
             state, verdict = watch_delay(state, "Imu", twice, 0.5, 1.0)
             assert verdict is None
+
+
+S, MS = 1_000_000_000, 1_000_000
+
+
+NOW = ClockWatch(100 * S)
+
+
+def arrive(state: ClockWatch, kind: str, t: int) -> tuple[ClockWatch, Verdict | None]:
+    return watch_arrival(state, kind, Stamp(MonoNs(t), MonoNs(t), 0.001, "sim"), 1.0)
+
+
+def test_two_looks_of_one_stream_confirm_nothing_and_of_two_streams_they_do() -> None:
+    state, _ = arrive(NOW, "Imu", 200 * S)
+    assert arrive(state, "Imu", 200 * S)[1] is Verdict.TOO_NEW
+    confirmed, output = arrive(state, "Attitude", 200 * S - MS)
+    assert output is None
+    assert confirmed == ClockWatch(200 * S), "the newest of them is the time, and delays are learned again"
+
+
+def delay(state: ClockWatch, delay_ms: float, received_at: int = 100 * S, kind: str = "Imu") -> tuple[ClockWatch, Verdict | None]:
+    stamp = Stamp(MonoNs(received_at - round(delay_ms * MS)), MonoNs(received_at), 0.001, "sim")
+    return watch_delay(state, kind, stamp, 0.125, 1.0)
+
+
+def settled(n: int, delay_ms: float = 125.0) -> ClockWatch:
+    state = ClockWatch()
+    for _ in range(n):
+        state, _ = delay(state, delay_ms)
+    return state
+
+
+def test_another_delay_is_the_streams_own_after_its_time_unbroken() -> None:
+    state, output = delay(settled(9), 400.0, 101 * S)
+    assert (output, state.off("Imu"), state.off("Baro")) == (Verdict.TOO_OLD, True, False)
+    state, output = delay(state, 400.0, 102 * S - 1)
+    assert output is Verdict.TOO_OLD
+    lasting, output = delay(state, 400.0, 102 * S)
+    assert (output, lasting.off("Imu"), lasting.delays["Imu"].median_s) == (None, False, 0.4)
+    broken, _ = delay(state, 125.0, 102 * S - 1)
+    assert not broken.off("Imu")
+    assert delay(broken, 400.0, 102 * S)[1] is Verdict.TOO_OLD
+
+
+def test_each_stream_has_a_delay_of_its_own() -> None:
+    state = settled(9)
+    for _ in range(9):
+        state, output = delay(state, 400.0, kind="Baro")
+        assert output is None
+    assert (state.delays["Imu"].median_s, state.delays["Baro"].median_s) == (0.125, 0.4)

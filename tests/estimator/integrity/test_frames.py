@@ -42,33 +42,6 @@ def test_a_ring_of_buffers_handed_out_again_and_again_is_frozen() -> None:
     assert state.frozen
 
 
-def test_one_pixel_of_a_looked_at_row_makes_a_new_frame() -> None:
-    a = noisy()
-    b = a.copy()
-    b[8, 77, 1] ^= 1
-    state, _ = watch_frame(FrameWatch(), a)
-    assert watch_frame(state, b)[1] is False
-
-
-def test_rows_over_the_whole_height_are_looked_at() -> None:
-    a = np.zeros((360, 4, 3), np.uint8)
-    state, _ = watch_frame(FrameWatch(), a)
-    for row in range(8, 360, 16):
-        b = a.copy()
-        b[row, 3, 2] = 1
-        assert watch_frame(state, b)[1] is False
-
-
-def test_a_frame_is_known_for_fifteen_others() -> None:
-    frames = [np.full((16, 2, 3), i, np.uint8) for i in range(17)]
-    for others, known in ((15, True), (16, False)):
-        state = FrameWatch()
-        for frame in frames[: others + 1]:
-            state, repeated = watch_frame(state, frame)
-            assert not repeated
-        assert watch_frame(state, frames[0])[1] is known
-
-
 def test_an_image_that_is_one_row_in_memory_is_known_by_that_row() -> None:
     row = noisy()[0]
     assert digest(np.broadcast_to(row, (360, *row.shape))) == digest(np.broadcast_to(row, (9, *row.shape)))

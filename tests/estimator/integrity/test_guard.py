@@ -1,16 +1,14 @@
 """The guard: each input meets its watches in turn, a refusal leaves the later ones untouched, and every alert is raised."""
 
 import math
-from types import MappingProxyType
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
-from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import (
     IntegrityGuard,
@@ -23,8 +21,6 @@ from estimator.integrity import (
     follow,
     judged,
 )
-from estimator.integrity.heights import HeightWatch
-from estimator.integrity.sensors import Repeat, SensorWatch
 
 S, MS = 1_000_000_000, 1_000_000
 T = 100 * S
@@ -88,25 +84,6 @@ def test_arrival_delay_and_reading_are_judged_in_turn() -> None:
     assert verdict is Verdict.IMPOSSIBLE
 
 
-def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refused() -> None:
-    seen = IntegrityGuard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
-    guard, _ = admit_one(seen, Range(stamp(T), 2.0, 0.01))
-    assert guard.heights.agreed_at == T
-    guard, _ = admit_one(seen, Baro(stamp(T), 32.0, 0.5))
-    assert guard.heights.rise_now == 30.0
-    for kind, reading in ((Range, Range(stamp(T), 2.0, 0.01)), (Baro, Baro(stamp(T), 2.0, 0.5))):
-        held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(Repeat(2.0, T - 3 * S))}))
-        guard, verdict = admit_one(held, reading)
-        assert (verdict, guard.heights) == (Verdict.FROZEN, seen.heights)
-
-
-def test_the_gyro_turns_the_held_heading_and_an_attitude_is_compared_with_it() -> None:
-    imu = Imu(stamp(T), np.array([0.0, 0.0, 0.2]), np.array([0.0, 0.0, -9.8]))
-    guard, (_, at) = admit(IntegrityGuard(), [imu, attitude(T)])
-    assert (guard.heading.turned_at, guard.heading.rate_rad_s, guard.heading.held_rad) == (T, 0.2, pytest.approx(HEADING))
-    assert isinstance(at, Attitude)
-
-
 def test_the_heading_that_a_gyro_held_goes_with_the_gyro_once_it_is_named() -> None:
     """WHY: the heading of a gyro that turned by itself for two seconds was held against a right compass for a minute more."""
     rng, guard, off_deg = np.random.default_rng(3), IntegrityGuard(), list[float]()
@@ -131,15 +108,6 @@ def test_the_heading_that_a_gyro_held_goes_with_the_gyro_once_it_is_named() -> N
     assert "yaw" in guard.lost[0]
     assert off_deg[-1] < 0.01
     assert max(off_deg) > 6.0, "the gyro's heading until then"
-
-
-def test_what_has_no_watch_of_its_own_passes_as_it_is() -> None:
-    fix = GeoFix(stamp(T), "vessel", GeoPoint(0.9, 0.2), 2.0)
-    report = VesselReport(stamp(T), np.array([1.0, 0.0, 0.0]), np.eye(3), None, None)
-    seen = IntegrityGuard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
-    guard, admitted = admit(seen, [fix, report])
-    assert admitted == [fix, report]
-    assert (set(guard.sensors), guard.heights) == ({VesselReport}, seen.heights)
 
 
 def test_after_a_leap_of_the_time_every_delay_begins_again() -> None:
@@ -178,14 +146,6 @@ def followed() -> IntegrityGuard:
     for _ in range(9):
         guard = judged(guard, sighting(T), attitude(T), True)
     return guard
-
-
-def test_what_the_estimator_took_is_counted_and_its_height_compared_where_the_attitude_is_known() -> None:
-    guard = judged(IntegrityGuard(), sighting(T), attitude(T, 0.1), True)
-    assert (guard.tracks.n, guard.heights.seen_at, guard.heights.d_level) == (1, T, (1.0, 0.5, 2.0))
-    assert guard.heights.down_level == pytest.approx((0.0, -math.sin(0.1), math.cos(0.1)))
-    guard = judged(IntegrityGuard(), sighting(T), None, True)
-    assert (guard.tracks.n, guard.heights) == (1, HeightWatch())
 
 
 def test_another_place_is_refused_unless_the_belief_expects_it() -> None:

@@ -10,8 +10,8 @@ from estimator import pipeline
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.integrity import IntegrityOptions
 from estimator.integrity.heading import HeadingWatch, steadied, turned
+from estimator.integrity.options import IntegrityOptions
 from estimator.options import EstimatorOptions
 
 DT = 0.005
@@ -97,3 +97,27 @@ def test_frames_and_paths_get_the_held_heading() -> None:
     assert held is not None
     assert abs(math.degrees(held.R_ned_body.rpy_rad[2])) < 3.0
     assert abs(math.degrees(memory.guard.heading.off_rad)) > 50.0
+
+
+MS = 1_000_000
+
+
+def at(t: int) -> Stamp:
+    return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
+
+
+def gyro(t_ms: int, rate_rad_s: float, t_ns: int = 0) -> Imu:
+    return Imu(at(t_ms * MS + t_ns), np.array([0.0, 0.0, rate_rad_s]), np.array([0.0, 0.0, -9.8]))
+
+
+def reported(t_ms: int, yaw_rad: float, t_ns: int = 0) -> Attitude:
+    return Attitude(at(t_ms * MS + t_ns), Rotation.from_rpy(0.1, -0.2, yaw_rad), np.eye(3))
+
+
+def held(rad: float = 0.0, *, at_ms: int = 0, turned_ms: int = 0, rate: float = 0.0, turned_rad: float = 0.0) -> HeadingWatch:
+    return HeadingWatch(turned_rad, turned_ms * MS, rate, held_rad=rad, held_at=at_ms * MS)
+
+
+def test_a_report_from_before_the_last_one_is_not_followed() -> None:
+    watch, _ = steadied(held(at_ms=80, turned_ms=40), reported(40, 0.1), OPTIONS)
+    assert watch.held_rad == 0.0

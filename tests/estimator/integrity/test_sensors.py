@@ -1,6 +1,7 @@
 """Readings that cannot be: beyond the vehicle, a step it cannot make, or not one bit of change."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
@@ -125,3 +126,72 @@ def test_nothing_of_a_real_flight_is_refused() -> None:
     assert len(rows) > 7000
     assert set(run([velocity(r["t_stamp_s"], (1e-3 * r["vx_mm_s"], 1e-3 * r["vy_mm_s"], 0)) for r in rows])) == {None}
     assert set(run([Range(at(r["t_stamp_s"]), 1e-3 * r["altd_mm"], 0.02) for r in rows])) == {None}
+
+
+S, MS = 1_000_000_000, 1_000_000
+
+
+T = 10 * S
+
+
+def at_ns(t: int) -> Stamp:
+    return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
+
+
+def imu_at(t: int, f: float = 9.8, w: float = 0.1) -> Imu:
+    return Imu(at_ns(t), np.array([w, 0.0, 0.0]), np.array([0.0, 0.0, -f]))
+
+
+def vessel(t: int, v: float) -> VesselReport:
+    return VesselReport(at_ns(t), np.array([0.0, v, 0.0]), np.eye(3), None, None)
+
+
+def baro(t: int, height_m: float) -> Baro:
+    return Baro(at_ns(t), height_m, 0.5)
+
+
+def said(*events: Reading) -> list[Verdict | None]:
+    state, out = SensorWatch(), []
+    for event in events:
+        state, verdict = watch(state, event, LIMITS, True)
+        out.append(verdict)
+    return out
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_speed_is_that_of_the_components_that_were_measured(axis: int) -> None:
+    var = np.full(3, 1e3)
+    var[axis] = 0.01
+    for speed, verdict in ((20.0, None), (-20.0, None), (20.01, Verdict.IMPOSSIBLE)):
+        v = np.full(3, 500.0)
+        v[axis] = speed
+        assert said(BodyVelocity(at_ns(T), v, np.diag(var))) == [verdict]
+
+
+@pytest.mark.parametrize(
+    ("roll_rad", "pitch_rad"), [(2.315840312948539, -0.08309898974996566), (0.6869503213152144, -0.3514859733064353)]
+)
+def test_upside_down_is_a_step_though_rounding_puts_the_poles_farther_apart_than_two(roll_rad: float, pitch_rad: float) -> None:
+    poles = [Rotation.from_rpy(roll_rad, pitch_rad, 1.0), Rotation.from_rpy(roll_rad + math.pi, -pitch_rad, 1.0)]
+    assert math.dist(*(pole.matrix[2].tolist() for pole in poles)) > 2.0
+    upright, over = (Attitude(at_ns(T + i * 20 * MS), pole, np.eye(3)) for i, pole in enumerate(poles))
+    assert said(upright, over) == [None, Verdict.IMPOSSIBLE]
+
+
+def test_readings_that_nobody_compares_may_step() -> None:
+    assert said(imu_at(T, f=0.0), imu_at(T + MS, f=79.0)) == [None, None]
+    assert said(vessel(T, 0.0), vessel(T + MS, 19.0)) == [None, None]
+
+
+def test_a_reading_of_the_same_instant_or_from_before_is_compared_with_none() -> None:
+    for t in (T, T - MS):
+        assert said(baro(T, 0.0), baro(t, 30.0)) == [None, None]
+
+
+def test_a_repeat_beyond_the_limits_is_impossible_first() -> None:
+    assert said(imu_at(T, f=90.0), imu_at(T + S, f=90.0)) == [Verdict.IMPOSSIBLE] * 2
+    assert said(imu_at(T), imu_at(T + 140 * MS), imu_at(T + 160 * MS)) == [None, None, Verdict.FROZEN]
+
+
+def test_a_vessels_report_may_repeat_for_ever() -> None:
+    assert said(vessel(T, 1.0), vessel(T + 3600 * S, 1.0)) == [None, None]

@@ -9,20 +9,17 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.colour import in_grey
-from estimator.vision.detect.heading import heading
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import SURE, verified
 from sitl.camera.light import Light
 from tests.support.deck_images import shown
-from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene, haze
-from tests.support.pad_scenes import PadScene, empty_scene, pad_scene
+from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene
+from tests.support.pad_scenes import PadScene, pad_scene
 
 SEED = 21
 
@@ -58,16 +55,6 @@ def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k:
     assert float(np.linalg.norm(best.d_body_pad_level)) == pytest.approx(seen.truth.range_m, rel=0.1)
 
 
-@pytest.mark.parametrize(("seed", "k", "height_m"), [(97, 12, 10.0), (97, 22, 15.0), (97, 32, 15.0)])
-def test_a_ring_that_pixels_mix_with_the_h_is_as_bright_as_it_should_be(camera, seed, k, height_m):
-    # Compared with all of the disc, whose inner part is as bright as the H there, the ring is too dark: the score is 0.1.
-    seen = hard_scene(np.random.default_rng([seed, k, round(10 * height_m)]), camera, HARD["grey"], height_m)
-    assert seen.truth is not None
-    found = heading(seen.px, 1, camera, Pyramid(seen.px).as_seen(HARD["grey"].pad), seen.truth)
-    assert found is not None
-    assert found.score > 0.3
-
-
 def ring_place(camera: Camera, pad: Pad, px: U8, truth: PadPose) -> float:
     """Return how far the ring is from its place between disc and H, 0 or less."""
     pyramid = Pyramid(px)
@@ -86,15 +73,6 @@ def test_the_ring_of_a_pad_whose_h_is_burnt_out_may_be_any_darker_than_the_h(cam
     assert ring_place(camera, pad, dimmed, seen.truth) < -0.3
 
 
-@pytest.mark.parametrize("k", [14, 33])
-def test_a_burnt_out_grey_pad_is_sure(camera: Camera, k: int) -> None:
-    seen = hard_scene(np.random.default_rng([97, k, 100]), camera, HARD["grey"], 10.0)
-    assert seen.truth is not None
-    of = verified(FrameView(Pyramid(seen.px), camera, HARD["grey"].pad), seen.truth, Orientation.of(None))
-    assert of is not None
-    assert of.confidence > SURE
-
-
 @pytest.mark.parametrize("sigma", [6.0, 12.0, 20.0])
 def test_the_noise_of_a_frame_is_measured_beside_what_it_shows(camera: Camera, pad: Pad, sigma: float) -> None:
     rng = np.random.default_rng(5)
@@ -110,14 +88,6 @@ def test_an_ordinary_frame_is_clear_and_has_no_more_than_the_usual_noise(camera:
     assert (Pyramid(seen.px).noise, Pyramid(seen.px).contrast) == (0.0, 1.0)
 
 
-def test_airlight_takes_contrast(camera: Camera, pad: Pad) -> None:
-    rng = np.random.default_rng(6)
-    seen = pad_scene(rng, camera, pad, 3.0, "plain").px
-    clear, dim = Pyramid(seen).contrast, Pyramid(haze(0.15)(seen, rng)).contrast
-    assert clear == 1.0
-    assert 0.15 <= dim < 0.5
-
-
 @pytest.mark.parametrize("quality", [1, 60, 95])
 def test_a_grey_camera_is_known_and_its_codec_does_not_hide_it(camera: Camera, pad: Pad, quality: int) -> None:
     rng = np.random.default_rng(7)
@@ -125,10 +95,6 @@ def test_a_grey_camera_is_known_and_its_codec_does_not_hide_it(camera: Camera, p
     coded = cv2.imdecode(cv2.imencode(".jpg", grey(colour, rng), [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
     assert Pyramid(np.asarray(coded, np.uint8)).monochrome
     assert not Pyramid(colour).monochrome, "the pad itself is its only colour, twenty pixels wide"
-
-
-def test_a_frame_without_the_pad_has_colour_too(camera: Camera) -> None:
-    assert not any(Pyramid(empty_scene(np.random.default_rng(k), camera, 5.0).px).monochrome for k in range(6))
 
 
 def test_a_grey_frame_sees_the_paints_as_greys(camera: Camera, pad: Pad) -> None:
@@ -158,12 +124,3 @@ def test_noise_does_not_hide_a_part_that_all_its_samples_show(camera: Camera, pa
     ring, edge = gains(dusk(0.1, 20.0)(seen.px, np.random.default_rng(9)))
     assert ring > 1.2
     assert edge > 0.8
-
-
-def test_what_surrounds_the_disc_does_not_outweigh_a_small_drawing(camera: Camera) -> None:
-    hard = HARD["black on white"]
-    seen = scene(camera, "black on white", 15.0, 8)
-    assert seen.truth is not None
-    found = heading(seen.px, 1, camera, hard.pad, seen.truth)
-    assert found is not None
-    assert found.score > 0.3

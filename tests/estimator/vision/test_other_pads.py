@@ -9,12 +9,10 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import by_paint
-from estimator.vision.camera import Camera
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import accuracy, alike_headings, confusable_turns
+from estimator.vision.pad_information import alike_headings, confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
@@ -121,27 +119,3 @@ def test_a_triangle_shows_the_heading_that_its_h_does_not() -> None:
 )
 def test_headings_that_look_alike_are_counted(name: str, count: int) -> None:
     assert alike_headings(shipped_pad(name)) == count
-
-
-def test_a_ring_alone_has_no_heading() -> None:
-    data = {
-        "name": "ring", "paints": {"white": [255, 255, 255]},
-        "regions": [{"shape": "ring", "paint": "white", "inner_m": 0.2, "outer_m": 0.3}],
-    }  # fmt: skip
-    ring = Pad.from_mapping(data)
-    assert alike_headings(ring) == 0
-    assert accuracy(ring, PLAIN, 3.0, np.full(3, 0.2)).yaw_rad == math.inf
-
-
-def test_the_bound_scales_as_a_pinhole_camera_does() -> None:
-    """The same image through twice the focal length from twice as high: only the range's error doubles."""
-    deck, pad = np.full(3, 0.2), shipped_pad("thesis")
-    half = Camera(
-        PLAIN.width, PLAIN.height, 0.5 * PLAIN.fx, 0.5 * PLAIN.fy, PLAIN.cx, PLAIN.cy, PLAIN.distortion, PLAIN.T_body_cam
-    )
-    near, far = accuracy(pad, half, 4.0, deck), accuracy(pad, PLAIN, 8.0, deck)
-    assert near.radius_px == pytest.approx(far.radius_px)
-    assert far.lateral_m == pytest.approx(near.lateral_m, rel=1e-6)
-    assert far.yaw_rad == pytest.approx(near.yaw_rad, rel=1e-6)
-    assert far.range_m == pytest.approx(2.0 * near.range_m, rel=1e-6)
-    assert accuracy(pad, PLAIN, 4.0, deck).range_m < far.range_m

@@ -1,19 +1,38 @@
 """The judge: parts speak for themselves, light does not count, and confidence falls with every part that is missing."""
 
+import itertools
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision import native
 from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
+from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.verification import FEATURES, confidence
+from estimator.vision.detect.template import DISC
+from estimator.vision.detect.verification import FEATURES
+from estimator.vision.detect.verification import confidence as confidence_of_features
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register.fit_verification import SEARCHED, calibrated, confidence
+from estimator.vision.register.look import Looked, look
+from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
+from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.pad_claims import keeps_claim
+from tests.support.pad_images import STAMP
+from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
 
 
 def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:
@@ -53,11 +72,11 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
         covered(seen, camera, band, paint),
         covered(seen, camera, disc_of(0.31), paint),
     ]
-    values = [confidence(at(px, camera, pad, seen.truth).features) for px in images]
+    values = [confidence_of_features(at(px, camera, pad, seen.truth).features) for px in images]
     assert values[0] > 0.9
     assert max(values[1:]) < 0.5
     shifted = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + np.array([0.05, 0.0, 0.0]))
-    assert confidence(at(seen.px, camera, pad, shifted).features) < 0.5
+    assert confidence_of_features(at(seen.px, camera, pad, shifted).features) < 0.5
 
 
 @pytest.mark.parametrize("light", [Light(3000.0), Light(9000.0), Light(white_balance=(1.2, 1.0, 0.8)), Light(exposure_ev=-2.0)])
@@ -72,14 +91,6 @@ def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, l
     assert other["orange_place"] > plain["orange_place"] - 0.15
 
 
-def test_the_arrow_resolves_half_a_turn(camera: Camera, pad: Pad) -> None:
-    for height in (0.7, 2.0, 8.0):
-        seen = shown(camera, pad, height)
-        right, wrong = (at(seen.px, camera, pad, p).arrow_support for p in (seen.truth, seen.truth.turned(math.pi)))
-        assert right > 0.5
-        assert wrong < -0.4
-
-
 def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
     rng = np.random.default_rng(1)
     shape = (camera.height, camera.width, 3)
@@ -87,16 +98,159 @@ def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
     for px in (np.zeros(shape), np.full(shape, 255), rng.integers(0, 256, shape)):
         values = at(px.astype(np.uint8), camera, pad, pose).features
         assert np.all(np.isfinite(values))
-        assert confidence(values) < 0.2
+        assert confidence_of_features(values) < 0.2
 
 
-def test_a_claim_is_kept_or_broken_in_each_of_its_parts(camera: Camera, pad: Pad) -> None:
-    truth = shown(camera, pad, 2.0).truth
-    d = truth.t_cam_pad / truth.range_m
-    assert keeps_claim(truth, truth, camera, pad, False)
-    assert keeps_claim(PadPose(truth.R_cam_pad, truth.t_cam_pad + 0.1 * d), truth, camera, pad, False)
-    assert not keeps_claim(PadPose(truth.R_cam_pad, truth.t_cam_pad + 0.3 * d), truth, camera, pad, False)
-    assert not keeps_claim(PadPose(truth.R_cam_pad, truth.t_cam_pad + np.array([0.06, 0.0, 0.0])), truth, camera, pad, False)
-    assert not keeps_claim(truth.turned(0.3), truth, camera, pad, False)
-    assert not keeps_claim(truth.turned(math.pi), truth, camera, pad, False)
-    assert keeps_claim(truth.turned(math.pi), truth, camera, pad, True)
+CLOSE = RegistrationOptions(coarse=False)
+
+
+FRAME = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
+
+
+def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation | None) -> Looked | None:
+    attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, 1e-6 * np.eye(3))
+    return look(FrameView(Pyramid(px), camera, pad), start, Orientation.of(attitude), CLOSE)
+
+
+def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:
+    found = looked(px, camera, pad, start, R_level_body)
+    return 0.0 if found is None else confidence(found.log_odds)
+
+
+def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera) -> None:
+    """One call of the core gives what the parts give one by one."""
+    rng, compared = np.random.default_rng(8), 0
+    for k in range(40):
+        pad = load_pad(("thesis", "printed", "icao", "h")[k % 4])
+        height_m = math.exp(rng.uniform(math.log(0.25), math.log(20.0)))
+        scene = pad_scene(rng, camera, pad, height_m, CONDITIONS[k % len(CONDITIONS)])
+        assert scene.truth is not None
+        pyramid = Pyramid(scene.px)
+        found = looked(scene.px, camera, pad, scene.truth, scene.R_level_body)
+        one = register(scene.px, camera, pad, scene.truth, None if found is None else found.orientation, CLOSE, pyramid=pyramid)
+        if found is None or one is None:
+            continue
+        compared += 1
+        registration, other = found.registration(), align(FrameView(pyramid, camera, pad), one.pose, SIGMA_TILT_RAD, 0)
+        assert other is not None
+        assert np.array_equal(registration.cov, one.cov)
+        assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
+        assert found.record["aligned"]["features"] == pytest.approx(other.features, abs=1e-9)
+        assert found.log_odds == pytest.approx(float(found.evidence @ SEARCHED), abs=1e-9)
+        level = sighting_of(FRAME, one.pose, one.cov, camera, found.orientation, one.yaw_ambiguous, 0.5)
+        assert np.array_equal(sighting_of_look(FRAME, found, 0.5).cov, level.cov)
+    assert compared > 30
+
+
+def test_a_rough_start_is_approached_first(camera: Camera, pad: Pad) -> None:
+    for height_m in (0.5, 2.0, 8.0):
+        seen = shown(camera, pad, height_m)
+        off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + 0.04 * pad.disc_radius_m)
+        pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
+        found = look(FrameView(pyramid, camera, pad), off, orientation, RegistrationOptions(coarse=True))
+        one = register(seen.px, camera, pad, off, orientation, RegistrationOptions(coarse=True), pyramid=pyramid)
+        assert found is not None
+        assert one is not None
+        assert found.pose.t_cam_pad == pytest.approx(one.pose.t_cam_pad, abs=1e-9)
+        assert found.pose.t_cam_pad == pytest.approx(seen.truth.t_cam_pad, abs=2e-3 * height_m)
+
+
+def test_evidence_that_is_no_number_is_no_pad(camera: Camera, pad: Pad, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = shown(camera, pad, 1.0)
+    assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is not None
+    weights = native.SEARCHED.copy()
+    weights[-1] = math.nan
+    monkeypatch.setattr(native, "SEARCHED", weights)
+    # The drawing that is tracked is made from the weights once: another name makes it again.
+    pad = replace(pad, name="again")
+    assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is None
+
+
+@pytest.mark.parametrize("height_m", [0.4, 1.2, 4.0, 12.0])
+def test_sure_of_the_pad(camera: Camera, pad: Pad, height_m: float) -> None:
+    seen = shown(camera, pad, height_m)
+    assert sure(seen.px, camera, pad, seen.truth, seen.R_level_body) > 0.9
+
+
+@pytest.mark.parametrize("height_m", [0.6, 1.5, 4.0])
+def test_not_sure_of_a_helipad_on_green(camera: Camera, pad: Pad, height_m: float) -> None:
+    seen = shown(camera, None, height_m, decals=(Decal("helipad", (0.05, -0.03), 0.9, 0.5, "deck", (0, 102, 0)),))
+    for candidate in acquire(seen.px, camera, pad, seen.R_level_body, sure=2.0):
+        assert sure(seen.px, camera, pad, candidate.pose, seen.R_level_body) < 0.3
+
+
+def test_what_is_sure_is_called_surer_and_nothing_else_is_sure() -> None:
+    said = [calibrated(own) for own in np.linspace(0.0, 1.0, 1001)]
+    assert said == sorted(said)
+    assert said[:501] == pytest.approx(np.linspace(0.0, 0.5, 501))
+    assert said[560] > 0.8
+    assert 0.93 < said[620] < said[-1] <= 1.0
+
+
+Teach = Callable[[PaintMemory], PaintMemory]
+
+
+def view(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Teach:
+    """Return what one frame makes of a memory."""
+    seen = shown(camera, pad, 1.5, light=light, seed=seed)
+    pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
+
+    def teach(memory: PaintMemory) -> PaintMemory:
+        found = look(FrameView(pyramid, camera, pad), seen.truth, orientation, RegistrationOptions(coarse=False), paint=memory)
+        assert found is not None
+        return found.paint()
+
+    return teach
+
+
+def taught(frames: int, one: Teach, start: PaintMemory = FRESH) -> PaintMemory:
+    for _ in range(frames):
+        start = learn(start, one(start), 0.97)
+    return start
+
+
+def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(camera: Camera, pad: Pad) -> None:
+    one = view(camera, pad, Light())
+    assert learn(FRESH, one(FRESH), LEARNED_AT - 0.01) is FRESH
+    assert taught(2, one).dominance(pad) is None
+    learned = taught(3, one).dominance(pad)
+    assert learned is not None
+    disc, around = learned
+    assert disc > around + 1.0, "the disc is green and the deck is not"
+    assert abs(around) < 0.25
+
+
+def test_it_follows_the_light_slowly(camera: Camera, pad: Pad) -> None:
+    bright, dim = view(camera, pad, Light()), view(camera, pad, Light(exposure_ev=-1.5), 1)
+    old = taught(60, bright)
+    after_one, after_many = learn(old, dim(old), 0.97), taught(150, dim, old)
+    target = taught(1, dim).mean[DISC]
+    gap = float(np.abs(old.mean[DISC] - target).max())
+    assert gap > 0.3
+    assert np.abs(after_one.mean[DISC] - old.mean[DISC]).max() < 0.06 * gap
+    assert np.abs(after_many.mean[DISC] - target).max() < 0.15 * gap
+
+
+def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: Pad) -> None:
+    memory = taught(200, view(camera, pad, Light()))
+    trusts = []
+    for _ in range(60):
+        memory = missed(memory)
+        trusts.append(memory.trust)
+    assert memory is FRESH
+    assert all(a >= b for a, b in itertools.pairwise(trusts))
+    used = sum(t >= 0.1 for t in trusts)
+    assert 20 < used < 40, "a second or so at 30 frames a second"
+    assert missed(FRESH) is FRESH
+
+
+@pytest.mark.parametrize("height_m", [0.4, 1.5, 6.0])
+def test_a_memory_of_the_wrong_colours_hinders_nothing(camera: Camera, pad: Pad, height_m: float) -> None:
+    good = taught(50, view(camera, pad, Light()))
+    swapped = PaintMemory(good.mean[[3, 1, 0, 2]], good.var, good.trust)
+    upside_down = PaintMemory(good.mean[:, [2, 0, 1]] + 2.0, good.var, good.trust)
+    seen = shown(camera, pad, height_m, aside=(0.1, -0.1))
+    for memory in (FRESH, good, swapped, upside_down):
+        best = acquire(seen.px, camera, pad, seen.R_level_body, memory)[0]
+        assert best.score > 0.5
+        assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)

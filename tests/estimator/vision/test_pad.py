@@ -1,6 +1,8 @@
 """A pad's file: what is refused and how, and what is derived from the regions."""
 
 import copy
+import ctypes
+import math
 import tomllib
 from typing import Any
 
@@ -8,11 +10,29 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import ndtr
 
 from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
+from estimator.core.library import CORE, FILE
 from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.native import pad_shape
 from estimator.vision.pad import Pad
-from estimator.vision.regions import PaintedLetter, PaintedPolygon, PaintedStroke, depth_in, outlines_of, part_of, rectangles_of
+from estimator.vision.regions import (
+    PaintedLetter,
+    PaintedPolygon,
+    PaintedStroke,
+    PaintedTriangle,
+    Region,
+    convex_pieces_of,
+    covers,
+    depth_in,
+    is_slanted,
+    outlines_of,
+    rectangles_of,
+    sides_of,
+)
+from tests.support.pad_images import _paint
 from tests.support.shipped import CONFIGS, shipped_pad
 
 THESIS, HOSPITAL, FAA = (
@@ -125,19 +145,6 @@ def test_the_edges_of_shipped_pads_lie_between_their_paints(name: str) -> None:
     assert np.all(np.diff(edges.kind) >= 0)
 
 
-def test_strokes_that_cross_are_one_shape() -> None:
-    """Neither of two crossing strokes has an edge there, and the ground that both cover counts once."""
-    arms = [PaintedStroke("white", (-0.2, 0.0), (0.2, 0.0), 0.04), PaintedStroke("white", (0.0, -0.15), (0.0, 0.15), 0.04)]
-    area = sum((x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in rectangles_of(arms))
-    assert area == pytest.approx(0.4 * 0.04 + 0.3 * 0.04 - 0.04 * 0.04)
-    cross = Pad("cross", (("white", (255, 255, 255)),), tuple(arms))
-    letter = Pad("letter", (("white", (255, 255, 255)),), (PaintedLetter("white", "X", 0.4, 0.3, 0.04),))
-    edges, same = edges_of(cross), edges_of(letter)
-    assert np.all(edges.kind == EdgeKind.H)
-    assert edges.spacing_m.sum() == pytest.approx(same.spacing_m.sum(), rel=0.02)
-    assert min(np.abs(edges.at_m).max(axis=1)) > 0.0199
-
-
 @settings(max_examples=60)
 @given(st.sampled_from("HILTX"), st.floats(0.1, 0.5), st.floats(0.1, 0.5), st.floats(0.01, 0.04), st.floats(0.01, 0.04))
 def test_the_rectangles_of_a_letter_cover_its_outline(letter, length, width, stroke, bar):
@@ -152,8 +159,136 @@ def test_the_rectangles_of_a_letter_cover_its_outline(letter, length, width, str
     assert np.array_equal(np.asarray(covered), inside.astype(int))
 
 
-def test_a_ring_is_not_filled() -> None:
-    ring = next(region for region in shipped_pad("thesis").regions if part_of(region) == "ring")
-    x, y = outlines_of(ring, 3600)[0].T
-    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
-    assert area == pytest.approx(np.pi * (0.261**2 - 0.243**2), rel=1e-4)
+PADS = [shipped_pad("thesis"), shipped_pad("printed")]
+
+
+def test_edges_lie_between_the_two_paints() -> None:
+    for pad in PADS:
+        e = edges_of(pad)
+        inside, outside = (_paint(at[:, 0], at[:, 1], pad) for at in (e.at_m - 1e-3 * e.normal, e.at_m + 1e-3 * e.normal))
+        for kind, paints in ((EdgeKind.RING, (3, 2)), (EdgeKind.ARROW, (3, 2)), (EdgeKind.H, (4, 2))):
+            of = e.kind == kind
+            assert set(inside[of]) == {paints[0]}
+            assert set(outside[of]) == {paints[1]}
+        of = e.kind == EdgeKind.DISC
+        assert set(inside[of]) == {2}
+        assert set(outside[of]) == ({1} if pad.markings.rim_width_m else {0})
+        assert np.all(np.diff(e.kind) >= 0)
+        assert np.all(np.diff(e.piece) >= 0)
+
+
+HOOK = PaintedPolygon("white", ((-0.3, -0.2), (0.3, -0.25), (0.1, 0.0), (0.28, 0.3), (-0.1, 0.1)))
+
+
+TRIANGLE = PaintedTriangle("white", 0.7, 0.05)
+
+
+BAR = PaintedStroke("white", (-0.2, -0.1), (0.2, 0.15), 0.05)
+SHAPES: tuple[Region, ...] = (BAR, HOOK, TRIANGLE)
+
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(160)
+
+
+class _Footprint(ctypes.Structure):
+    """The core's `footprint`."""
+
+    _fields_ = [
+        ("n", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in ("x", "y", "k1", "k2", "m")),
+        ("blur_m2", ctypes.c_double * 3),
+        ("m2_per_px2", ctypes.c_double),
+    ]
+
+
+class _Round(ctypes.Structure):
+    """The core's `round_points`; lettering has no circles."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in ("seen", "per", "per_sigma", "m_cc", "m_cs", "m_ss")]
+
+
+class _Stretch(ctypes.Structure):
+    """The core's `stretch`."""
+
+    _fields_ = [("f", ctypes.c_void_p), ("round", ctypes.c_void_p), ("begin", ctypes.c_int), ("count", ctypes.c_int)]
+
+
+def blurred(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64) -> tuple[F64, F64]:
+    """Return the coverage (N,) that the core computes, and its derivatives (5, N) by x, y and the blur."""
+    shape = CORE.record("dl_pad_shape", **pad_shape(Pad("one", (("white", (255, 255, 255)),), (region,))))
+    n = len(at)
+    x, y, ratio = (np.ascontiguousarray(row, np.float32) for row in (at[:, 0], at[:, 1], m))
+    value, d, spare = np.zeros(n, np.float32), np.zeros((5, n), np.float32), np.zeros((2, n), np.float32)
+    points = _Footprint(n, x.ctypes.data, y.ctypes.data, None, None, ratio.ctypes.data, (ctypes.c_double * 3)(*blur_m2), 0.0)
+    kinds = shape["kinds"][3:].ctypes.data
+    rows, free = ((ctypes.c_void_p * len(a))(*(row.ctypes.data for row in a)) for a in (d, spare))
+    circles = _Round()
+    part = _Stretch(ctypes.addressof(points), ctypes.addressof(circles), 0, n)
+    ctypes.CDLL(FILE).cover(
+        ctypes.c_void_p(shape.ctypes.data),
+        ctypes.c_void_p(kinds),
+        ctypes.byref(part),
+        ctypes.c_void_p(value.ctypes.data),
+        rows,
+        free,
+    )
+    return value.astype(float), d.astype(float)
+
+
+def integrated(region: Region, blur_m2: tuple[float, float, float], at: F64, m: F64) -> F64:
+    """Return the coverage (N,) by Green's theorem: along each side, the density of one axis times the integral of the other."""
+    xx, xy, yy = blur_m2
+    L = np.linalg.inv(np.linalg.cholesky(np.array([[xx, xy], [xy, yy]])))
+    start, end = (((line[None] - at[:, None]) @ L.T) / np.sqrt(m)[:, None, None] for line in sides_of(region))
+    low, high = np.clip(start[..., 1], -9.0, 9.0), np.clip(end[..., 1], -9.0, 9.0)
+    y = 0.5 * (high - low)[..., None] * NODES + 0.5 * (high + low)[..., None]
+    rise = end[..., 1] - start[..., 1]
+    x = (
+        start[..., 0, None]
+        + (y - start[..., 1, None]) * ((end[..., 0] - start[..., 0]) / np.where(rise == 0.0, 1.0, rise))[..., None]
+    )
+    density = np.exp(-0.5 * y * y) / math.sqrt(math.tau)
+    return np.asarray((0.5 * (high - low)[..., None] * WEIGHTS * density * ndtr(x)).sum(axis=(1, 2)))
+
+
+@pytest.mark.parametrize("region", SHAPES, ids=lambda r: type(r).__name__)
+@pytest.mark.parametrize("sigma_m", [0.005, 0.03, 0.15])
+@pytest.mark.parametrize(("slant", "longer"), [(0.0, 1.0), (0.6, 1.4), (-0.7, 0.8)])
+def test_slanted_sides_are_blurred_exactly(region: Region, sigma_m: float, slant: float, longer: float) -> None:
+    """The comparison covers corners and sides, round and slanted blur, far smaller and larger than the shape."""
+    rng = np.random.default_rng(4)
+    blur = (sigma_m**2, slant * longer * sigma_m**2, (longer * sigma_m) ** 2)
+    start, end = sides_of(region)
+    side, along = rng.integers(len(start), size=64), rng.choice([0.0, 1.0, 0.3, 0.7], size=(64, 1))
+    at = start[side] * (1.0 - along) + end[side] * along + rng.normal(0.0, 1.5 * sigma_m, (64, 2))
+    m = rng.uniform(0.8, 1.25, 64)
+    # The core's points are in single precision.
+    at, m = at.astype(np.float32).astype(float), m.astype(np.float32).astype(float)
+    value, d = blurred(region, blur, at, m)
+    assert value == pytest.approx(integrated(region, blur, at, m), abs=2e-5)
+
+    def change(k: int) -> F64:
+        if k < 2:
+            step = np.eye(2)[k] * 2e-3 * sigma_m
+            return np.asarray(
+                (integrated(region, blur, at + step, m) - integrated(region, blur, at - step, m)) / (4e-3 * sigma_m)
+            )
+        more, less = (tuple(b + s * 1e-3 * sigma_m**2 * (i == k - 2) for i, b in enumerate(blur)) for s in (1.0, -1.0))
+        return np.asarray((integrated(region, more, at, m) - integrated(region, less, at, m)) / (2e-3 * sigma_m**2))  # type: ignore[arg-type]
+
+    for k in range(5):
+        right = change(k)
+        assert d[k] == pytest.approx(right, abs=2e-3 * np.abs(right).max())
+
+
+@pytest.mark.parametrize("region", SHAPES, ids=lambda r: type(r).__name__)
+def test_convex_pieces_cover_a_shape_once(region: Region) -> None:
+    assert is_slanted(region)
+    at = np.random.default_rng(2).uniform(-0.5, 0.5, (4000, 2))
+    times = np.zeros(len(at), int)
+    for piece in convex_pieces_of(region):
+        assert len(piece) in (3, 4)
+        way = np.roll(piece, -1, axis=0) - piece
+        to = at[:, None, :] - piece[None]
+        times += np.all(way[None, :, 0] * to[..., 1] - way[None, :, 1] * to[..., 0] > 0.0, axis=1)
+    assert np.array_equal(times, covers(region, at).astype(int))

@@ -1,0 +1,297 @@
+"""Things on the pad are seen, and light is not."""
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.base.mission import State
+from companion.guidance.pilot import Pilot
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
+from estimator.vision.beside_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, around
+from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
+from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detection import NearThing, PadCheck
+from estimator.vision.passing import PassMemory, passed
+from estimator.vision.tracker import TrackerConfig, TrackerMemory
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.light import Light, Mast
+from sitl.camera.picture_effects import PictureEffects
+from sitl.camera.surroundings import Decal, Deck, Surroundings
+from sitl.faults.kinds import Bystander, Glint
+from sitl.sea.sea import SEA_STATES, Waves
+from tests.support.pad_scenes import load_camera, load_pad, truth_of
+
+CAMERA, PAD = load_camera("sim"), load_pad("thesis")
+BRIGHT = Light(drone_shadow=0.0)
+
+
+def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, memory: DeckMemory | None = None) -> DeckMemory:
+    renderer = Renderer(CAMERA, PAD, Surroundings(decals=things), light)
+    first = 0 if memory is None else round((memory.at - 1_000_000_000) * 5e-9) + 1
+    for k in range(first, first + frames):
+        R = Rotation.from_rpy(0.02 * math.sin(k), 0.0, 0.4)
+        pad = np.array([0.0, 0.0, -0.6])
+        shot = Exposure(0.2 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
+        view = FrameView(Pyramid(renderer.render(shot, np.random.default_rng(k))), CAMERA, PAD)
+        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
+    assert memory is not None
+    return memory
+
+
+def check(light: Light, *things: Decal) -> PadCheck:
+    return shown(light, *things).check
+
+
+@pytest.mark.parametrize("at", [(0.05, -0.08), (0.1, 0.28)], ids=["on the H", "on the disc alone"])
+def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> None:
+    of = check(BRIGHT, Decal("crate", at, 0.15, 0.0, "pad", (98, 98, 98)))
+    assert of.seen > 0.9
+    assert of.thing is not None
+    assert of.thing.width_m == pytest.approx(0.15, abs=0.04)
+    assert math.hypot(of.thing.forward_m - at[0], of.thing.right_m - at[1]) < 0.03
+    assert of.thing.from_centre_m == pytest.approx(math.hypot(*at), abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6)), Light(drone_shadow=0.0, glare=0.8)],
+    ids=["even light", "shadows", "beside glare"],
+)
+def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
+    of = check(light, Decal("crate", (0.0, 0.26), 0.15, 0.3, "pad", PAD.markings.colours.disc))
+    assert of.thing is not None
+    assert math.hypot(of.thing.forward_m, of.thing.right_m - 0.26) < 0.05
+
+
+def test_a_thing_that_hides_all_of_the_lettering_is_seen() -> None:
+    of = check(BRIGHT, Decal("crate", (0.0, 0.0), 0.4, 0.0, "pad", (65, 88, 72)))
+    assert of.thing is not None
+    assert of.thing.width_m == pytest.approx(0.4, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        Light(),
+        Light(drone_shadow=0.0, glare=1.0),
+        Light(glare=0.6, exposure_ev=1.0, white_balance=(1.2, 1.0, 0.8)),
+        Light(drone_shadow=0.6, mast=Mast(3.0, (1.0, 0.4), 0.6)),
+        Light(drone_shadow=0.0, wetness=1.0),
+        Light(visibility_m=20.0, colour_temperature_k=3500.0, balanced_for_k=6500.0, wear=0.15),
+    ],
+    ids=["own shadow", "glare", "clipped glare, wrong white", "shadow of a mast", "puddles", "haze, warm light and worn paint"],
+)
+def test_light_is_no_thing(light: Light) -> None:
+    of = check(light)
+    # Clipped cells say nothing.
+    assert of.seen > (0.8 if light.exposure_ev == 0.0 else 0.5)
+    assert (of.glare > 0.1) == (light.exposure_ev > 0.0)
+    assert of.thing is None
+
+
+def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
+    deck = shown(BRIGHT, Decal("crate", (0.1, 0.28), 0.15, 0.0, "pad", (98, 98, 98)))
+    pilot = Pilot(TrackerConfig(CAMERA, PAD), EstimatorOptions(), GuidanceOptions())
+    blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+
+    def looked(later_s: float, state: State) -> PadCheck | None:
+        pilot.landing.mission = replace(pilot.landing.mission, state=state)
+        at = MonoNs(deck.at + round(later_s * 1e9))
+        stamp = Stamp(at, at, 0.001, "sim")
+        level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
+        return pilot.detect(Frame(stamp, 0, blank), level).on_pad
+
+    pilot.search._memory = TrackerMemory(deck=deck)
+    check = looked(1.0, State.REFUSED)
+    assert check is not None
+    assert check.thing is not None
+    assert looked(LASTS_S + 1.0, State.REFUSED) is None
+    assert looked(1.0, State.LANDED) is None
+    assert looked(2.0, State.READY) is None, "what another flight saw"
+
+
+def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> None:
+    crate = Decal("crate", (0.1, 0.28), 0.15, 0.0, "pad", (98, 98, 98))
+    there = shown(BRIGHT, crate)
+    assert shown(BRIGHT, memory=there, frames=30).check.thing is None
+    # From 0.3 m the camera sees the middle of the pad alone.
+    low = shown(BRIGHT, crate, memory=there, frames=20, height_m=0.3).check
+    assert low.thing is not None
+    gone = shown(BRIGHT, memory=there, frames=math.ceil(LASTS_S / 0.2) + 5, height_m=0.3).check
+    assert gone.thing is None
+    assert gone.seen < 0.5
+
+
+WIDE = Deck(8.0, 5.0, (0.0, 0.0), 0.0, seed=3)
+
+
+def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light | None = None) -> AroundMemory:
+    """Return what is known after an approach from 4.5 m to 1.5 m, with errors of registration."""
+    light = light or Light()
+    renderer, effects = Renderer(CAMERA, PAD, surroundings, light), PictureEffects(CAMERA, PAD, light, 1)
+    rng, memory = np.random.default_rng(4), None
+    for k in range(14):
+        height_m = 4.5 - 3.0 * k / 13
+        R = Rotation.from_rpy(0.03 * math.sin(k), 0.02 * math.cos(k), 0.4)
+        pad = np.array([0.0, 0.0, -0.6])
+        shot = Exposure(
+            0.25 * k, R, pad + np.array([0.06 * math.cos(k), 0.05 * math.sin(k), -height_m]), Rotation.identity(), pad
+        )
+        px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng)
+        memory = around(memory, FrameView(Pyramid(px), CAMERA, PAD), truth_of(shot, CAMERA), MonoNs(10**9 + 250_000_000 * k))
+    assert memory is not None
+    return memory
+
+
+def seen_near(*bodies: Bystander) -> NearThing | None:
+    memory = came_down_about(Surroundings(WIDE), *bodies)
+    return memory.near(memory.at)
+
+
+def test_the_height_and_the_place_of_a_crate_are_seen_by_its_parallax() -> None:
+    near = seen_near(Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4))
+    assert near is not None
+    assert near.height_m == pytest.approx(0.4, abs=0.1)
+    assert math.hypot(near.forward_m - 0.1, near.right_m - 0.75) < 0.25
+
+
+def test_a_person_who_stands_or_walks_beside_the_pad_is_seen() -> None:
+    stands = seen_near(Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8))
+    assert stands is not None
+    assert stands.height_m > 0.4
+    assert (
+        seen_near(Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7)) is not None
+    )
+
+
+@pytest.mark.parametrize(
+    ("surroundings", "light"),
+    [
+        (Surroundings(WIDE, decals=(Decal("crate", (0.1, 0.75), 0.4, 0.3, "deck"),)), Light(drone_shadow=0.0)),
+        (Surroundings(WIDE), Light(drone_shadow=0.7, sun_elevation_rad=1.2)),
+        (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), Light(drone_shadow=0.0)),
+    ],
+    ids=["something flat", "the drone's own shadow", "a small deck over waves"],
+)
+def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surroundings, light: Light) -> None:
+    memory = came_down_about(surroundings, light=light)
+    assert memory.began > 5
+    assert memory.near(memory.at) is None
+
+
+def test_a_deck_without_corners_is_read_again_until_it_has_some() -> None:
+    shot = Exposure(0.0, Rotation.identity(), np.array([0.0, 0.0, -3.6]), Rotation.identity(), np.array([0.0, 0.0, -0.6]))
+    plain, deck = (
+        np.full((360, 640, 3), 90, np.uint8),
+        Renderer(CAMERA, PAD, Surroundings(WIDE)).render(shot, np.random.default_rng(1)),
+    )
+    memory, counts = None, []
+    for k, px in enumerate((plain, plain, deck, plain, plain)):
+        memory = around(memory, FrameView(Pyramid(px), CAMERA, PAD), truth_of(shot, CAMERA), MonoNs(10**9 + 250_000_000 * k))
+        counts.append(len(memory.uv))
+    assert counts[:2] == counts[3:] == [0, 0]
+    assert counts[2] > 5
+    assert memory is not None
+    assert memory.near(memory.at) is None
+
+
+@pytest.mark.parametrize(
+    ("body", "lasts_s"),
+    [
+        (Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8), STANDING_LASTS_S),
+        (Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7), MOVED_LASTS_S),
+    ],
+    ids=["it stands", "it moves"],
+)
+def test_what_was_seen_counts_for_a_time_and_then_no_longer(body: Bystander, lasts_s: float) -> None:
+    memory = came_down_about(Surroundings(WIDE), body)
+    assert memory.found_at is not None
+    assert memory.near(MonoNs(memory.found_at + round(1e9 * (lasts_s - 0.1)))) is not None
+    assert memory.near(MonoNs(memory.found_at + round(1e9 * (lasts_s + 0.1)))) is None
+
+
+BIRD = Bystander(
+    at_s=0.0,
+    thing="bird",
+    forward_m=1.0,
+    right_m=-1.5,
+    to_forward_m=-1.0,
+    to_right_m=1.5,
+    width_m=0.5,
+    height_m=1.5,
+    speed_m_s=3.0,
+)
+
+
+def came_down(
+    from_m: float,
+    to_m: float,
+    *faults: Bystander | Glint,
+    scene: Surroundings = WIDE,
+    light: Light | None = None,
+    gain: float = 1.0,
+) -> PassMemory:
+    """Return what is known after 1.2 s on the way down, with swings, errors of registration, and an exposure that rises."""
+    light = light or Light(drone_shadow=0.0)
+    renderer, effects = Renderer(CAMERA, PAD, scene, light), PictureEffects(CAMERA, PAD, light, 1)
+    rng, memory = np.random.default_rng(5), None
+    for k in range(13):
+        height_m = from_m + (to_m - from_m) * k / 12
+        R = Rotation.from_rpy(0.04 * math.sin(0.3 * k), 0.03 * math.cos(0.3 * k), 0.4)
+        pad = np.array([0.0, 0.0, -0.6])
+        aside = np.array([0.06 * math.cos(0.2 * k), 0.05 * math.sin(0.2 * k), -1.0]) * height_m
+        shot = Exposure(0.1 * k, R, pad + aside, Rotation.identity(), pad)
+        px = effects.drawn(renderer.render(shot, rng), faults, shot, rng)
+        px = np.clip(px * gain ** (k / 12), 0, 255).astype(np.uint8)
+        true = truth_of(shot, CAMERA)
+        off = type(true)(true.R_cam_pad @ Rotation.from_rotvec(rng.normal(0, 0.002, 3)), true.t_cam_pad + rng.normal(0, 0.002, 3))
+        memory = passed(memory, FrameView(Pyramid(px), CAMERA, PAD), off, MonoNs(10**9 + 100_000_000 * k))
+    assert memory is not None
+    return memory
+
+
+@pytest.mark.parametrize(
+    ("from_m", "to_m", "body"),
+    [
+        (4.8, 3.8, BIRD),
+        (2.6, 1.8, BIRD),
+        (3.0, 2.2, Bystander(at_s=0.0, forward_m=0.2, right_m=-0.9, to_forward_m=0.0, to_right_m=0.9, speed_m_s=0.8)),
+        (
+            0.5,
+            0.2,
+            Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8),
+        ),
+    ],
+    ids=["a bird far below", "a bird close below", "a person", "a foot that comes in below during the commit"],
+)
+def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: float, to_m: float, body: Bystander) -> None:
+    memory = came_down(from_m, to_m, body)
+    near, at = memory.near(memory.at), memory.found_at
+    assert near is not None
+    assert at is not None
+    assert near.from_centre_m < PAD.disc_radius_m + 1.2
+    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
+    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None
+
+
+@pytest.mark.parametrize("heights", [(4.8, 3.6), (2.4, 1.2), (0.7, 0.2)])
+@pytest.mark.parametrize(
+    ("scene", "light", "gain"),
+    [
+        (WIDE, Light(drone_shadow=0.7, sun_elevation_rad=1.2), 1.0),
+        (WIDE, Light(drone_shadow=0.7, sun_elevation_rad=0.8), 1.0),
+        (WIDE, None, 1.6),
+        (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), None, 1.0),
+    ],
+    ids=["the drone's own shadow", "its shadow in low sun", "a changing exposure", "a small deck over waves"],
+)
+def test_light_and_waves_do_not_pass(scene: Surroundings, light: Light | None, gain: float, heights: tuple[float, float]) -> None:
+    memory = came_down(*heights, scene=scene, light=light, gain=gain)
+    assert memory.near(memory.at) is None
+    assert (memory.known > 0).any()
