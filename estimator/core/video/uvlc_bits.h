@@ -42,7 +42,7 @@ static inline void skip_bits(bit_reader *in, int32_t count)
 }
 
 /* Return the next 1 to 32 bits. */
-static inline uint32_t take_bits(bit_reader *in, int32_t count)
+static inline uint32_t get_bits(bit_reader *in, int32_t count)
 {
     const uint32_t found = peek_32(in) >> (32 - count);
     skip_bits(in, count);

@@ -17,12 +17,12 @@ enum {
 
 static enum dl_uvlc_result picture_header(bit_reader *in, dl_uvlc_picture *picture)
 {
-    if (take_bits(in, UVLC_START_BITS) != UVLC_START) {
+    if (get_bits(in, UVLC_START_BITS) != UVLC_START) {
         return DL_UVLC_NO_PICTURE;
     }
-    const uint32_t format = take_bits(in, 2), resolution = take_bits(in, 3), type = take_bits(in, 3);
-    picture->quantizer = take_bits(in, 5);
-    picture->number = take_bits(in, 32);
+    const uint32_t format = get_bits(in, 2), resolution = get_bits(in, 3), type = get_bits(in, 3);
+    picture->quantizer = get_bits(in, 5);
+    picture->number = get_bits(in, 32);
     picture->intra = type == 0;
     if ((format != UVLC_CIF && format != UVLC_VGA) || resolution == 0 || picture->quantizer == 0) {
         return DL_UVLC_NO_PICTURE;
@@ -60,7 +60,7 @@ static enum dl_uvlc_result next_start(bit_reader *in, int32_t *number)
             return DL_UVLC_TORN;
         }
     }
-    const uint32_t code = take_bits(in, UVLC_START_BITS);
+    const uint32_t code = get_bits(in, UVLC_START_BITS);
     *number = code & UVLC_START_NUMBER;
     return overrun(in) ? DL_UVLC_TORN : (code & ~(uint32_t)UVLC_START_NUMBER) == UVLC_START ? DL_UVLC_DONE : DL_UVLC_BAD_CODE;
 }
@@ -88,7 +88,7 @@ static int32_t run_and_level(bit_reader *in, int32_t *run, int32_t *level)
     *level = (int32_t)(bits << zeros >> (32 - digits));
     length += zeros + digits + 1;
     skip_bits(in, length - 1);
-    *level = take_bits(in, 1) ? -*level : *level;
+    *level = get_bits(in, 1) ? -*level : *level;
     return 1;
 }
 
@@ -96,7 +96,7 @@ static int32_t run_and_level(bit_reader *in, int32_t *run, int32_t *level)
 static enum dl_uvlc_result read_block(bit_reader *in, int32_t more, int32_t quantizer, float coefficients[UVLC_COEFFICIENTS])
 {
     memset(coefficients, 0, UVLC_COEFFICIENTS * sizeof *coefficients);
-    coefficients[0] = (float)((int32_t)take_bits(in, UVLC_DC_BITS) * uvlc_step(0, quantizer));
+    coefficients[0] = (float)((int32_t)get_bits(in, UVLC_DC_BITS) * uvlc_step(0, quantizer));
     int32_t at = 0, run = 0, level = 0;
     while (more) {
         const int32_t found = run_and_level(in, &run, &level);
@@ -147,16 +147,16 @@ static void inverse_transform(const float coefficients[UVLC_COEFFICIENTS], float
 static enum dl_uvlc_result read_macroblock(bit_reader *in, int32_t *quantizer, float blocks[UVLC_BLOCKS][UVLC_COEFFICIENTS])
 {
     static const int8_t CHANGES[] = {-1, -2, 1, 2};
-    if (take_bits(in, 1)) {
+    if (get_bits(in, 1)) {
         memset(blocks, 0, UVLC_BLOCKS * UVLC_COEFFICIENTS * sizeof **blocks);
         return DL_UVLC_DONE;
     }
-    const uint32_t what = take_bits(in, 8);
+    const uint32_t what = get_bits(in, 8);
     if (!(what & UVLC_ALWAYS)) {
         return DL_UVLC_BAD_CODE;
     }
     if (what & UVLC_HAS_CHANGE) {
-        *quantizer += CHANGES[take_bits(in, 2)];
+        *quantizer += CHANGES[get_bits(in, 2)];
         if (*quantizer < 1 || *quantizer > UVLC_TABLE) {
             return DL_UVLC_BAD_CODE;
         }
@@ -228,7 +228,7 @@ enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_
             if (row == rows) {
                 break;
             }
-            quantizer = (int32_t)take_bits(&in, 5);
+            quantizer = (int32_t)get_bits(&in, 5);
             if (quantizer == 0) {
                 return DL_UVLC_BAD_CODE;
             }

@@ -119,7 +119,7 @@ static void stir(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, const 
 }
 
 /* Put the newest stick command on its way and take the one that arrives. */
-static void take_command(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, double command[5])
+static void delay_command(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, double command[5])
 {
     memcpy(command, v->command, sizeof v->command);
     if (o->delay_steps == 0) {
@@ -469,7 +469,7 @@ static void begin(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, step *s, do
     s->over = deck_holds(o, s->r.d[0], s->r.d[1]) && s->r.d[2] < DEEPEST_M;
     s->height = s->over ? -s->r.d[2] : s->sea_z - s->ahead[2];
     s->tilt_cos = v->R[8];
-    take_command(o, v, command);
+    delay_command(o, v, command);
     if (v->phase == DL_PHASE_HOVERING || v->phase == DL_PHASE_FLYING) {
         v->phase = command[4] != 0.0 ? DL_PHASE_FLYING : DL_PHASE_HOVERING;
     }

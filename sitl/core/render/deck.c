@@ -48,7 +48,7 @@ static inline uint16_t step_of(int32_t position)
 }
 
 /* Two rows of two texels each, side by side, by their shares; the sums of both halves are the pixel. */
-static inline lanes weigh(const steps *s, lanes upper, lanes lower, uint16_t across, uint16_t down)
+static inline lanes interpolate(const steps *s, lanes upper, lanes lower, uint16_t across, uint16_t down)
 {
     const lanes a = lanes_times(upper, lanes_load(s->upper + down)), b = lanes_times(lower, lanes_load(s->lower + down));
     return lanes_times(lanes_add(lanes_add(a, b), lanes_all(1)), lanes_load(s->across + across));
@@ -68,7 +68,7 @@ static lanes read_reflected(const dl_sim_drawing *d, const steps *s, int32_t x, 
         memcpy(pair[i], texels + 4 * reflected(column, d->w), 8);
         memcpy(pair[i] + 4, texels + 4 * reflected(column + 1, d->w), 8);
     }
-    return pixel_of(weigh(s, lanes_load(pair[0]), lanes_load(pair[1]), step_of(x), step_of(y)));
+    return pixel_of(interpolate(s, lanes_load(pair[0]), lanes_load(pair[1]), step_of(x), step_of(y)));
 }
 
 static inline int32_t fixed(float texels)
@@ -165,10 +165,10 @@ static void locate(int32_t width, positions *p)
     }
 }
 
-static inline lanes weigh_inside(const uint16_t *texels, int64_t row, const steps *s, const positions *p, int32_t k)
+static inline lanes interpolate_inside(const uint16_t *texels, int64_t row, const steps *s, const positions *p, int32_t k)
 {
     const uint16_t *upper = texels + 4 * (int64_t)p->texel[k];
-    return weigh(s, lanes_load(upper), lanes_load(upper + row), p->across[k], p->down[k]);
+    return interpolate(s, lanes_load(upper), lanes_load(upper + row), p->across[k], p->down[k]);
 }
 
 /* Draw the pixels `from` to `to` of a row, which lie inside the drawing and cover what is below them. Ask for the texels of the
@@ -181,13 +181,13 @@ static void draw_inside(const dl_sim_drawing *d, const steps *s, const positions
     const int64_t row = 4 * (int64_t)d->w;
     int32_t k = from;
     for (; k + 2 <= to; k += 2) {
-        const lanes left = weigh_inside(texels, row, s, p, k), right = weigh_inside(texels, row, s, p, k + 1);
+        const lanes left = interpolate_inside(texels, row, s, p, k), right = interpolate_inside(texels, row, s, p, k + 1);
         const lanes sums = lanes_add(lanes_lower_halves(left, right), lanes_upper_halves(left, right));
         lanes_fetch((uintptr_t)texels + 8 * (uintptr_t)(p->texel[k] + ahead));
         lanes_store(scene + 4 * k, lanes_add(lanes_all(1), sums));
     }
     if (k < to) {
-        lanes_store_four(scene + 4 * k, pixel_of(weigh_inside(texels, row, s, p, k)));
+        lanes_store_four(scene + 4 * k, pixel_of(interpolate_inside(texels, row, s, p, k)));
     }
 }
 

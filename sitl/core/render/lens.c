@@ -47,7 +47,7 @@ static void add_pair(int32_t n, const uint16_t *a, const uint16_t *b, uint16_t t
 
 /* The share of the five values in the middle. */
 WIDE
-static void weigh_five(int32_t n, uint16_t add, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
+static void convolve_five(int32_t n, uint16_t add, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
                        uint16_t *restrict out)
 {
     const uint16_t *middle = before[0], *a = before[1], *b = after[1], *c = before[2], *d = after[2];
@@ -60,7 +60,7 @@ static void weigh_five(int32_t n, uint16_t add, const uint16_t *const *before, c
 
 /* The three values in the middle. */
 WIDE
-static void weigh_three(int32_t n, uint16_t add, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
+static void convolve_three(int32_t n, uint16_t add, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
                         uint16_t *restrict out)
 {
     const uint16_t *middle = before[0], *a = before[1], *b = after[1], tap = taps[0], next_tap = taps[1];
@@ -73,15 +73,15 @@ static void weigh_three(int32_t n, uint16_t add, const uint16_t *const *before, 
  *
  * Each product loses half a count on average, but none in the dark: what is added keeps both within a count of the truth.
  */
-static void weigh(int32_t n, int radius, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
+static void convolve(int32_t n, int radius, const uint16_t *const *before, const uint16_t *const *after, const uint16_t *taps,
                   uint16_t *out)
 {
     const uint16_t add = (uint16_t)((radius + 1) / 2);
     if (radius == 1) {
-        weigh_three(n, add, before, after, taps, out);
+        convolve_three(n, add, before, after, taps, out);
         return;
     }
-    weigh_five(n, add, before, after, taps, out);
+    convolve_five(n, add, before, after, taps, out);
     for (int t = 3; t <= radius; t++) {
         add_pair(n, before[t], after[t], taps[t], out);
     }
@@ -110,7 +110,7 @@ static void enter(const lens *l, int32_t row, int colour, const uint16_t *light)
         before[t] = inside - t;
         after[t] = inside + t;
     }
-    weigh(l->w, l->radius, before, after, l->taps, out);
+    convolve(l->w, l->radius, before, after, l->taps, out);
 }
 
 /* Put a row of light, pixel by pixel, into the ring. */
@@ -157,7 +157,7 @@ static const uint16_t *blurred(const lens *l, int32_t row)
     if (!l->radius) {
         return before[0];
     }
-    weigh(l->values, l->radius, before, after, l->taps, l->counts);
+    convolve(l->values, l->radius, before, after, l->taps, l->counts);
     if (l->added) {
         add_exact(l, row);
     }

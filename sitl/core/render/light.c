@@ -41,7 +41,7 @@ typedef struct {
     lanes colour[CHANNELS], wear;
 } eight;
 
-static inline eight take_eight(const uint16_t *scene)
+static inline eight load_eight(const uint16_t *scene)
 {
     const lanes a = lanes_load(scene), b = lanes_load(scene + 8), c = lanes_load(scene + 16), d = lanes_load(scene + 24);
     const lanes even = lanes_zip_lower(a, b), odd = lanes_zip_upper(a, b);
@@ -103,7 +103,7 @@ static inline void expose_paint(const exposure16 *e, uint8_t paint, const uint16
     for (int c = 0; c < CHANNELS; c++) {
         colour[c] = lanes_all(e->paint[paint][c]);
     }
-    store_light(e, colour, worn(take_eight(scene).wear, twice_gain), light);
+    store_light(e, colour, worn(load_eight(scene).wear, twice_gain), light);
 }
 
 static inline void expose_eight(const exposure16 *e, const uint16_t *scene, const uint8_t *kinds, const int16_t *gain,
@@ -116,11 +116,11 @@ static inline void expose_eight(const exposure16 *e, const uint16_t *scene, cons
         memcpy(&all, kinds, sizeof all);
     }
     if (all == each * DL_PAD_NONE || all == each * DL_PAD_EDGE) {
-        store_light(e, take_eight(scene).colour, twice_gain, light);
+        store_light(e, load_eight(scene).colour, twice_gain, light);
     } else if (all == each * kinds[0]) {
         expose_paint(e, kinds[0], scene, twice_gain, light);
     } else {
-        eight p = take_eight(scene);
+        eight p = load_eight(scene);
         lanes worn_gain = twice_gain;
         put_paints(e, lanes_load_bytes(kinds), &p, &worn_gain);
         store_light(e, p.colour, worn_gain, light);

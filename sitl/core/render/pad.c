@@ -78,8 +78,8 @@ static void divide_exactly(division *d, int32_t x0, int32_t y0)
         const int32_t x = x0 + k % SQUARE, y = y0 + k / SQUARE;
         pixels[k] = (y < h ? y : h - 1) * w + (x < w ? x : w - 1);
     }
-    take_rays(d->seen, TOGETHER, pixels, &d->rays);
-    take_changes(d->seen, d->whole, TOGETHER, pixels, &d->rays);
+    gather_rays(d->seen, TOGETHER, pixels, &d->rays);
+    gather_changes(d->seen, d->whole, TOGETHER, pixels, &d->rays);
     meet(&d->rays, d->whole->turn, 1.0f, &met);
     sizes_of(&met, radius, way);
     memcpy(p.u, met.u, sizeof p.u);
@@ -126,7 +126,7 @@ static void tilts_of(const sheaf *s, float *restrict tilt)
 }
 
 /* Take the rays of the middles of a row of squares. */
-static void take_middles(division *d, int32_t x0, int32_t y0, int32_t n)
+static void gather_middles(division *d, int32_t x0, int32_t y0, int32_t n)
 {
     const dl_sim_pad_view *v = d->seen;
     const int32_t columns = (v->w + SQUARE - 1) / SQUARE + 2, y = y0 + SQUARE / 2 < v->h ? y0 + SQUARE / 2 : v->h - 1;
@@ -138,7 +138,7 @@ static void take_middles(division *d, int32_t x0, int32_t y0, int32_t n)
         d->rays.x[k] = middle[2 * here];
         d->rays.y[k] = middle[2 * here + 1];
     }
-    take_changes(v, d->whole, TOGETHER, pixels, &d->rays);
+    gather_changes(v, d->whole, TOGETHER, pixels, &d->rays);
 }
 
 /* Divide n squares beside each other, TOGETHER at most. */
@@ -147,7 +147,7 @@ static void divide_squares(division *d, int32_t x0, int32_t y0, int32_t n)
     float radius[TOGETHER], way[TOGETHER], tilt[TOGETHER];
     spots met;
     patch p;
-    take_middles(d, x0, y0, n);
+    gather_middles(d, x0, y0, n);
     meet(&d->rays, d->whole->turn, 1.0f, &met);
     tilts_of(&d->rays, tilt);
     sizes_of(&met, radius, way);

@@ -41,8 +41,8 @@ typedef struct {
 void begin_rays(const dl_sim_pad_view *v, const stroke *k, sheaf *s);
 
 /* Take what is different for n pixels, 1 to TOGETHER: the last one stands for those that are missing. */
-void take_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s);
-void take_changes(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s);
+void gather_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s);
+void gather_changes(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s);
 
 /* Where rays meet the plane, and the images there of pixels divided by 1 / `parts`. */
 void meet(const sheaf *rays, const float *turn, float parts, spots *s);

@@ -67,7 +67,7 @@ static int find_edges(const window *v, int paint)
     return any;
 }
 
-/* Whether the blur of an edge reaches a block in any of the rows that it reaches from one. */
+/* Whether the lens blurs an edge into a block of a row: one lies in the same block within the blur's reach up or down. */
 static int reached(const window *v, int32_t y, int32_t block)
 {
     int any = 0;
@@ -78,7 +78,7 @@ static int reached(const window *v, int32_t y, int32_t block)
 }
 
 WIDE
-static void compare(int32_t n, const uint8_t *restrict kinds, int paint, float *restrict row)
+static void mark_paint(int32_t n, const uint8_t *restrict kinds, int paint, float *restrict row)
 {
     for (int32_t x = 0; x < n; x++) {
         row[x] = kinds[x] == paint ? 1.0f : 0.0f;
@@ -96,12 +96,12 @@ static void repeat_ends(const window *v, float *row)
 }
 
 /* The coverage of a row of parts by a paint, (fine + 1, wide + 2 reach): of the parts of pixels, and their means. */
-static void take_row(const window *v, int paint, int32_t y, int32_t down, float *row)
+static void cover_row(const window *v, int paint, int32_t y, int32_t down, float *row)
 {
     const int32_t length = v->wide + 2 * v->reach, all = v->fine * v->fine;
     const int32_t *numbers = v->numbers + v->wide * y;
     float *mean = row + length * v->fine + v->reach;
-    compare(v->columns, v->seen->kinds + (int64_t)(v->y0 + y) * v->w + v->x0, paint, mean);
+    mark_paint(v->columns, v->seen->kinds + (int64_t)(v->y0 + y) * v->w + v->x0, paint, mean);
     for (int32_t s = 0; s < v->fine; s++) {
         memcpy(row + length * s + v->reach, mean, (size_t)v->columns * sizeof *row);
     }
@@ -154,7 +154,7 @@ static void blur_rows(const window *v, int paint, const space *s)
         float *pixels = s->pixels + v->wide * y;
         for (int32_t down = 0; down < v->fine; down++) {
             float *parts = s->parts + v->wide * (v->rows * down + y);
-            take_row(v, paint, y, down, s->row);
+            cover_row(v, paint, y, down, s->row);
             for (int32_t block = 0, x = 0; block < v->blocks; block++, x += BLOCK) {
                 if (v->busy[v->blocks * y + block]) {
                     blur_block(v, s->row + x, parts + x, pixels + x);

@@ -29,7 +29,7 @@ void begin_rays(const dl_sim_pad_view *v, const stroke *k, sheaf *s)
     }
 }
 
-void take_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s)
+void gather_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t i = 0; i < TOGETHER; i++) {
         const float *ray = v->rays + 2 * (int64_t)pixels[i < n ? i : n - 1];
@@ -38,7 +38,7 @@ void take_rays(const dl_sim_pad_view *v, int32_t n, const int32_t *pixels, sheaf
     }
 }
 
-void take_changes(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
+void gather_changes(const dl_sim_pad_view *v, const stroke *k, int32_t n, const int32_t *pixels, sheaf *s)
 {
     for (int32_t j = 0; v->bent && j < TOGETHER; j++) {
         const float *change = v->change + 4 * (int64_t)pixels[j < n ? j : n - 1];

@@ -148,7 +148,7 @@ static void add(const float *restrict share, float *restrict below, float *restr
 
 /* The arrowhead takes none of what the ring, which has its paint, covers already. */
 WIDE
-static void take_ring_off(const float *restrict ring, float *restrict share)
+static void subtract_ring(const float *restrict ring, float *restrict share)
 {
     for (int k = 0; k < TOGETHER; k++) {
         share[k] *= 1.0f - ring[k];
@@ -161,7 +161,7 @@ static void add_region(const float *g, const grid *s, sums *total)
     const int paint = (int)g[DL_PAD_PAINT], below = (int)g[DL_PAD_BELOW];
     shares_of(g, s, share);
     if (paint == DL_PAD_ORANGE && (int)g[DL_PAD_SHAPE] == DL_PAD_ARROW) {
-        take_ring_off(total->ring, share);
+        subtract_ring(total->ring, share);
     } else if (paint == DL_PAD_ORANGE) {
         for (int k = 0; k < TOGETHER; k++) {
             total->ring[k] += share[k];
@@ -268,8 +268,8 @@ static void add_pixels(const dl_sim_pad_view *v, const stroke *k, int32_t n, con
     sums one;
     choice c;
     begin_rays(v, k, &rays);
-    take_rays(v, n, pixels, &rays);
-    take_changes(v, k, n, pixels, &rays);
+    gather_rays(v, n, pixels, &rays);
+    gather_changes(v, k, n, pixels, &rays);
     meet(&rays, k->turn, 1.0f / (float)fine, &s.met);
     sizes_of(&s.met, radius, way);
     for (int i = 0; i < TOGETHER; i++) {

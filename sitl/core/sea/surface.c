@@ -105,7 +105,7 @@ static void locate(const shore *s, float per_m, uint32_t x0, uint32_t y0, int bi
 }
 
 WIDE
-static void weigh(const int16_t *texels, int64_t row, sampling *p)
+static void interpolate_across(const int16_t *texels, int64_t row, sampling *p)
 {
     for (int k = 0; k < RUN; k += 2) {
         const int16_t *left = texels + p->texel[k], *right = texels + p->texel[k + 1];
@@ -129,7 +129,7 @@ static void read_tile(const tile *t, const shore *s, float *values)
     sampling p;
     const uint32_t x0 = wrapped(s->north * t->per_m + t->shift_x), y0 = wrapped(s->east * t->per_m + t->shift_y);
     locate(s, (float)(t->per_m * (1 << TILE_BITS)), x0, y0, t->bits, &p);
-    weigh(t->texels, (1 << t->bits) + 1, &p);
+    interpolate_across(t->texels, (1 << t->bits) + 1, &p);
     interpolate(&p, values);
 }
 

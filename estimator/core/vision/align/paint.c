@@ -165,7 +165,7 @@ static float value_at(int k, int n, const float *values, uint32_t *spare)
 
 /* Cauchy's weights; Geman and McClure's at the final pose, which drop outliers completely. */
 WIDE
-static void weigh(double spread, int final, samples *s)
+static void set_robust_weights(double spread, int final, samples *s)
 {
     const float by = (float)(0.25 / (spread * spread));
     for (int at = 0; at < s->room; at += SAMPLE_LANES) {
@@ -209,7 +209,7 @@ int align_paint(samples *s, int final, painted *out)
         residuals(out->paints, s);
         const double sound = sqrt((double)value_at((int)(SOUND * s->n), s->n, s->squared, s->spare));
         out->spread = fmax(least, (final ? SPREAD_SHARP : SPREAD) * sound);
-        weigh(out->spread, final, s);
+        set_robust_weights(out->spread, final, s);
     }
     return 1;
 }

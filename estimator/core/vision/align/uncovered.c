@@ -43,7 +43,7 @@ void align_uncovered(samples *s)
     const int every = s->n / ENOUGH > 1 ? s->n / ENOUGH : 1;
     memset(of, 0, sizeof of);
     sum_products(s, every, of);
-    /* Halves from each sector on, and last the whole. */
+    /* For k < SECTORS the half of the disc that begins at sector k; for k == SECTORS the whole disc. */
     for (int k = 0; k <= SECTORS; k++) {
         memset(half, 0, sizeof half);
         for (int j = 0; j < (k < SECTORS ? SECTORS / 2 : SECTORS); j++) {

@@ -6,7 +6,8 @@
 #include "vision/camera.h"
 #include "vision/lamps/lamps.h"
 
-/* Part of a spot's radius by which its centre may differ from that of the one lamp, or of the lamps, in it, beyond the reach. */
+/* How far the centre of a spot may lie from its lamp, beyond the reach, in radii of the spot: of one lamp, and of the middle of
+ * several lamps that share the spot. */
 static const double ALONE = 0.06, SHARED = 0.35;
 /* A lamp this near to the frame's edge, and this many of its radii, need not show: its spot may be cut. */
 static const double INSET_PX = 5.0, INSET_RADII = 2.0;
@@ -59,7 +60,8 @@ static int32_t nearest_spot(const lamp_spots *spots, const double uv[2], double 
     return best >= 0 && least <= reach_px + spots->spot[best].radius ? best : -1;
 }
 
-/* Take a spot from its lamps if their middle is not where it is; returns whether it keeps them. */
+/* Compare the place of a spot with the middle of the lamps that are assigned to it. If they differ, the lamps lose the spot. Returns
+ * whether they keep it. */
 static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
                       int32_t spot_of[DL_LAMPS_MAX])
 {
@@ -83,7 +85,7 @@ static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, cons
     return 0;
 }
 
-/* How many lamps in view have no spot and would make one: all, if none has any. */
+/* Count the lamps in view without a spot whose spots would be seen apart from those of other lamps. */
 static int missing(const dl_lamp_pattern *pad, const shown_lamps *shown, const int32_t spot_of[DL_LAMPS_MAX])
 {
     int n = 0;

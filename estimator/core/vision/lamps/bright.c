@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/arena.h"
 #include "vision/lamps/lamps.h"
 #include "base/wide.h"
 
@@ -49,30 +50,27 @@ static int64_t sums_of(int64_t width)
     return pitch_of(width) + 2 * BACKGROUND + SEGMENT;
 }
 
-int64_t bright_room(int64_t width, int64_t height)
+static workspace divide(int64_t width, int64_t height, arena *a)
 {
-    const int64_t run = (int64_t)(sizeof(bright_run) / sizeof(uint32_t)) * BRIGHT_RUNS, pitch = pitch_of(width);
-    const int64_t halves = (RING + height + height + 2 * PEAK + NOISE_STEP) * pitch + segments_of(width) * height;
-    const int64_t samples = (width / NOISE_STEP + 1) * (height / NOISE_STEP + 1);
-    return run + 5 * sums_of(width) + (halves + samples + 3) / 2 + (CHANNELS * pitch + SEGMENT) / 4 + 4;
+    const int64_t pitch = pitch_of(width), segments = segments_of(width), sums = 4 * sums_of(width), half = sizeof(uint16_t);
+    workspace w = {.width = (int)width, .height = (int)height, .pitch = (int)pitch, .segments = (int)segments};
+    w.run = take(a, BRIGHT_RUNS * (int64_t)sizeof *w.run);
+    w.sums = take(a, sums), w.twos = take(a, sums), w.fours = take(a, sums), w.eights = take(a, sums);
+    w.down = take(a, sums);
+    w.ring = take(a, RING * pitch * half);
+    w.smooth = take(a, height * pitch * half);
+    w.over = take(a, (height + 2 * PEAK + NOISE_STEP) * pitch * half);
+    w.highest = take(a, segments * height * half);
+    w.differences = take(a, (width / NOISE_STEP + 1) * (height / NOISE_STEP + 1) * half);
+    w.largest = take(a, CHANNELS * pitch + SEGMENT);
+    return w;
 }
 
-static void divide(const lit_part *part, uint32_t *scratch, workspace *w)
+int64_t bright_room(int64_t width, int64_t height)
 {
-    const int64_t sums = sums_of(part->width);
-    w->width = part->width, w->height = part->height;
-    w->pitch = (int)pitch_of(part->width), w->segments = (int)segments_of(part->width);
-    w->run = (bright_run *)(void *)scratch;
-    w->sums = scratch + (int64_t)(sizeof(bright_run) / sizeof(uint32_t)) * BRIGHT_RUNS;
-    w->twos = w->sums + sums, w->fours = w->twos + sums, w->eights = w->fours + sums;
-    w->down = (float *)(void *)(w->eights + sums);
-    w->ring = (uint16_t *)(void *)(w->down + sums);
-    w->smooth = w->ring + (int64_t)RING * w->pitch;
-    w->over = w->smooth + (int64_t)w->height * w->pitch;
-    w->highest = w->over + (int64_t)(w->height + 2 * PEAK) * w->pitch;
-    w->differences = w->highest + (int64_t)w->segments * w->height;
-    w->largest = (uint8_t *)(void *)(w->differences + (int64_t)(w->width / NOISE_STEP + 1) * (w->height / NOISE_STEP + 1));
-    memset(w->sums, 0, (size_t)(5 * sums) * sizeof *w->sums);
+    arena counted = {NULL, 0};
+    divide(width, height, &counted);
+    return arena_numbers(&counted);
 }
 
 /* The row or column that lies at a place beyond the edge, mirrored about the outermost one. */
@@ -114,7 +112,7 @@ static void add_row(int n, const uint16_t *restrict in, uint32_t *restrict sums)
 }
 
 WIDE
-static void take_row(int n, const uint16_t *restrict in, uint32_t *restrict sums)
+static void sum_row(int n, const uint16_t *restrict in, uint32_t *restrict sums)
 {
     for (int i = 0; i < n; i++) {
         sums[i] -= in[i];
@@ -204,7 +202,7 @@ static void next_window(const lit_part *part, const workspace *w, int row)
         light_row(part, w, ahead);
     }
     add_row(w->width, w->ring + (int64_t)(mirrored(ahead, w->height) % RING) * w->pitch, w->sums + BACKGROUND);
-    take_row(w->width, w->ring + (int64_t)(mirrored(row - BACKGROUND, w->height) % RING) * w->pitch, w->sums + BACKGROUND);
+    sum_row(w->width, w->ring + (int64_t)(mirrored(row - BACKGROUND, w->height) % RING) * w->pitch, w->sums + BACKGROUND);
 }
 
 static void blur_row(const workspace *w, int row)
@@ -249,7 +247,7 @@ static int brighten(const lit_part *part, const workspace *w)
 }
 
 /* The k-th smallest of some numbers: by their upper bytes, and those alike by the lower ones. */
-static int ranked(int n, const uint16_t *values, int k)
+static int order_statistic(int n, const uint16_t *values, int k)
 {
     int counts[256] = {0}, high = 0, low = 0;
     for (int i = 0; i < n; i++) {
@@ -274,7 +272,7 @@ static double noise_of(int n, const uint16_t *differences)
     if (n == 0) {
         return 0.0;
     }
-    return 0.5 * (ranked(n, differences, n / 2) + ranked(n, differences, (n - 1) / 2)) / (NORMAL * sqrt(2.0));
+    return 0.5 * (order_statistic(n, differences, n / 2) + order_statistic(n, differences, (n - 1) / 2)) / (NORMAL * sqrt(2.0));
 }
 
 static double least_of(const workspace *w, double noise)
@@ -288,7 +286,7 @@ static double least_of(const workspace *w, double noise)
 
 /* Which pixels of a segment are bright: above the least, and above a part of the brightest about them. */
 WIDE
-static void compare_segment(const uint16_t *over, int pitch, int least, uint8_t *restrict out)
+static void mark_segment(const uint16_t *over, int pitch, int least, uint8_t *restrict out)
 {
     uint16_t peak[SEGMENT + 2 * PEAK];
     const uint16_t *row = over - PEAK - PEAK * pitch, *here = over;
@@ -330,9 +328,10 @@ static int add_runs(const uint8_t *bright, int row, int from, int *n, bright_run
 
 int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out)
 {
-    workspace w;
     uint8_t bright[SEGMENT];
-    divide(part, scratch, &w);
+    arena memory = {scratch, 0};
+    workspace w = divide(part->width, part->height, &memory);
+    memset(w.sums, 0, (size_t)((char *)w.ring - (char *)w.sums));
     const int differences = brighten(part, &w);
     out->width = w.width, out->height = w.height, out->pitch = w.pitch, out->runs = 0;
     out->noise = noise_of(differences, w.differences);
@@ -343,7 +342,7 @@ int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out)
             if (w.highest[(int64_t)row * w.segments + k] <= least) {
                 continue;
             }
-            compare_segment(w.over + (int64_t)(row + PEAK) * w.pitch + PEAK + k * SEGMENT, w.pitch, least, bright);
+            mark_segment(w.over + (int64_t)(row + PEAK) * w.pitch + PEAK + k * SEGMENT, w.pitch, least, bright);
             if (!add_runs(bright, row, k * SEGMENT, &out->runs, w.run)) {
                 return 0;
             }

@@ -185,7 +185,7 @@ static int all_finite(const double *values, int n)
 }
 
 /* Write the surest of the answers; 0 if none is good enough. */
-static int tell(const dark_frame *f, int n, const explained_lamps *found, dl_found_lamps *out)
+static int write_surest(const dark_frame *f, int n, const explained_lamps *found, dl_found_lamps *out)
 {
     int best = 0;
     for (int k = 1; k < n; k++) {
@@ -215,7 +215,7 @@ static int tell(const dark_frame *f, int n, const explained_lamps *found, dl_fou
 }
 
 /* Find the spots of a part of the frame; 0, and none, if it has more than a dark deck. */
-static int look_for_spots(dark_frame *f, const uint8_t *frame, const uint16_t *light, const int at[4], uint32_t *scratch)
+static int find_spots(dark_frame *f, const uint8_t *frame, const uint16_t *light, const int at[4], uint32_t *scratch)
 {
     const int stride = CHANNELS * (int)f->camera->width;
     const lit_part part = {frame + (int64_t)at[1] * stride + CHANNELS * at[0], light, stride, at[0], at[1], at[2] - at[0], at[3] - at[1]};
@@ -348,13 +348,13 @@ int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_patter
     int part[4], n = 0, is_whole = 0;
     if (at && part_about(camera, pad, at, part)) {
         is_whole = (part[2] - part[0]) * (double)(part[3] - part[1]) > MOST_OF_FRAME * whole[2] * whole[3];
-        n = look_for_spots(&f, frame, light, is_whole ? whole : part, scratch) ? look(&f, at, found) : 0;
+        n = find_spots(&f, frame, light, is_whole ? whole : part, scratch) ? look(&f, at, found) : 0;
     }
     if (n == 0) {
-        if (!is_whole && !look_for_spots(&f, frame, light, whole, scratch)) {
+        if (!is_whole && !find_spots(&f, frame, light, whole, scratch)) {
             return DL_TOO_BRIGHT;
         }
         n = search(&f, scratch, found);
     }
-    return tell(&f, n, found, out);
+    return write_surest(&f, n, found, out);
 }

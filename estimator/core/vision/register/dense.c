@@ -174,7 +174,7 @@ static double typical_on_pad(const dl_pad_shape *pad, const patch *cut, int c, d
 
 /* Tukey's weights of a channel's pixels from their residuals. */
 WIDE
-static void weigh(const patch *cut, int c, double noise, int reflection, dense_rows *d)
+static void set_robust_weights(const patch *cut, int c, double noise, int reflection, dense_rows *d)
 {
     const float *restrict r = d->residual[c], *restrict level = d->level[c], *restrict unsharp = d->unsharp[c];
     const float *restrict light = cut->light[c], scale = (float)noise, per = (float)(1.0 / (TUKEY * TUKEY));
@@ -190,7 +190,7 @@ static void weigh(const patch *cut, int c, double noise, int reflection, dense_r
 
 /* Give every pixel its full weight, over the variance that the last linearisation's noise assumes. */
 WIDE
-static void weigh_fully(const patch *cut, double noise, double edge_sigma_px, int first, dense_rows *d)
+static void set_weights(const patch *cut, double noise, double edge_sigma_px, int first, dense_rows *d)
 {
     const float edge_var = (float)(edge_sigma_px * edge_sigma_px), scale = (float)noise;
     for (int c = 0; c < CHANNELS; c++) {
@@ -205,7 +205,7 @@ static void weigh_fully(const patch *cut, double noise, double edge_sigma_px, in
 }
 
 /* Look for a reflection if the first paints leave too much. */
-static int look_for_glare(const dl_pad_shape *pad, const patch *cut, dense_rows *d, dense_sums *s, glare *found)
+static int find_glare(const dl_pad_shape *pad, const patch *cut, dense_rows *d, dense_sums *s, glare *found)
 {
     double left = 0.0;
     for (int c = 0; c < CHANNELS; c++) {
@@ -307,7 +307,7 @@ static int fit_robustly(const patch *cut, int first, int reflection, dense_rows 
             return 0;
         }
         if (!first) {
-            weigh(cut, c, fmax(typical(cut, c, 1, d->judged[c], d), LEAST_NOISE), reflection, d);
+            set_robust_weights(cut, c, fmax(typical(cut, c, 1, d->judged[c], d), LEAST_NOISE), reflection, d);
             if (!fit_paints(cut, c, d, s)) {
                 return 0;
             }
@@ -337,11 +337,11 @@ int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *
     double left = 0.0, on_pad = 0.0, amplitudes[GLARE_COLUMNS] = {0.0};
     all.total = all.k;
     draw(pad, cut, s, d);
-    weigh_fully(cut, fit->noise, edge_sigma_px, first, d);
+    set_weights(cut, fit->noise, edge_sigma_px, first, d);
     const float *const light[CHANNELS] = {first ? cut->light[0] : d->model[0], first ? cut->light[1] : d->model[1],
                                           first ? cut->light[2] : d->model[2]};
     judge(cut, light, all.k, reflection.radius > 0.0, d);
-    if (first && !look_for_glare(pad, cut, d, &all, &reflection)) {
+    if (first && !find_glare(pad, cut, d, &all, &reflection)) {
         return 0;
     }
     if (reflection.radius > 0.0) {

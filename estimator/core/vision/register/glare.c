@@ -83,7 +83,7 @@ typedef struct {
     const float *weighted[FEATURES_MAX];
 } products_left;
 
-static void weigh(int n, int k, float *const *values, float *const residual[CHANNELS], float *const weight[CHANNELS], float *w,
+static void sum_weighted(int n, int k, float *const *values, float *const residual[CHANNELS], float *const weight[CHANNELS], float *w,
                   float *const *room, products_left *out)
 {
     const float *right[COEFFICIENTS_MAX], *const left[CHANNELS] = {residual[0], residual[1], residual[2]};
@@ -156,7 +156,7 @@ glare glare_found(const footprint *f, float *const residual[CHANNELS], float *co
     trial trials[TRIED_MAX];
     double largest = 0.0, best = 0.0;
     glare out = {0.0, 0.0, 0.0};
-    weigh(f->n, k, values, residual, weight, spare[0], spare + 3, &all);
+    sum_weighted(f->n, k, values, residual, weight, spare[0], spare + 3, &all);
     for (int t = 0; t < TRIED_MAX; t++) {
         const glare g = tried(t, disc_radius_m);
         glare_light(&g, f, spare[1]);

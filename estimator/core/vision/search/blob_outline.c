@@ -85,7 +85,7 @@ static double median(const shade_counts *counts, int all)
 }
 
 /* Subtract the median of the box's surroundings from one channel, and add the deviations squared. */
-static void compare(blob_window *o, int channel, float share)
+static void add_deviations(blob_window *o, int channel, float share)
 {
     const int area = o->side_x * o->side_y;
     float *px = o->px[channel];
@@ -149,7 +149,7 @@ static int cut(const blob_image *image, const blob_peak *peak, blob_window *o)
         if (times == 2) {
             smooth(side_x - 2, side_y - 2, once, o->px[c]);
         }
-        compare(o, c, 1.0f / (float)channels);
+        add_deviations(o, c, 1.0f / (float)channels);
     }
     for (int k = 0; k < o->side_x * o->side_y; k++) {
         o->off[k] = sqrtf(o->off[k]);

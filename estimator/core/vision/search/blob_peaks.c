@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/arena.h"
+#include "vision/search/best.h"
 #include "vision/search/blobs.h"
 #include "base/wide.h"
 
@@ -41,9 +43,28 @@ static int64_t scores_of(const dl_image *half)
     return cells_of(half->width) * cells_of(half->height);
 }
 
+/* The sums of the cells, the scores of places with the sizes that have them, and rows to work in. */
+typedef struct {
+    uint32_t *sums;
+    float *score, *size, *rows;
+} workspace;
+
+static workspace divide(const dl_image *half, arena *a)
+{
+    const int64_t number = sizeof(float);
+    workspace w;
+    w.sums = take(a, SUMS * sums_of(half) * number);
+    w.score = take(a, scores_of(half) * number);
+    w.size = take(a, scores_of(half) * number);
+    w.rows = take(a, ROWS * cells_of(half->width) * number);
+    return w;
+}
+
 int64_t blob_room(const dl_image *half)
 {
-    return SUMS * sums_of(half) + 2 * scores_of(half) + ROWS * cells_of(half->width);
+    arena counted = {NULL, 0};
+    divide(half, &counted);
+    return arena_numbers(&counted);
 }
 
 /* The sums of one row of cells of each channel, and of the squares of all, added to those above. */
@@ -168,22 +189,6 @@ static int is_peak(int w, int rows, const float *score, int row, int column, int
     return 1;
 }
 
-/* Put a peak into the list of the best. */
-static int ranked(const blob_peak *one, int n, int most, blob_peak *out)
-{
-    int at = n < most ? n : most;
-    while (at > 0 && out[at - 1].score < one->score) {
-        if (at < most) {
-            out[at] = out[at - 1];
-        }
-        at--;
-    }
-    if (at < most) {
-        out[at] = *one;
-    }
-    return n < most ? n + 1 : most;
-}
-
 /* Count the pixels of the boxes of a row. */
 static void count_row(int w, int h, int row, int half, int wide, const row_scores *to)
 {
@@ -223,20 +228,22 @@ static void rate(const blob_image *image, const blob_sums *sums, float *rows, fl
 int blob_peaks(const blob_image *image, float *scratch, blob_peak *out)
 {
     const int w = (int)cells_of(image->half->width), rows = (int)cells_of(image->half->height);
-    float *score = scratch + SUMS * sums_of(image->half), *size = score + scores_of(image->half);
+    arena memory = {scratch, 0};
+    const workspace work = divide(image->half, &memory);
     blob_sums sums;
     int n = 0;
-    memset(score, 0, 2 * (size_t)scores_of(image->half) * sizeof *score);
-    integrals(image, image->half->px, (uint32_t *)(void *)scratch, &sums);
-    rate(image, &sums, size + scores_of(image->half), score, size);
+    memset(work.score, 0, (size_t)scores_of(image->half) * sizeof *work.score);
+    memset(work.size, 0, (size_t)scores_of(image->half) * sizeof *work.size);
+    integrals(image, image->half->px, work.sums, &sums);
+    rate(image, &sums, work.rows, work.score, work.size);
     for (int row = 0; row < rows; row++) {
         for (int i = 0; i < w; i++) {
-            const float here = score[row * w + i];
-            const int of = (int)size[row * w + i], full = n == (int)image->most;
+            const float here = work.score[row * w + i];
+            const int of = (int)work.size[row * w + i], full = n == (int)image->most;
             const int reach = (int)(SAME_PLACE / CELL * (float)BLOB_HALF[of] + 0.5f);
-            if (here > LEAST_SCORE && !(full && here <= out[n - 1].score) && is_peak(w, rows, score, row, i, reach)) {
+            if (here > LEAST_SCORE && !(full && here <= out[n - 1].score) && is_peak(w, rows, work.score, row, i, reach)) {
                 const blob_peak one = {here, CELL * i, CELL * row, of};
-                n = ranked(&one, n, (int)image->most, out);
+                n = insert_best(&one, sizeof one, offsetof(blob_peak, score), n, (int)image->most, out);
             }
         }
     }

@@ -18,7 +18,7 @@ extern const int BLOB_HALF[BLOB_SIZES];
 
 /* A place that differs from its surroundings, px of the image at half size. */
 typedef struct {
-    float score;
+    double score;
     int x, y, size;
 } blob_peak;
 

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/arena.h"
 #include "vision/search/blobs.h"
 #include "vision/search/search.h"
 #include "vision/search/strokes.h"
@@ -16,16 +17,6 @@ static const double MOST_EDGES = 0.4;
 /* The margin of an image at full size, and the largest of any, px. */
 enum { MARGIN_PX = 8, MARGIN_MAX = 16384 };
 
-/* The place of some floats, and of those behind them. */
-static float *next(float **at, int64_t count)
-{
-    float *here = *at;
-    if (here != NULL) {
-        *at += count;
-    }
-    return here;
-}
-
 int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
 {
     const int64_t w = image->width, h = image->height, n = w * h, room = image->room;
@@ -37,29 +28,21 @@ int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
     t->columns = (int)((columns + TILE_CELLS - 1) / TILE_CELLS);
     t->rows = (int)((high + TILE_CELLS - 1) / TILE_CELLS);
     const int64_t blocks = (int64_t)b->columns * b->rows, tiles = (int64_t)t->columns * t->rows;
-    const int64_t sizes[] = {
-        4 * room, (n + 1) / 2, (n + 1) / 2, (n + 1) / 2, 2 * (b->columns + 1) * (int64_t)(b->rows + 1), 4 * blocks, blocks,
-        room, room, room, room, h + 1, (2 * DL_SEARCH_RADII * columns * high + 4) / 4, columns + TILE_CELLS,
-        5 * (tiles > blocks ? tiles : blocks), 2 * tiles, (w + 1) / 2, (w + 11) / 4, room,
-    };
-    enum { COUNT = sizeof sizes / sizeof *sizes };
-    float *at = scratch, *parts[COUNT];
-    int64_t total = 0;
-    for (int k = 0; k < COUNT; k++) {
-        parts[k] = next(&at, sizes[k]);
-        total += sizes[k];
-    }
-    r->chosen.places = (double *)(void *)parts[0];
-    r->slope_x = (int16_t *)(void *)parts[1], r->slope_y = (int16_t *)(void *)parts[2];
-    r->strength = (uint16_t *)(void *)parts[3];
-    b->corners = parts[4], b->scale = parts[5], b->least = parts[6];
-    r->edges.x = parts[7], r->edges.y = parts[8], r->edges.to_x = parts[9], r->edges.to_y = parts[10];
-    r->edges.first = (int32_t *)(void *)parts[11];
-    r->votes = (uint8_t *)(void *)parts[12], r->row = (uint16_t *)(void *)parts[13];
-    t->score = parts[14], t->plane = (int32_t *)(void *)parts[15];
-    r->least = (int16_t *)(void *)parts[16], r->marks = (uint8_t *)(void *)parts[17];
-    r->chosen.edge = (int32_t *)(void *)parts[18];
-    return total;
+    const int64_t scores = tiles > blocks ? tiles : blocks, half = sizeof(int16_t), number = sizeof(float);
+    arena a = {scratch, 0};
+    r->chosen.places = take(&a, 2 * room * (int64_t)sizeof *r->chosen.places);
+    r->slope_x = take(&a, n * half), r->slope_y = take(&a, n * half), r->strength = take(&a, n * half);
+    b->corners = take(&a, 2 * (b->columns + 1) * (int64_t)(b->rows + 1) * number);
+    b->scale = take(&a, 4 * blocks * number), b->least = take(&a, blocks * number);
+    r->edges.x = take(&a, room * number), r->edges.y = take(&a, room * number);
+    r->edges.to_x = take(&a, room * number), r->edges.to_y = take(&a, room * number);
+    r->edges.first = take(&a, (h + 1) * number);
+    r->votes = take(&a, 2 * DL_SEARCH_RADII * columns * high + 4);
+    r->row = take(&a, (columns + TILE_CELLS) * number);
+    t->score = take(&a, 5 * scores * number), t->plane = take(&a, 2 * tiles * number);
+    r->least = take(&a, (w + 1) * half), r->marks = take(&a, w + 11);
+    r->chosen.edge = take(&a, room * number);
+    return arena_numbers(&a);
 }
 
 /* Edges of an image of this many pixels, at most: two neighbours are seldom both a ridge of the gradient. */

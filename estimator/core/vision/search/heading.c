@@ -131,7 +131,7 @@ static void between(const polar_places *at, const polar_corners *of, int channel
 
 /* The light of the cells that count. */
 WIDE
-static void weigh(const dl_polar_pad *pad, const polar_places *at, const float light[3][CELLS], polar_view *out)
+static void set_cell_weights(const dl_polar_pad *pad, const polar_places *at, const float light[3][CELLS], polar_view *out)
 {
     for (int r = 0; r < DL_POLAR_RADII; r++) {
         const float weight = (float)pad->area_inside[r];
@@ -204,7 +204,7 @@ static void look(const dl_lens *c, const dl_polar_pad *pad, const dl_image *imag
     for (int i = 0; i < 3; i++) {
         between(&at, &of, i, light[i]);
     }
-    weigh(pad, &at, (const float(*)[CELLS])light, out);
+    set_cell_weights(pad, &at, (const float(*)[CELLS])light, out);
     add_up(pad, (const float(*)[CELLS])light, out, sums);
 }
 

@@ -3,7 +3,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/arena.h"
 #include "base/rotation.h"
+#include "vision/search/best.h"
 #include "vision/search/strokes.h"
 #include "base/wide.h"
 
@@ -15,11 +17,34 @@ static const double SAME_WIDTH = 0.15;
 /* Least depth of the H, m. */
 static const double LEAST_DEPTH_M = 0.02;
 
+/* The darkest channel, the upright view, its marks, the sums over these, the scores of places, and the beginnings of runs. */
+typedef struct {
+    uint8_t *grey;
+    int16_t *upright;
+    int8_t *mask;
+    int32_t *sums, *starts;
+    float *score;
+} workspace;
+
+static workspace divide(const strokes_image *image, arena *a)
+{
+    const int64_t n = strokes_size(image), number = sizeof(int32_t);
+    workspace w;
+    w.grey = take(a, image->width * image->height);
+    w.upright = take(a, n * n * (int64_t)sizeof *w.upright);
+    w.mask = take(a, n * n);
+    w.sums = take(a, strokes_sums(n) * number);
+    w.score = take(a, n * n * number);
+    w.starts = take(a, n * number);
+    return w;
+}
+
 int64_t strokes_room(int64_t width, int64_t height)
 {
     const strokes_image image = {.width = width, .height = height};
-    const int64_t n = strokes_size(&image), pixels = width * height;
-    return (pixels + 3) / 4 + (n * n + 1) / 2 + (n * n + 3) / 4 + strokes_sums(n) + n * n + n;
+    arena counted = {NULL, 0};
+    divide(&image, &counted);
+    return arena_numbers(&counted);
 }
 
 WIDE
@@ -113,51 +138,34 @@ static int pose_of(const strokes_image *image, const upright_view *view, const d
     return out->t[2] > LEAST_DEPTH_M;
 }
 
-/* Put a guess into a list of the best. */
-static int32_t ranked(const dl_guess *one, int32_t n, int32_t most, dl_guess *out)
-{
-    int32_t at = n < most ? n : most;
-    while (at > 0 && out[at - 1].drawing < one->drawing) {
-        if (at < most) {
-            out[at] = out[at - 1];
-        }
-        at--;
-    }
-    if (at < most) {
-        out[at] = *one;
-    }
-    return n < most ? n + 1 : most;
-}
-
 /* Find the strokes of an H in an image; returns how many places. */
 static int32_t find(const dl_lens *c, const strokes_image *image, const dl_pad_strokes *h, const uint8_t *px, float *scratch,
                     int32_t most, dl_guess *out)
 {
     const int64_t pixels = image->width * image->height, n = strokes_size(image);
-    uint8_t *grey = (uint8_t *)(void *)scratch;
-    int16_t *upright = (int16_t *)(void *)(scratch + (pixels + 3) / 4);
-    int8_t *mask = (int8_t *)(void *)(scratch + (pixels + 3) / 4 + (n * n + 1) / 2);
-    int32_t *sums = (int32_t *)(void *)(scratch + (pixels + 3) / 4 + (n * n + 1) / 2 + (n * n + 3) / 4);
-    float *score = (float *)(void *)(sums + strokes_sums(n));
-    int32_t *starts = (int32_t *)(void *)(score + n * n), found = 0;
+    arena memory = {scratch, 0};
+    const workspace w = divide(image, &memory);
+    int32_t found = 0;
     double angle, widths[WIDTHS];
     int limits[LIMITS];
     upright_view view;
-    strokes_darkest(image, px, grey);
-    if (!strokes_direction((int)image->width, (int)image->height, grey, &angle) || !strokes_place(c, image, angle, &view)) {
+    strokes_darkest(image, px, w.grey);
+    if (!strokes_direction((int)image->width, (int)image->height, w.grey, &angle) || !strokes_place(c, image, angle, &view)) {
         return 0;
     }
-    const int shades = strokes_limits((int)pixels, grey, limits);
-    strokes_upright(image, &view, grey, upright);
+    const int shades = strokes_limits((int)pixels, w.grey, limits);
+    strokes_upright(image, &view, w.grey, w.upright);
     for (int k = 0; k < shades; k++) {
-        mask_of((int)(n * n), upright, limits[k], mask);
-        const int sizes = strokes_widths((int)n, mask, starts, widths);
+        mask_of((int)(n * n), w.upright, limits[k], w.mask);
+        const int sizes = strokes_widths((int)n, w.mask, w.starts, widths);
         for (int i = 0; i < sizes; i++) {
             stroke_place places[STROKES_PLACES];
-            const int fits = strokes_fit(h, (int)n, mask, widths[i], sums, score, places);
+            const int fits = strokes_fit(h, (int)n, w.mask, widths[i], w.sums, w.score, places);
             for (int j = 0; j < fits; j++) {
                 dl_guess one;
-                found = pose_of(image, &view, h, &places[j], widths[i], &one) ? ranked(&one, found, most, out) : found;
+                if (pose_of(image, &view, h, &places[j], widths[i], &one)) {
+                    found = insert_best(&one, sizeof one, offsetof(dl_guess, drawing), found, most, out);
+                }
             }
         }
     }
