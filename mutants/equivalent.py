@@ -93,10 +93,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     },
     "estimator/integrity/sensors.py": {
         "t < repeat.since  ->  t <= repeat.since": "what begins anew at its own instant with its own value is the same",
+        "off_s > step  ->  off_s >= step": "where they are equal either is the step",
     },
     "estimator/integrity/tracks.py": {"2.0 * _ALIVE_S  ->  2.0 / _ALIVE_S": "it is one second"},
-    "estimator/integrity/clock.py": {"off_s > step  ->  off_s >= step": "where they are equal either is the step"},
-    "estimator/integrity/view.py": {
+    "estimator/integrity/crosschecks.py": {
         "distance_m < 1e-06  ->  distance_m <= 1e-06": _ROUNDED,
         "True  ->  False": "every bearing has four parts",
         "_spread(np.array(seen)) < o.view_still_ratio * turned"

@@ -234,7 +234,7 @@ def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, Sequence[FusionRes
     for n, event in enumerate(events):
         refusal = None
         if isinstance(event, Imu):
-            imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
+            imu, refusal = sensors.watch_reading(imu, event, ekf.limits, flying=True)
         if refusal is None:
             admitted.append(event)
         else:

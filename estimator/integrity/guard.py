@@ -24,15 +24,17 @@ from estimator.contracts.samples import (
     VehicleStatus,
 )
 from estimator.contracts.time import MonoNs
-from estimator.integrity import arbiter, clock, heading, heights, inertial, sensors, tracks, view
+from estimator.integrity import crosschecks, inertial, sensors, tracks
+from estimator.integrity.crosschecks import HeadingWatch, HeightWatch, ViewWatch
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.sensors import FrameWatch
+from estimator.integrity.sensors import ClockWatch, FrameWatch, SensorWatch
+from estimator.integrity.tracks import Arbiter, Place, Tracks
 
 _EVIDENCE_NS = 1_000_000_000
 """Time for which an alert outlives its newest evidence: the silence of a stream is reported by itself."""
 _ABOVE_M = 0.3
 """Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
-_UNSEEN = sensors.SensorWatch()
+_UNSEEN = SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
@@ -46,15 +48,15 @@ class IntegrityGuard(Struct, frozen=True):
     """The state of all checks. Immutable."""
 
     options: IntegrityOptions = field(default_factory=IntegrityOptions)
-    clock: clock.ClockWatch = field(default_factory=clock.ClockWatch)
-    sensors: Mapping[type, sensors.SensorWatch] = field(default_factory=dict)
+    clock: ClockWatch = field(default_factory=ClockWatch)
+    sensors: Mapping[type, SensorWatch] = field(default_factory=dict)
     frames: FrameWatch = field(default_factory=FrameWatch)
-    view: view.ViewWatch = field(default_factory=view.ViewWatch)
-    tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
-    heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
-    heading: heading.HeadingWatch = field(default_factory=heading.HeadingWatch)
+    view: ViewWatch = field(default_factory=ViewWatch)
+    tracks: Tracks = field(default_factory=Tracks)
+    heights: HeightWatch = field(default_factory=HeightWatch)
+    heading: HeadingWatch = field(default_factory=HeadingWatch)
     inertial: inertial.Inertial = field(default_factory=inertial.Inertial)
-    arbiter: arbiter.Arbiter = field(default_factory=arbiter.Arbiter)
+    arbiter: Arbiter = field(default_factory=Arbiter)
     overruled: int = 0
     """Number of restarts of the filter by the arbiter."""
     trusts_velocity: bool = True
@@ -85,7 +87,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
     """
     # There are hundreds of samples a second, so what changes is kept in the open until the last of them.
     o, delays, seen = guard.options, dict(guard.clock.delays), dict(guard.sensors)
-    watch = clock.ClockWatch(guard.clock.now, guard.clock.rival, delays)
+    watch = ClockWatch(guard.clock.now, guard.clock.rival, delays)
     step_s, settle_s = o.sample_delay_step_max_s, o.sample_delay_settle_s
     turn, against, halves, flying, trusts = guard.heading, guard.heights, guard.inertial, guard.flying, guard.trusts_velocity
     admitted: list[Sample | Verdict] = []
@@ -95,12 +97,12 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         # One more arrival at the known time changes nothing: the samples of one datagram share theirs.
         name = kind.__name__
         if stamp.received_at != watch.now or watch.rival is not None:
-            watch, verdict = clock.watch_arrival(watch, name, stamp, o.clock_step_max_s)
+            watch, verdict = sensors.watch_arrival(watch, name, stamp, o.clock_step_max_s)
             if watch.delays is not delays:  # the time has leapt, and all delays begin again
                 delays = dict(watch.delays)
-                watch = clock.ClockWatch(watch.now, watch.rival, delays)
+                watch = ClockWatch(watch.now, watch.rival, delays)
         if verdict is None:
-            delays[name], verdict = clock.delay_after(delays.get(name), stamp, step_s, settle_s, quick=kind in _QUICK)
+            delays[name], verdict = sensors.delay_after(delays.get(name), stamp, step_s, settle_s, quick=kind in _QUICK)
         if verdict is not None:
             trusts = trusts and kind is not BodyVelocity
             admitted.append(verdict)
@@ -109,7 +111,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         if isinstance(sample, VehicleStatus):
             flying = sample.flying is not False
         elif not isinstance(sample, _UNCHECKED):
-            seen[kind], verdict = sensors.watch(seen.get(kind, _UNSEEN), sample, o, flying)
+            seen[kind], verdict = sensors.watch_reading(seen.get(kind, _UNSEEN), sample, o, flying)
             if verdict is None:
                 if type(sample) is Imu:
                     halves, left = inertial.felt(halves, sample, o, flying)
@@ -117,17 +119,17 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                         verdict = Verdict.FROZEN
                     else:
                         sample = left
-                        turn = heading.turned(turn, sample)
+                        turn = crosschecks.add_gyro(turn, sample)
                 elif type(sample) is Attitude:
                     lying = halves.gyro_fault
                     halves = inertial.levelled(halves, sample, flying)
                     if halves.gyro_fault is not None and lying is None:
-                        turn = heading.HeadingWatch()
-                    turn, sample = heading.steadied(turn, sample, o)
+                        turn = HeadingWatch()
+                    turn, sample = crosschecks.hold_heading(turn, sample, o)
                 elif type(sample) is Range:
-                    against = heights.ranged(against, sample, o)
+                    against = crosschecks.add_range(against, sample, o)
                 elif type(sample) is Baro:
-                    against = heights.weighed(against, sample, o)
+                    against = crosschecks.add_baro(against, sample, o)
                     halves = inertial.weighed(halves, sample)
                 elif type(sample) is BodyVelocity:
                     halves = inertial.moved(halves, sample)
@@ -166,16 +168,16 @@ def admit_sighting(
         return guard, Verdict.IMPOSSIBLE
     if attitude is not None and guard.tracks.assumed is not None:
         guard = _follow_on(guard, sighting, attitude, guard.tracks.assumed)
-    watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
+    watch, verdict = sensors.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
         # In flight a slower link cannot be distinguished from stamps that have become wrong.
         keep_s = o.delay_keep_s if guard.flying else math.inf
-        watch, verdict = clock.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s, keep_s)
+        watch, verdict = sensors.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s, keep_s)
     guard = replace(guard, clock=watch)
     if verdict is not None:
         return guard, verdict
     if attitude is not None and guard.flying:
-        guard = replace(guard, view=view.watch(guard.view, sighting, attitude, o))
+        guard = replace(guard, view=crosschecks.watch_view(guard.view, sighting, attitude, o))
         if guard.view.frozen or guard.view.reversed:
             return guard, Verdict.FROZEN if guard.view.frozen else Verdict.IMPOSSIBLE
     if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
@@ -186,14 +188,14 @@ def admit_sighting(
         guard = replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
     following, explained = tracks.associate(guard.tracks, place, expected, o)
     if not explained and belief is not None and belief.adrift and expected is not None and _swung_there(expected, place):
-        following, explained = tracks.Tracks(following.number, 0, place), True
+        following, explained = Tracks(following.number, 0, place), True
     # The arbiter's doubt grows while it takes nothing, and would come to reach where the picture leapt to.
     if not explained and (following.leapt or not guard.arbiter.explains(place)):
         return replace(guard, tracks=following), Verdict.ELSEWHERE
-    seen = arbiter.follow(guard.arbiter, place)
+    seen = tracks.arbitrate(guard.arbiter, place)
     if belief is not None and expected is not None and seen.t == place.t and not seen.misses:
         v = _fixed(belief.v_pad_level, attitude)
-        seen = arbiter.compare(seen, expected.d, v, tuple(belief.cov.diagonal()[:6].tolist()))
+        seen = tracks.compare_estimate(seen, expected.d, v, tuple(belief.cov.diagonal()[:6].tolist()))
     if explained:
         guard = replace(guard, tracks=following)
     return replace(guard, arbiter=seen), None
@@ -223,7 +225,7 @@ def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, as
     return _following(guard, _place(sighting, attitude)._replace(d=(x, y, z)), assumed)
 
 
-def _following(guard: IntegrityGuard, place: tracks.Place, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
+def _following(guard: IntegrityGuard, place: Place, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
     following = tracks.follow(guard.tracks, place, assumed, guard.options, alone_in)
     return guard if following is None else replace(guard, tracks=following)
 
@@ -237,18 +239,18 @@ def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> 
 def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None, is_fused: bool) -> IntegrityGuard:
     """Record whether the steering estimator fused a sighting that had passed."""
     place = _place(sighting, attitude)
-    seen = arbiter.judged(guard.arbiter, place.t, is_fused)
+    seen = tracks.record_fused(guard.arbiter, place.t, is_fused)
     felt = guard.inertial if attitude is None else inertial.sighted(guard.inertial, place.t, place.d, sighting.yaw_rad)
     guard = replace(guard, arbiter=seen, inertial=felt)
     if seen.overrules:
         followed = guard.tracks._replace(number=guard.tracks.number + seen.leapt)
-        guard = replace(guard, overruled=guard.overruled + 1, arbiter=arbiter.cleared(seen), tracks=followed)
+        guard = replace(guard, overruled=guard.overruled + 1, arbiter=tracks.restarted(seen), tracks=followed)
     if not is_fused:
         return guard
-    guard = replace(guard, tracks=tracks.fused(guard.tracks, place))
+    guard = replace(guard, tracks=tracks.add_fused(guard.tracks, place))
     if attitude is None:
         return guard
-    return replace(guard, heights=heights.sighted(guard.heights, sighting, attitude.R_ned_body))
+    return replace(guard, heights=crosschecks.add_sighting(guard.heights, sighting, attitude.R_ned_body))
 
 
 def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
@@ -301,17 +303,17 @@ def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> 
     return inertial.pictured(state, at, attitude.R_ned_body.matrix, R_ned_pad, guard.heading.off_at(at))
 
 
-def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    return tracks.Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
+def _place(sighting: Sighting, attitude: Attitude | None) -> Place:
+    return Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
 
 
-def _swung_there(expected: tracks.Place, place: tracks.Place) -> bool:
+def _swung_there(expected: Place, place: Place) -> bool:
     """Return whether a pad that its ship swung out of sight can be at a place, by the estimate's own deviation."""
     return math.dist(expected.d[:2], place.d[:2]) <= _SWUNG_SIGMAS * expected.sigma_m
 
 
-def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    return tracks.Place(sighting.stamp.measured_at, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
+def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> Place:
+    return Place(sighting.stamp.measured_at, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
 
 
 def _sigmas(cov: F64) -> tuple[float, float]:

@@ -15,10 +15,9 @@ from msgspec.structs import replace
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
-from estimator.integrity import halves, parity, velocity
-from estimator.integrity.halves import Half, TurnByAttitude
+from estimator.integrity import parity
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.parity import Bin, Parity, Slope, Vec3
+from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude, Vec3
 
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
@@ -160,7 +159,7 @@ class Inertial(Struct, frozen=True):
     """Number of bins in a row in which the velocity contradicted the accelerometer."""
     velocity_right: int | None = None
     """Instant, ns, of the newest bin in which the sightings took its side against the accelerometer; None if there was none."""
-    velocity_steady: velocity.Steady = velocity.Steady()
+    velocity_steady: Steady = Steady()
     """Difference of velocity and accelerometer that is no lie."""
     suspected: str | None = None
     """The sensor that the newest bin accused, of gyro and attitude."""
@@ -214,7 +213,7 @@ def felt(state: Inertial, imu: Imu, o: IntegrityOptions, flying: bool) -> tuple[
         return after, imu
     gyro_s = _lost_s(before_gyro, gyro, lies is not None, (before, t))
     accel_s = _lost_s(before_accel, accel, bad is not None, (before, t))
-    return after, halves.replaced(imu, gyro_s, accel_s, state.turn)
+    return after, parity.replace_halves(imu, gyro_s, accel_s, state.turn)
 
 
 def _six(imu: Imu | None) -> list[float]:
@@ -247,7 +246,10 @@ def _repeated(
     alone = [s and (h.frozen or not seen) for s, h, seen in zip(same, state.repeats[2:], shown, strict=True)]
     each = (*whole, *((repeated, _AXIS * frozen_s) for repeated in alone))
     repeats = tuple(
-        [halves.read(h, before if s else None, t, after_s, flying) for h, (s, after_s) in zip(state.repeats, each, strict=True)]
+        [
+            parity.read_half(h, before if s else None, t, after_s, flying)
+            for h, (s, after_s) in zip(state.repeats, each, strict=True)
+        ]
     )
     return replace(state, repeats=repeats, alive=alive, repeating=any(h.since >= 0 for h in repeats))
 
@@ -452,7 +454,7 @@ def _judged_velocity(state: Inertial) -> Inertial:
     fault, against = state.velocity_fault, state.velocity_against
     if state.gyro_fault or state.attitude_fault or state.accel_fault:
         return replace(state, velocity_against=0) if against else state
-    found = velocity.compared(state.parity, state.velocity_steady)
+    found = parity.compared(state.parity, state.velocity_steady)
     if found is None:
         return state
     if fault is not None or not found.contradicts:
@@ -466,7 +468,7 @@ def _judged_velocity(state: Inertial) -> Inertial:
     in_sight = bool(state.parity.sight) and state.parity.bins[-1].t - state.parity.sight[-1][0] < _PICTURES_OLD_S * 1e9
     now, since = state.parity.bins[-1].t, state.velocity_right
     still = since is not None and now - since < _STILL_RIGHT_S * 1e9
-    right = velocity.seen_right(state.parity) if in_sight else still and not found.far
+    right = parity.seen_right(state.parity) if in_sight else still and not found.far
     if right is not False:
         return replace(state, velocity_right=now) if right and in_sight else state
     if against + 1 < _PERSISTS:

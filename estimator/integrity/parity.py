@@ -3,6 +3,19 @@
 The gyro is integrated between two of the vehicle's own attitudes; the accelerometer, levelled by them, is integrated twice. What
 a barometer, the pad's sightings and a measured velocity say less that integral has a curvature (a velocity: a slope): the true
 acceleration less the measured one. The least squares of the window give it with its variance, from the residuals themselves.
+
+Tell a frozen half of an IMU, gyro or accelerometer, and put what else is known in its place.
+
+Compare the measured velocity with the accelerometer's integral, and with the pad's sightings where there are any.
+
+A velocity that lies is dangerous where a loop is closed on it: one of the wrong sign is flown away from at full tilt. So what is
+compared are changes within two seconds, as a vehicle that begins to fly away makes them: the velocity and the integral, each
+less its mean and less the difference of both that has been there (`Steady`). A surface that moves below a flow sensor makes
+neither a large difference nor a wrong sign: in clean flights up to weather_5 the difference is 0.5 m/s, a root mean square, at
+most. A leap of the velocity alone begins the comparison again: below the vehicle the deck has ended and the water begun.
+
+In sight of the pad its sightings decide who of both is right, and for 10 s after them that holds, unless the difference grows
+beyond what an attitude that errs makes. Later nobody decides, and the velocity is not flown by.
 """
 
 import math
@@ -12,10 +25,98 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, fixed_vector
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
-from estimator.integrity.halves import turn_between
+
+_LONGEST = 3.0
+"""Factor on the time limit for a sensor of coarse steps that repeated itself in flight."""
+_MOST_S = 1.0
+_TURN_S = 0.02
+"""Least time between the two attitudes whose difference is a rate."""
+_OLD_S = 0.1
+"""Age of an attitude from which it says nothing of the present turn."""
+
+
+class Half(Struct, frozen=True):
+    """Repetition of one half of a sample: unchanged values."""
+
+    since: int = -1
+    """Instant at which the value was first read that it repeats, ns; -1 while it changes."""
+    longest_s: float = 0.0
+    """The longest time for which it has repeated itself in flight and then gone on."""
+    frozen: bool = False
+
+
+def read_half(half: Half, before: int | None, t: int, frozen_s: float, flying: bool) -> Half:
+    """Process one reading.
+
+    Args:
+        before: instant of the reading before, ns, if this one is the same to the bit; None if it differs.
+        t: instant of this one, ns.
+    """
+    since, longest_s = half.since, half.longest_s
+    if before is None:
+        if since < 0:
+            return half
+        return half if t < since else Half(-1, longest_s if half.frozen or not flying else max(longest_s, (t - since) * 1e-9))
+    since = before if since < 0 else since
+    after_s = max(frozen_s, min(_LONGEST * longest_s, _MOST_S))
+    return Half(since, longest_s, flying and (t - since) * 1e-9 > after_s)
+
+
+class TurnByAttitude(Struct, frozen=True):
+    """The two newest attitudes that are at least `_TURN_S` apart."""
+
+    before: Attitude | None = None
+    now: Attitude | None = None
+
+    def after(self, attitude: Attitude) -> "TurnByAttitude":
+        """Return it with one attitude more."""
+        now = self.now
+        if now is not None and attitude.stamp.measured_at - now.stamp.measured_at < _TURN_S * 1e9:
+            return self
+        return TurnByAttitude(now, attitude)
+
+    def rate(self, at: int) -> F64 | None:
+        """Return the body's rate, rad/s, about an instant, ns; None if the attitudes do not say."""
+        a, b = self.before, self.now
+        if a is None or b is None:
+            return None
+        dt = (b.stamp.measured_at - a.stamp.measured_at) * 1e-9
+        if not 0.0 < dt <= 2.0 * _OLD_S or abs(at - b.stamp.measured_at) > _OLD_S * 1e9:
+            return None
+        return fixed_vector(*(x / dt for x in turn_between(a, b)))
+
+
+def turn_between(a: Attitude, b: Attitude) -> tuple[float, float, float]:
+    """Return the rotation vector, rad in `body`, that takes one attitude to another less than half a turn away."""
+    (a0, a1, a2), (a3, a4, a5), (a6, a7, a8) = a.R_ned_body.matrix.tolist()
+    (b0, b1, b2), (b3, b4, b5), (b6, b7, b8) = b.R_ned_body.matrix.tolist()
+    x = (a2 * b1 + a5 * b4 + a8 * b7) - (a1 * b2 + a4 * b5 + a7 * b8)
+    y = (a0 * b2 + a3 * b5 + a6 * b8) - (a2 * b0 + a5 * b3 + a8 * b6)
+    z = (a1 * b0 + a4 * b3 + a7 * b6) - (a0 * b1 + a3 * b4 + a6 * b7)
+    twice_sine = math.sqrt(x * x + y * y + z * z)
+    trace = a0 * b0 + a3 * b3 + a6 * b6 + a1 * b1 + a4 * b4 + a7 * b7 + a2 * b2 + a5 * b5 + a8 * b8
+    k = 0.5 if twice_sine < 1e-9 else math.atan2(twice_sine, trace - 1.0) / twice_sine
+    return k * x, k * y, k * z
+
+
+def replace_halves(imu: Imu, gyro_lost_s: float, accel_lost_s: float, turn: TurnByAttitude) -> Imu | None:
+    """Return a sample without its lost halves; None if nothing else says how the body turns.
+
+    Args:
+        gyro_lost_s: time up to this sample in which the gyro was lost; 0 if it measures.
+        accel_lost_s: the same for the accelerometer.
+    """
+    w = imu.w_body
+    if gyro_lost_s > 0.0:
+        rate = turn.rate(imu.stamp.measured_at)
+        if rate is None:
+            return None
+        w = rate
+    return replace(imu, w_body=w, gyro_lost_s=gyro_lost_s, accel_lost_s=accel_lost_s)
+
 
 _BIN_S = 0.1
 _GAP_S = 0.3
@@ -306,3 +407,150 @@ def _flow(event: BodyVelocity, within: Bin, level: Attitude) -> Point:
     if max(cov[:2]) > _UNMEASURED_VAR:
         x = y = math.nan
     return t, ((c * x - s * y) / n - vx, (s * x + c * y) / n - vy, (math.nan if cov[2] > _UNMEASURED_VAR else z) - vz)
+
+
+_WINDOW_NS = 2_000_000_000
+_POINTS = 8
+_LEAP_M_S = 0.8
+_APART_M_S, _SHARE, _SWINGS_M_S = 0.6, 0.25, 0.25
+"""Difference, a root mean square; largest share of the integral's swing that the velocity has; and least swing that shows it."""
+_FAR_APART_M_S = 0.9
+"""Difference that is wrong whatever the share: of a velocity that comes half a second late the share is of the right sign."""
+_AGAINST_M_S, _AGAINST_SHARE, _AGAINST_SWINGS_M_S = 0.45, -0.4, 0.2
+"""Limits where the velocity swings against the integral."""
+_WELL_M_S, _WELL_SHARE = 0.35, 0.5
+_STEADY_M_S2, _STEADY_WEIGHT = 1.2, 0.02
+"""Largest difference that is no lie, m/s^2: an attitude that errs by 6 degrees makes it; and the weight of a bin, 5 s of them."""
+_SEEN_M, _SEEN_SHARE = 0.08, 0.4
+"""Least way against the pad, a root mean square, that shows something, and the share of it from which the velocity is right."""
+
+
+class Steady(NamedTuple):
+    """The acceleration by the velocity less that of the levelled accelerometer that has been there, m/s^2.
+
+    A bias makes it, and an attitude that errs; it turns with the body.
+    """
+
+    bins: int = 0
+    ahead: float = 0.0
+    aside: float = 0.0
+
+    def after(self, rate: tuple[float, float], heading: tuple[float, float]) -> "Steady":
+        """Return it after one bin more.
+
+        Args:
+            rate: the difference's, m/s^2 north and east.
+            heading: its cosine and sine.
+        """
+        k, (c, s), (x, y) = max(1.0 / (self.bins + 1), _STEADY_WEIGHT), heading, rate
+        ahead, aside = self.ahead + k * (c * x + s * y - self.ahead), self.aside + k * (c * y - s * x - self.aside)
+        within = min(1.0, _STEADY_M_S2 / max(1e-9, math.hypot(ahead, aside)))
+        return Steady(self.bins + 1, within * ahead, within * aside)
+
+    def ned(self, heading: tuple[float, float]) -> tuple[float, float]:
+        """Return it north and east."""
+        c, s = heading
+        return c * self.ahead - s * self.aside, s * self.ahead + c * self.aside
+
+
+class Compared(NamedTuple):
+    """The velocity's change against the accelerometer's within the window."""
+
+    rate: tuple[float, float]
+    """Rate of their difference, m/s^2 north and east."""
+    apart_m_s: float
+    swings_m_s: float
+    share: float
+    """Part of the integral's swing that the velocity has, 1 where both agree."""
+
+    @property
+    def far(self) -> bool:
+        """True if one of both is wrong by more than an attitude that errs makes."""
+        return self.apart_m_s > _FAR_APART_M_S
+
+    @property
+    def contradicts(self) -> bool:
+        """True if one of both is wrong."""
+        apart = self.apart_m_s > _APART_M_S and self.share < _SHARE and self.swings_m_s > _SWINGS_M_S
+        swings = self.swings_m_s > _AGAINST_SWINGS_M_S
+        return self.far or apart or (self.apart_m_s > _AGAINST_M_S and self.share < _AGAINST_SHARE and swings)
+
+    @property
+    def agrees(self) -> bool:
+        """True if both move, and alike."""
+        return self.swings_m_s > _AGAINST_SWINGS_M_S and self.apart_m_s < _WELL_M_S and self.share > _WELL_SHARE
+
+
+def compared(p: Parity, steady: Steady) -> Compared | None:
+    """Return the comparison over the newest window; None with too few velocities in it."""
+    t, flow, felt = _window(p)
+    if len(t) < _POINTS:
+        return None
+    flow, felt = flow - flow.mean(axis=0), felt - felt.mean(axis=0)
+    apart, x = flow - felt, (t - t.mean()) * 1e-9
+    north, east = (x @ apart / (x @ x)).tolist()
+    there = np.outer(x, steady.ned(p.bins[-1].heading))
+    apart, felt = apart - there, felt + there
+    square = float((felt * felt).sum())
+    return Compared(
+        (north, east),
+        math.sqrt(float((apart * apart).sum()) / len(t)),
+        math.sqrt(square / len(t)),
+        float((flow * felt).sum()) / square if square > 0.0 else 1.0,
+    )
+
+
+def seen_right(p: Parity) -> bool | None:
+    """Return whether the velocity leads along the way that the pad's sightings show; None where they show too little.
+
+    Where they show no way, it is right that shows none either, if the accelerometer shows one.
+    """
+    t, flow, felt = _window(p)
+    if len(t) < _POINTS:
+        return None
+    seen = [(at, value[:2]) for at, value in p.sight if t[0] <= at <= t[-1]]
+    places = [(at, place) for at, value in seen if (place := _place(p, at, value)) is not None]
+    if len(places) < _POINTS:
+        return None
+    at = np.array([instant for instant, _ in places], dtype=np.float64)
+    x = at - at.mean()
+
+    def swings(y: F64) -> F64:
+        # Over the ground a ship's own way is a steady difference.
+        swung: F64 = y - y.mean(axis=0) - np.outer(x, x @ (y - y.mean(axis=0)) / (x @ x))
+        return swung
+
+    def way_of(v: F64) -> F64:
+        steps = 0.5 * (v[1:] + v[:-1]) * (np.diff(t) * 1e-9)[:, None]
+        by_v = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        return swings(np.column_stack([np.interp(at, t, by_v[:, axis]) for axis in range(2)]))
+
+    way, flown, least = swings(np.array([place for _, place in places])), way_of(flow), len(places) * _SEEN_M**2
+    square = float((way * way).sum())
+    if square < least:
+        return True if float((flown * flown).sum()) < least < 0.5 * float((way_of(felt) ** 2).sum()) else None
+    return float((way * flown).sum()) > _SEEN_SHARE * square
+
+
+def _window(p: Parity) -> tuple[F64, F64, F64]:
+    """Return the instants, (N,) ns, the velocities and the accelerometer's integrals, (N, 2) m/s each in `ned`."""
+    end = p.flow[-1][0] if p.flow else 0
+    rows = []
+    for t, off in p.flow:
+        if t > end - _WINDOW_NS and (within := next((b for b in reversed(p.bins) if b.t <= t), None)) is not None:
+            (x, y, _), _ = within.at(t)
+            rows.append((t, off[0] + x, off[1] + y, x, y))
+    both = np.array([row for row in rows if not math.isnan(row[1])], dtype=np.float64).reshape(-1, 5)
+    off = np.hypot(*(np.diff(both[:, 1:3], axis=0) - np.diff(both[:, 3:5], axis=0)).T)
+    leaps = np.nonzero(off > _LEAP_M_S)[0]
+    both = both[leaps[-1] + 1 :] if len(leaps) else both
+    return both[:, 0], both[:, 1:3], both[:, 3:5]
+
+
+def _place(p: Parity, at: int, value: tuple[float, ...]) -> tuple[float, float] | None:
+    """Return the body's place against the pad at a sighting, m north and east, from one less the accelerometer's way."""
+    within = next((b for b in reversed(p.bins) if b.t <= at), None)
+    if within is None:
+        return None
+    _, (x, y, _) = within.at(at)
+    return value[0] + x, value[1] + y

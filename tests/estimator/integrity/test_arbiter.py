@@ -6,8 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimator.integrity.arbiter import Arbiter, compare, follow, judged
-from estimator.integrity.tracks import Place
+from estimator.integrity.tracks import Arbiter, Place, arbitrate, compare_estimate, record_fused
 
 T = 5_000_000_000
 SURE = (1e-4,) * 6
@@ -29,10 +28,10 @@ def followed(
     for n in range(round(seconds * hz)):
         t = n / hz
         x, y, z = np.array(swaying(t)) + 0.02 * rng.standard_normal(3)
-        state = follow(state, place(t, (x, y, z)))
+        state = arbitrate(state, place(t, (x, y, z)))
         v = [(b - a) / 0.02 for a, b in zip(swaying(t - 0.01), swaying(t + 0.01), strict=True)]
-        state = compare(state, believed(t), tuple(v), SURE)
-        state = judged(state, state.t, fused)
+        state = compare_estimate(state, believed(t), tuple(v), SURE)
+        state = record_fused(state, state.t, fused)
         if state.overrules:
             overruled.append(t)
             break
@@ -81,9 +80,9 @@ def test_single_sightings_elsewhere_do_not_move_it_and_five_in_a_row_do() -> Non
     state, _ = followed(5.0, swaying)
     aside = (swaying(5.0)[0] + 1.0, *swaying(5.0)[1:])
     for n in range(4):
-        state = follow(state, place(5.0 + n / 30.0, aside))
+        state = arbitrate(state, place(5.0 + n / 30.0, aside))
     assert state.misses == 4
     assert abs(state.axes[0].p - swaying(5.0)[0]) < 0.1
     assert not state.overrules
-    state = follow(state, place(5.0 + 4 / 30.0, aside))
+    state = arbitrate(state, place(5.0 + 4 / 30.0, aside))
     assert (state.n, state.misses, state.axes[0].p) == (1, 0, aside[0])

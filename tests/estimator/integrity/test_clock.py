@@ -4,7 +4,7 @@ import math
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity.clock import ClockWatch, watch_arrival, watch_delay
+from estimator.integrity.sensors import ClockWatch, watch_arrival, watch_delay
 
 HOUR_S = 3600.0
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity.halves import Half, TurnByAttitude, read, replaced, turn_between
+from estimator.integrity.parity import Half, TurnByAttitude, read_half, replace_halves, turn_between
 
 MS = 1_000_000
 T = 5_000_000_000
@@ -28,7 +28,7 @@ def frozen_after(values: list[bytes], step_ms: int, flying: bool = True) -> list
     half, found, step = Half(), [], step_ms * MS
     for n, value in enumerate(values):
         same = n > 0 and value == values[n - 1]
-        half = read(half, T + (n - 1) * step if same else None, T + n * step, 0.15, flying)
+        half = read_half(half, T + (n - 1) * step if same else None, T + n * step, 0.15, flying)
         found.append(half.frozen)
     return found
 
@@ -71,14 +71,14 @@ def test_a_lost_gyro_is_replaced_by_the_turn_of_the_attitude_while_there_is_one(
     for n in range(20):
         turn = turn.after(attitude(T + 5 * n * MS, roll=0.5 * 0.005 * n))
     imu = Imu(stamp(T + 97 * MS), np.array([9.0, 9.0, 9.0]), np.array([0.1, 0.2, -9.8]))
-    left = replaced(imu, 0.005, 0.0, turn)
+    left = replace_halves(imu, 0.005, 0.0, turn)
     assert left is not None
     assert left.w_body == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
     assert (left.gyro_lost_s, left.accel_lost_s) == (0.005, 0.0)
     assert left.f_body is imu.f_body
     late = Imu(stamp(T + 400 * MS), imu.w_body, imu.f_body)
-    assert replaced(late, 0.005, 0.0, turn) is None, "nothing says how it turns by now"
-    accel = replaced(late, 0.0, 0.155, turn)
+    assert replace_halves(late, 0.005, 0.0, turn) is None, "nothing says how it turns by now"
+    accel = replace_halves(late, 0.0, 0.155, turn)
     assert accel is not None
     assert accel.w_body is imu.w_body
     assert math.isclose(accel.accel_lost_s, 0.155)

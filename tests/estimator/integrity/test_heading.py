@@ -10,7 +10,7 @@ from estimator import pipeline
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.integrity.heading import HeadingWatch, steadied, turned
+from estimator.integrity.crosschecks import HeadingWatch, add_gyro, hold_heading
 from estimator.integrity.options import IntegrityOptions
 from estimator.options import EstimatorOptions
 
@@ -42,9 +42,9 @@ def flown(error_deg: Error, seconds: float = 10.0, bias_deg_s: float = 0.0, *, g
         t = i * DT
         true, rate = math.radians(20.0) * math.sin(t), math.radians(20.0) * math.cos(t)
         if gyro:
-            watch = turned(watch, imu(t, rate + math.radians(bias_deg_s)))
+            watch = add_gyro(watch, imu(t, rate + math.radians(bias_deg_s)))
         event = attitude(t, true + math.radians(error_deg(t, rng)))
-        watch, used = steadied(watch, event, OPTIONS)
+        watch, used = hold_heading(watch, event, OPTIONS)
         assert used.R_ned_body.rpy_rad[:2] == pytest.approx(TILT, abs=1e-9)
         assert (used is event) is (watch.off_rad == 0.0)
         rows.append([true, event.R_ned_body.rpy_rad[2], used.R_ned_body.rpy_rad[2]])
@@ -119,5 +119,5 @@ def held(rad: float = 0.0, *, at_ms: int = 0, turned_ms: int = 0, rate: float = 
 
 
 def test_a_report_from_before_the_last_one_is_not_followed() -> None:
-    watch, _ = steadied(held(at_ms=80, turned_ms=40), reported(40, 0.1), OPTIONS)
+    watch, _ = hold_heading(held(at_ms=80, turned_ms=40), reported(40, 0.1), OPTIONS)
     assert watch.held_rad == 0.0

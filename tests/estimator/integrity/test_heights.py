@@ -9,7 +9,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, Range
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity.heights import HeightWatch, ranged, sighted, weighed
+from estimator.integrity.crosschecks import HeightWatch, add_baro, add_range, add_sighting
 from estimator.integrity.options import IntegrityOptions
 
 LIMITS = IntegrityOptions()
@@ -30,8 +30,8 @@ def watched(seen_m, range_m, seconds: float = 3.0, aside_m: float = 0.1, tilt_ra
     state = HeightWatch()
     for i in range(round(seconds * 25)):
         t = 1.0 + i / 25
-        state = sighted(state, sighting(t - 0.1, (aside_m, 0.0, seen_m(t))), Rotation.from_rpy(tilt_rad, 0.0, 0.5))
-        state = ranged(state, Range(at(t), range_m(t) + abs(rng.normal(0, 0.005)), 0.02), LIMITS)
+        state = add_sighting(state, sighting(t - 0.1, (aside_m, 0.0, seen_m(t))), Rotation.from_rpy(tilt_rad, 0.0, 0.5))
+        state = add_range(state, Range(at(t), range_m(t) + abs(rng.normal(0, 0.005)), 0.02), LIMITS)
     return state
 
 
@@ -75,8 +75,8 @@ def pressed(baro_m, seen_m, seconds: float = 12.0) -> HeightWatch:
     state = HeightWatch()
     for i in range(round(seconds * 20)):
         t = 1.0 + i / 20
-        state = sighted(state, sighting(t - 0.1, (0.1, 0.0, seen_m(t))), Rotation.identity())
-        state = weighed(state, Baro(at(t), baro_m(t) + rng.normal(0, 0.5), 0.7), LIMITS)
+        state = add_sighting(state, sighting(t - 0.1, (0.1, 0.0, seen_m(t))), Rotation.identity())
+        state = add_baro(state, Baro(at(t), baro_m(t) + rng.normal(0, 0.5), 0.7), LIMITS)
     return state
 
 

@@ -12,7 +12,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.sensors import Reading, SensorWatch, watch
+from estimator.integrity.sensors import Reading, SensorWatch, watch_reading
 
 LIMITS = IntegrityOptions()
 RNG = np.random.default_rng(5)
@@ -36,7 +36,7 @@ def velocity(t_s: float, v: tuple[float, float, float]) -> BodyVelocity:
 def run(events: list[Reading], flying: bool = True) -> list[Verdict | None]:
     state, out = SensorWatch(), []
     for event in events:
-        state, verdict = watch(state, event, LIMITS, flying)
+        state, verdict = watch_reading(state, event, LIMITS, flying)
         out.append(verdict)
     return out
 
@@ -153,7 +153,7 @@ def baro(t: int, height_m: float) -> Baro:
 def said(*events: Reading) -> list[Verdict | None]:
     state, out = SensorWatch(), []
     for event in events:
-        state, verdict = watch(state, event, LIMITS, True)
+        state, verdict = watch_reading(state, event, LIMITS, True)
         out.append(verdict)
     return out
 

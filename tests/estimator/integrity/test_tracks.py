@@ -10,7 +10,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.tracks import Place, TrackCandidate, Tracks, associate, follow, fused
+from estimator.integrity.tracks import Place, TrackCandidate, Tracks, add_fused, associate, follow
 
 LIMITS = IntegrityOptions()
 ASSUMED = Attitude(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), Rotation.identity(), 0.01 * np.eye(3))
@@ -25,7 +25,7 @@ def follow_all(tracks: Tracks, looks: list[Place], expected: Place | None = None
     for seen in looks:
         tracks, explained = associate(tracks, seen, None if expected is None else expected._replace(t=seen.t), LIMITS)
         if explained:
-            tracks = fused(tracks, seen)
+            tracks = add_fused(tracks, seen)
         out.append(explained)
     return tracks, out
 

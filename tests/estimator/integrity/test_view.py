@@ -10,8 +10,8 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity.crosschecks import ViewWatch, watch_view
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.view import ViewWatch, watch
 
 LIMITS = IntegrityOptions()
 
@@ -53,7 +53,7 @@ def watched(
         d = reported.without_heading() @ (mirror @ (level.inv @ true)) + rng.normal(0, noise * height_m, 3)
         stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.09) * 1e9)), 0.001, "sim")
         sighting = Sighting(stamp, i, "registration", d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
-        state = watch(state, sighting, Attitude(stamp, reported, 1e-5 * np.eye(3)), LIMITS)
+        state = watch_view(state, sighting, Attitude(stamp, reported, 1e-5 * np.eye(3)), LIMITS)
         yield state
 
 

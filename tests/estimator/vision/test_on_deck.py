@@ -229,11 +229,14 @@ BIRD = Bystander(
 )
 
 
+WIDE_DECK = Surroundings(WIDE)
+
+
 def came_down(
     from_m: float,
     to_m: float,
     *faults: Bystander | Glint,
-    scene: Surroundings = WIDE,
+    scene: Surroundings = WIDE_DECK,
     light: Light | None = None,
     gain: float = 1.0,
 ) -> PassMemory:
@@ -284,9 +287,9 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
 @pytest.mark.parametrize(
     ("scene", "light", "gain"),
     [
-        (WIDE, Light(drone_shadow=0.7, sun_elevation_rad=1.2), 1.0),
-        (WIDE, Light(drone_shadow=0.7, sun_elevation_rad=0.8), 1.0),
-        (WIDE, None, 1.6),
+        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=1.2), 1.0),
+        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=0.8), 1.0),
+        (WIDE_DECK, None, 1.6),
         (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), None, 1.0),
     ],
     ids=["the drone's own shadow", "its shadow in low sun", "a changing exposure", "a small deck over waves"],

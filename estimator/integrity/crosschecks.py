@@ -1,0 +1,372 @@
+"""Check one witness by another: heights by range and barometer, the heading by the gyro, the view by the body's turns.
+
+Compare other heights with the camera's: a range sensor over the pad, and the change of the barometric height.
+
+A range counts if the sighting puts the deck around the pad below the body; beyond the edge there is water, and a longer range
+means nothing. A shorter one counts there too, near the pad: nothing stands above the deck, so the camera sees it too far away (a
+smaller pad, a wrong focal length).
+
+Hold the heading by the gyro while the vehicle reports one that turns otherwise: a compass beside steel, or one that drifts.
+
+Relative to a pad only the turns of the body count, not where north is. The reported heading less what the gyro has turned is
+followed at no more than a gyro's bias may amount to. Where the report is further from that than the tolerance, it is replaced;
+in between it passes unchanged. A report that goes on from another heading is so taken over slowly, and no frame sees a jump.
+
+Detect a frozen view and a mirrored one: the pad does not move in the image as the body's rotation moves it.
+
+A rotation moves everything in the image by the same angle, at any distance. So the pad's bearing in the body is compared with the
+effect of the rotation alone, as computed from the vehicle's own attitude. A pad that keeps its place in the image while the body
+turns is not below, whatever noise is added. One that moves the other way is seen by a camera that mirrors, or that is mounted the
+other way round. The drone's drift is slower than its rotation: each bearing's distance from a line through those of half a second
+is free of it, and the sums of these distances over some seconds decide.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, Baro, Imu, Range
+from estimator.integrity.options import IntegrityOptions
+
+_FRESH_S = 0.3
+_NEAREST_M = 0.35
+"""Smallest height for the comparison: an ultrasonic sensor measures nothing nearer than 0.2 m."""
+_UPRIGHT = 0.85
+_EDGE_M = 0.1
+_FASTEST = 3.0
+"""A difference of several times what is allowed counts this many times as fast."""
+_CLEAR = 0.35
+"""Radius around the pad, as a part of the height, without anything above the deck: the vehicle descends there."""
+_PAUSE_S = 0.3
+"""Longest time between two ranges that counts."""
+_SPAN_S = 12.0
+"""Time over which barometer and camera are compared: a swell of 12 s has brought a deck to where it is now."""
+_BACK_S = 6.0
+"""The newest time that is not compared: a deck that rises for so long is no deck on waves."""
+_SHORT_S = 4.0
+"""The least of the compared time that shows a wave's crest and trough; of a shorter one twice the difference is allowed."""
+_AGREES_S = 2.0
+_BARO_LAG = 0.1
+"""Weight of a new difference in the mean: a barometer's noise is half a metre."""
+
+
+class HeightWatch(Struct, frozen=True):
+    """The comparison of the other heights with the camera's so far."""
+
+    seen_at: int = 0
+    """Instant of the newest sighting, ns; 0 if none."""
+    d_level: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Position of the pad in that sighting, m."""
+    down_level: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """The body's down axis at that instant."""
+    range_at: int = 0
+    ranged_at: int = 0
+    """Instant of the newest range that was compared with the camera, ns."""
+    against_s: float = 0.0
+    """Time for which ranges have contradicted the camera, s; agreement reduces it."""
+    contradicted: bool = False
+    agreed_at: int = -1
+    """Instant when a range last agreed, ns; -1 if never."""
+    rise: tuple[tuple[int, float], ...] = ()
+    """Instants (ns) and smoothed barometric height minus camera height, m; one entry per second."""
+    rise_now: float = math.nan
+    seen_height: tuple[tuple[int, float], ...] = ()
+    weighed_at: int = 0
+    """Instant of the newest barometric height that was compared with the camera, ns."""
+    baro_contradicted: bool = False
+
+    def confirmed(self, now: int) -> bool:
+        """Return whether a range has agreed lately."""
+        return self.agreed_at >= 0 and 0 <= now - self.agreed_at <= _AGREES_S * 1e9
+
+
+def add_sighting(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightWatch:
+    """Record a sighting that the estimator fused."""
+    x, y, z = sighting.d_body_pad_level.tolist()
+    cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()
+    return replace(state, seen_at=sighting.stamp.measured_at, d_level=(x, y, z), down_level=(cx, cy, cz))
+
+
+def add_range(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch:
+    """Compare a range with the newest sighting if that is fresh and has the pad below."""
+    t = event.stamp.measured_at
+    if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
+        return replace(state, range_at=t)
+    x, y, z = state.d_level
+    cx, cy, cz = state.down_level
+    if cz < _UPRIGHT or z < _NEAREST_M or event.range_m < 0.5 * _NEAREST_M:
+        return replace(state, range_at=t)
+    along = z / cz
+    foot = math.hypot(x - cx * along, y - cy * along)
+    tolerance = o.range_tolerance_m + o.range_tolerance_fraction * z
+    # A cone measures the nearest surface, which lies between the axis and the perpendicular.
+    beyond, short, allowed = event.range_m - along, z - event.range_m, tolerance + 2.0 * event.sigma_m
+    if foot > o.deck_radius_m - _EDGE_M and (foot > _CLEAR * z or short <= allowed):
+        # The beam is not certainly over the deck, so the previous result holds until it is.
+        return replace(state, range_at=t)
+    off = max(beyond, short, 0.0)
+    dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
+    agrees = off <= allowed
+    step = -dt if agrees else dt * min(off / allowed, _FASTEST)
+    against = min(max(0.0, state.against_s + step), 1.5 * o.range_disagree_s)
+    contradicted = against >= o.range_disagree_s or (state.contradicted and against > 0.0)
+    agreed_at = t if agrees else state.agreed_at
+    return replace(state, range_at=t, ranged_at=t, against_s=against, contradicted=contradicted, agreed_at=agreed_at)
+
+
+def add_baro(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
+    """Compare a barometric height with the camera's: the difference must not drift while the pad is visible.
+
+    A deck on waves takes the difference up and down with it, by metres. So it may be wherever it has been `_BACK_S` to `_SPAN_S`
+    ago; what drifts on is beyond that.
+    """
+    t = event.stamp.measured_at
+    if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
+        return state
+    height = state.d_level[2]
+    off = event.height_m - height
+    now = off if math.isnan(state.rise_now) else state.rise_now + _BARO_LAG * (off - state.rise_now)
+    rise, seen = state.rise, state.seen_height
+    if not rise or t - rise[-1][0] >= 1e9:
+        rise = (*(r for r in rise if t - r[0] <= _SPAN_S * 1e9), (t, now))
+        seen = (*(s for s in seen if t - s[0] <= _SPAN_S * 1e9), (t, height))
+    allowed_m = o.height_tolerance_m + _farthest(height, seen) / 3.0
+    if t - rise[0][0] < (_BACK_S + _SHORT_S) * 1e9:
+        allowed_m *= 2.0
+    against = _beyond(now, [each for at, each in rise if t - at >= _BACK_S * 1e9]) > allowed_m
+    return replace(state, rise=rise, rise_now=now, seen_height=seen, weighed_at=t, baro_contradicted=against)
+
+
+def _beyond(value: float, range_of: list[float]) -> float:
+    """Return how far a value lies outside the range of others; 0 if there are none."""
+    return max(value - max(range_of), min(range_of) - value) if range_of else 0.0
+
+
+def _farthest(value: float, course: tuple[tuple[int, float], ...]) -> float:
+    """Return the largest difference of a value from those of a course; 0 from an empty one."""
+    if not course:
+        return 0.0
+    values = [each for _, each in course]
+    return max(abs(value - min(values)), abs(value - max(values)))
+
+
+_GAP_S = 0.1
+"""Time without an accepted gyro sample after which nothing says how the body turned, s."""
+_CHANGED_RAD, _CHANGES = math.radians(1.0), 8
+"""Least change of a correction that is kept, and the number of changes that are."""
+_APART = 0.25
+"""Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
+
+
+class HeadingWatch(Struct, frozen=True):
+    """The body's turn by the gyro, and the reported heading's offset from it."""
+
+    turned_rad: float = 0.0
+    """Turn about the vertical since the watch began."""
+    turned_at: int = -1
+    """Instant of the newest gyro sample, ns; -1 before the first."""
+    rate_rad_s: float = 0.0
+    down: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """The vertical in body axes, by the newest attitude."""
+    held_rad: float | None = None
+    """Reported heading less the turn, followed slowly; None while it is not known."""
+    held_at: int = -1
+    off_rad: float = 0.0
+    """Correction of the newest reported heading, rad."""
+    offs: tuple[tuple[int, float], ...] = ()
+    """Instants, ns, from which corrections held, and these, rad: one for each change."""
+
+    def off_at(self, t: int) -> float:
+        """Return the correction of the heading that was reported at an instant, ns."""
+        return next((off for since, off in reversed(self.offs) if since <= t), 0.0)
+
+    def _changed(self, t: int, off_rad: float) -> tuple[tuple[int, float], ...]:
+        """Return the corrections with a newest one."""
+        newest = self.offs[-1][1] if self.offs else 0.0
+        return self.offs if abs(off_rad - newest) <= _CHANGED_RAD else (*self.offs[1 - _CHANGES :], (t, off_rad))
+
+
+def add_gyro(watch: HeadingWatch, imu: Imu) -> HeadingWatch:
+    """Add one gyro sample."""
+    t, (p, q, r), (x, y, z) = imu.stamp.measured_at, imu.w_body.tolist(), watch.down
+    rate = x * p + y * q + z * r
+    dt = (t - watch.turned_at) * 1e-9
+    if watch.turned_at < 0 or dt > _GAP_S:
+        return replace(watch, turned_at=t, rate_rad_s=rate, held_rad=None)
+    if dt <= 0.0:
+        return watch
+    turn = watch.turned_rad + 0.5 * (rate + watch.rate_rad_s) * dt
+    return HeadingWatch(turn, t, rate, watch.down, watch.held_rad, watch.held_at, watch.off_rad, watch.offs)
+
+
+def hold_heading(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> tuple[HeadingWatch, Attitude]:
+    """Return the attitude with the heading that the gyro holds, where the reported one is further off than the tolerance."""
+    t, m = event.stamp.measured_at, event.R_ned_body.matrix
+    (c, _, _), (s, _, _), (x, y, z) = m.tolist()
+    since_s = (t - watch.turned_at) * 1e-9
+    if watch.turned_at < 0 or abs(since_s) > _GAP_S:
+        return replace(watch, down=(x, y, z), held_rad=None, off_rad=0.0), event
+    offset = math.atan2(s, c) - watch.turned_rad - watch.rate_rad_s * since_s
+    if watch.held_rad is None:
+        return replace(watch, down=(x, y, z), held_rad=wrap_pi(offset), held_at=t, off_rad=0.0), event
+    off = wrap_pi(offset - watch.held_rad)
+    slip = 1.0 if abs(off) <= math.radians(o.heading_tolerance_deg) else _APART
+    most = slip * math.radians(o.heading_slip_deg_s) * max(0.0, (t - watch.held_at) * 1e-9)
+    step = min(most, max(-most, off))
+    off -= step
+    held = wrap_pi(watch.held_rad + step)
+    if abs(off) <= math.radians(o.heading_tolerance_deg):
+        offs = watch._changed(t, 0.0)
+        return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0, offs), event
+    # Turning about the vertical leaves roll and pitch, and the last row, as they are.
+    R = Rotation.from_rpy(0.0, 0.0, -off) @ event.R_ned_body
+    offs = watch._changed(t, off)
+    return replace(watch, down=(x, y, z), held_rad=held, held_at=t, off_rad=off, offs=offs), replace(event, R_ned_body=R)
+
+
+_VIEW_SPAN_S = 0.5
+_LEAST = 8
+_LEAST_SPAN_S = 0.3
+_FORGET_S = 6.0
+"""Time after which a rotation counts a third for which way the view moves."""
+_JUMP_RAD = 0.1
+"""A bearing that leaves the one before by more, beyond the rotation of the body, is that of something else."""
+_LEAST_TURNED_RAD = 0.015
+"""Root of the sum of squares of the rotations that say which way the view moves."""
+_AGAINST = -0.2
+"""Correlation of view and rotation along one axis, below which the view moves against the body."""
+
+
+_LAGS_S = np.arange(-8, 9) * 0.02
+"""Delays of the attitude behind the image for which both are compared."""
+_LAG_FORGET_S = 3.0
+"""Time after which a rotation counts a third for the delay."""
+_LATE_S, _LAG_ALIKE, _LAG_BETTER = 0.06, 0.8, 0.05
+"""Least delay that makes an alert, least correlation with it, and how much better its square is than that without delay."""
+_LAG_TURNED_RAD = 0.03
+"""Root of the sum of squares of the rotations that show a delay."""
+_LAG_FROM_M = 1.0
+"""Least distance to the pad: nearer, a drone's way aside moves the pad more than its lean does, and later."""
+_LAG_ASIDE_RAD_S = 0.5
+"""Rate of the pad's way through the level view after which nothing is compared for `_LAG_FORGET_S`: after a ship that stops or
+turns a drone leans."""
+_LAG_LASTS = 15
+"""Number of sightings in a row that show it."""
+
+
+Bearing = tuple[int, F64, F64, F64]
+"""Instant, ns; unit vector to the pad in `body` and in `level`, (3,); the level frame's axes in `body`, (3, 3)."""
+
+
+class ViewWatch(NamedTuple):
+    """Bearings of the last half second, and the moments of the fast rotations before."""
+
+    bearings: tuple[Bearing, ...] = ()
+    frozen: bool = False
+    moments: F64 | None = None
+    """Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less."""
+    reversed: bool = False
+    """True if the pad moves in the image against the rotation of the body, along some axis."""
+    lags: F64 | None = None
+    """Sums for each of `_LAGS_S`: squares of view and rotation, and of their product, (17, 3) rad^2, older ones less."""
+    lags_shown: int = 0
+    """Number of sightings in a row that show a delay."""
+    late_s: float = 0.0
+    """Delay of the attitude against the image, s; 0 while nothing shows that it is."""
+    aside_s: float = -math.inf
+    """Instant of the newest way of the pad that is too fast to show a delay, s."""
+
+
+def watch_view(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
+    """Process one sighting and the attitude at its exposure."""
+    t = sighting.stamp.measured_at
+    distance_m = math.sqrt(float(sighting.d_body_pad_level.dot(sighting.d_body_pad_level)))
+    if distance_m < 1e-6:
+        return state
+    R_body_level = attitude.R_ned_body.without_heading().inv.matrix
+    level = sighting.d_body_pad_level / distance_m
+    span_ns = _VIEW_SPAN_S * 1e9
+    kept = [k for k in state.bearings if 0 <= t - k[0] <= span_ns]
+    bearings = (*kept, (t, R_body_level.dot(level), level, R_body_level))
+    if len(bearings) < _LEAST or t - bearings[0][0] < _LEAST_SPAN_S * 1e9:
+        return state._replace(bearings=bearings, frozen=False)
+    at, seen, levels, axes = zip(*bearings, strict=True)
+    expected, found = np.array(axes).dot(np.add.reduce(levels) / len(levels)), np.array(seen)
+    turned = _spread(expected)
+    still = turned > o.view_turned_min_rad and _spread(found) < o.view_still_ratio * turned
+    weights = _off_line(np.array(at, float))
+    apart = np.concatenate([weights.dot(expected)[:2], weights.dot(found)[:2]])
+    moments = state.moments
+    if abs(np.diff(found - expected, axis=0)).max() < _JUMP_RAD:
+        kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
+        moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
+        if distance_m > _LAG_FROM_M:
+            state = _lagged(state, np.array(at, float) * 1e-9, expected, found, np.array(levels))
+    return state._replace(
+        bearings=bearings, frozen=still, moments=moments, reversed=moments is not None and _is_reversed(moments)
+    )
+
+
+def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64, levels: F64) -> ViewWatch:
+    """Compare the view in the middle of half a second with the rotation at instants before and after.
+
+    The delay is where both agree best (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE
+    Trans. ASSP 24(4), 1976).
+
+    Args:
+        at: instants (n,), s.
+        expected: bearings (n, 3) that the rotation alone makes.
+        found: bearings (n, 3) in the image.
+        levels: bearings (n, 3) in `level`.
+    """
+    middle, mean = len(at) // 2, np.add.reduce(at) / len(at)
+    there = at[middle] + _LAGS_S
+    if there[0] < at[0] or there[-1] > at[-1]:
+        return state
+    along = (at - mean) / float((at - mean).dot(at - mean))
+    if math.hypot(*along.dot(levels[:, :2])) > _LAG_ASIDE_RAD_S:
+        return state._replace(lags=None, lags_shown=0, late_s=0.0, aside_s=float(at[-1]))
+    if 0.0 <= at[-1] - state.aside_s < _LAG_FORGET_S:
+        return state
+    seen = found[middle, :2] - np.add.reduce(found[:, :2]) / len(at) - (at[middle] - mean) * along.dot(found[:, :2])
+    line = np.add.reduce(expected[:, :2]) / len(at) + np.outer(there - mean, along.dot(expected[:, :2]))
+    turned = np.stack([np.interp(there, at, expected[:, k]) for k in range(2)], axis=1) - line
+    sums = np.stack([np.full(len(there), float(seen.dot(seen))), (turned * turned).sum(axis=1), turned.dot(seen)], axis=1)
+    lags = sums + (0.0 if state.lags is None else math.exp((at[-2] - at[-1]) / _LAG_FORGET_S) * state.lags)
+    alike = lags[:, 2] / np.sqrt(np.maximum(lags[:, 0] * lags[:, 1], 1e-18))
+    best, none = int(np.argmax(alike)), len(_LAGS_S) // 2
+    late_s, better = float(_LAGS_S[best]), alike[best] * abs(alike[best]) - alike[none] * abs(alike[none])
+    shows = (
+        abs(late_s) > _LATE_S - 1e-9 and alike[best] > _LAG_ALIKE and better > _LAG_BETTER and lags[best, 0] > _LAG_TURNED_RAD**2
+    )
+    shown = state.lags_shown + 1 if shows else 0
+    return state._replace(lags=lags, lags_shown=shown, late_s=late_s if shown >= _LAG_LASTS else 0.0)
+
+
+def _off_line(at: F64) -> F64:
+    """Return the weights (n,) of values at these instants whose sum is the last one's distance from the line through all."""
+    at = at - np.add.reduce(at) / len(at)
+    weights = -1.0 / len(at) - at[-1] * at / float(at.dot(at))
+    weights[-1] += 1.0
+    return np.asarray(weights)
+
+
+def _is_reversed(moments: F64) -> bool:
+    """Return whether view and rotation run against each other along the axis on which they agree least."""
+    expected, crossed, seen = moments[:2, :2], moments[:2, 2:], moments[2:, 2:]
+    axis = np.linalg.eigh(crossed + crossed.T)[1][:, 0]
+    turned = float(axis.dot(expected).dot(axis))
+    both = math.sqrt(max(turned * float(axis.dot(seen).dot(axis)), 0.0))
+    return turned > _LEAST_TURNED_RAD**2 and float(axis.dot(crossed).dot(axis)) < _AGAINST * both
+
+
+def _spread(directions: F64) -> float:
+    """Return the root of the mean squared distance from the mean, rad."""
+    n = len(directions)
+    apart = (directions - np.add.reduce(directions, axis=0) / n).ravel()
+    return math.sqrt(float(apart.dot(apart)) / n)
