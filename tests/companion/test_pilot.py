@@ -110,13 +110,6 @@ def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -
     assert {type(cockpit.tick(sighted=False)) for _ in range(160)} == {Hover}, "its ultrasound would find a deck that is near"
 
 
-def test_it_waits_for_the_start_when_ordered() -> None:
-    cockpit = Cockpit(automatic=False)
-    assert not any(sinks(cockpit.tick(sighted=True)) for _ in range(50))
-    cockpit.pilot.begin()
-    assert any(isinstance(cockpit.tick(sighted=True), Velocity) for _ in range(50))
-
-
 @pytest.mark.hazard("H6")
 @pytest.mark.parametrize("word", ["pause", "abort"])
 def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
@@ -126,15 +119,6 @@ def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
     getattr(cockpit.pilot, word)()
     commands = [cockpit.tick(sighted=True) for _ in range(50)]
     assert not any(isinstance(command, Land) or sinks(command) for command in commands)
-
-
-def test_after_a_pause_it_begins_with_the_first_way_point_again() -> None:
-    cockpit = Cockpit()
-    fly_until(cockpit, lambda: cockpit.tick(sighted=True) is not None and cockpit.pilot.phase == "intercept")
-    cockpit.pilot.pause()
-    assert not sinks(cockpit.tick(sighted=True))
-    cockpit.pilot.begin()
-    fly_until(cockpit, lambda: cockpit.tick(sighted=True) is not None and cockpit.pilot.phase == "intercept")
 
 
 def test_how_a_flight_ends() -> None:
@@ -162,17 +146,6 @@ def test_how_a_flight_ends() -> None:
     cut.emergency = True
     assert cut.tick(sighted=True) is None
     assert cut.pilot.outcome is FlightOutcome.EMERGENCY
-
-
-def test_the_next_flight_begins_when_the_vehicle_flies_again() -> None:
-    cockpit = Cockpit()
-    cockpit.tick(sighted=True)
-    cockpit.flying = False
-    cockpit.tick(sighted=False)
-    assert cockpit.pilot.outcome is FlightOutcome.LANDED_BY_OTHERS
-    cockpit.flying = True
-    fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Velocity))
-    assert cockpit.pilot.outcome is None
 
 
 def over_the_last_way_point(cockpit: Cockpit) -> None:

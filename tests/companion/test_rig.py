@@ -12,16 +12,13 @@ from msgspec import inspect
 from companion.cli.main import main
 from companion.guidance.make_pilot import estimator_options, tracker
 from companion.parts.mavlink.signed_links import signed_links
-from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import Settings, from_mapping
 from companion.settings.mavlink import BridgeOptions
 from companion.settings.model import ardrone_options
 from companion.settings.refusal import walk
-from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.ekf import EkfOptions
-from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
@@ -99,13 +96,6 @@ def test_every_key_reaches_a_part(kind: str) -> None:
         assert parts(from_mapping(data, "changed")) != before, path
 
 
-def test_defaults_are_those_of_the_parts() -> None:
-    settings = from_mapping(MINIMAL, "default")
-    assert settings.guidance == GuidanceOptions()
-    assert settings.estimator == EstimatorOptions()
-    assert settings.vehicle == ArDroneOptions()
-
-
 def test_degrees_in_the_file_are_radians_inside() -> None:
     data = msgspec.to_builtins(from_mapping(MINIMAL, "default"))
     data["vehicle"].update(euler_angle_max_deg=18.0, yaw_rate_max_deg_s=90.0)
@@ -114,19 +104,6 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     assert math.isclose(ardrone_options(settings).euler_angle_max_rad, math.pi / 10)
     assert math.isclose(ardrone_options(settings).yaw_rate_max_rad_s, math.pi / 2)
     assert math.isclose(settings.guidance.pid.turn_max_rad_s, math.pi / 4)
-
-
-def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
-    v = from_mapping(MINIMALS["mavlink"], "default").vehicle
-    assert isinstance(v, AutopilotOptions)
-    estimator = estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
-    assert estimator.ekf.velocity_is_over == "ground"
-    assert estimator.ekf.sigma_attitude_bias_rad < EkfOptions().sigma_attitude_bias_rad
-    assert estimator.ekf.asd_accel_bias_m_s3 > EkfOptions().asd_accel_bias_m_s3
-    given = from_mapping({**MINIMALS["mavlink"], "estimator": {"ekf": {"sigma_attitude_bias_rad": 0.03}}}, "given")
-    assert given.estimator.ekf.sigma_attitude_bias_rad == 0.03
-    assert given.estimator.ekf.asd_accel_bias_m_s3 == estimator.ekf.asd_accel_bias_m_s3
-    assert v == AutopilotOptions("tcp://127.0.0.1:5760")
 
 
 @pytest.mark.parametrize("minimal", [MINIMAL, MINIMALS["mavlink"]])

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -244,18 +243,6 @@ def test_signals_end_it_in_order_though_its_tasks_and_callbacks_call_exit(number
         assert (code, output[0]) == (128 + number, "hovered")
 
 
-def test_the_main_task_may_call_exit_itself() -> None:
-    source = """
-async def main():
-    say("ready")
-    sys.exit(5)
-program(lambda: run(main()))
-"""
-    with python(HEAD + source, stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process)[0] == 5
-
-
 HEEDING = """
 async def main():
     end = asyncio.Event()
@@ -315,16 +302,6 @@ program(work)
         out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert out.splitlines() == ["child 143", "told None"]
-
-
-def test_a_program_that_ends_by_itself_is_not_held_by_a_thread(tmp_path: Path) -> None:
-    source = (
-        "def work():\n    threading.Thread(target=time.sleep, args=(3600,), name='slow').start()\n    return 1\nprogram(work)\n"
-    )
-    with python(HEAD + source, stderr=subprocess.PIPE) as process:
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert err == "decklander: threads that did not end: slow; going without\n"
 
 
 @pytest.mark.parametrize(

@@ -5,18 +5,13 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import Any
 
 import cv2
-import pytest
-from msgspec import inspect
 
 from companion.base.observer import Decision
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.model import Settings
-from companion.settings.refusal import described
 from companion.settings.restart import RestartOptions
 from estimator.options import EstimatorOptions
 from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle
@@ -116,18 +111,3 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
     assert order.count("vision") == 1
     assert order.index("vision") < order.index("looked with 1")
     assert "looked with 2" not in order
-
-
-def option_classes(node: inspect.Type) -> set[type[Any]]:
-    if isinstance(node, inspect.Metadata):
-        return option_classes(node.type)
-    if isinstance(node, inspect.UnionType):
-        return set[type[Any]]().union(*(option_classes(one) for one in node.types))
-    if isinstance(node, inspect.StructType):
-        return {node.cls}.union(*(option_classes(field.type) for field in node.fields))
-    return set()
-
-
-@pytest.mark.parametrize("kind", sorted(option_classes(described(Settings)), key=str))
-def test_annotations_of_options_are_no_text_which_each_start_would_compile(kind: type) -> None:
-    assert [name for name, hint in kind.__annotations__.items() if isinstance(hint, str)] == []

@@ -58,12 +58,6 @@ def test_lengths_angles_and_handedness_are_kept(a, v, w):
     np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-9)
 
 
-@given(rotations, st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=5))
-def test_many_vectors_at_once_are_as_one_by_one(a, rows):
-    many = np.array(rows)
-    np.testing.assert_allclose(a @ many, np.array([a @ v for v in many]), atol=1e-9)
-
-
 @given(rotations)
 def test_round_trips_through_quaternion_rotation_vector_and_euler_angles(a):
     q = a.quat_wxyz
@@ -78,20 +72,10 @@ def test_round_trips_through_quaternion_rotation_vector_and_euler_angles(a):
     assert same(Rotation.from_rpy(roll, pitch, yaw), a, 2e-6)  # within 1e-6 rad of the gimbal lock the split is rounding's
 
 
-@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
-def test_euler_angles_come_back(roll, pitch, yaw):
-    assert Rotation.from_rpy(roll, pitch, yaw).rpy_rad == pytest.approx((roll, pitch, yaw), abs=1e-7)
-
-
 @given(st.sampled_from([1.0, -1.0]), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 def test_the_gimbal_lock_gives_the_same_rotation(sign, roll, yaw):
     a = Rotation.from_rpy(roll, sign * math.pi / 2, yaw)
     assert same(Rotation.from_rpy(*a.rpy_rad), a, 1e-6)
-
-
-@given(rotvecs)
-def test_rotation_vectors_come_back(v):
-    np.testing.assert_allclose(Rotation.from_rotvec(v).rotvec_rad, v, atol=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e-4, 1e-5, 1e-8, 1e-12, 0.0])
@@ -106,13 +90,6 @@ def test_signs_are_those_of_the_conventions():
     np.testing.assert_allclose(Rotation.from_rpy(0, 0, math.pi / 2) @ nose, [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(Rotation.from_rpy(0, math.pi / 2, 0) @ nose, [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(Rotation.from_rpy(math.pi / 2, 0, 0) @ right, [0, 0, 1], atol=1e-12)
-
-
-@given(rotations, rotations)
-def test_angle_between_two(a, b):
-    assert a.angle_to(b) == pytest.approx(b.angle_to(a), abs=1e-7)
-    cosine = (np.trace(a.matrix.T @ b.matrix) - 1.0) / 2.0
-    assert math.cos(a.angle_to(b)) == pytest.approx(cosine, abs=1e-7)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
@@ -150,11 +127,6 @@ def test_transforms_form_a_group(a, b, c, p):
     np.testing.assert_allclose(a.inv @ (a @ p), p, atol=1e-8)
 
 
-@given(transforms, vectors, vectors)
-def test_transforms_keep_distances(a, p, q):
-    assert np.linalg.norm((a @ p) - (a @ q)) == pytest.approx(np.linalg.norm(p - q), abs=1e-8)
-
-
 @given(angles, angles)
 def test_wrapping(a, b):
     w = wrap_pi(a)
@@ -163,14 +135,6 @@ def test_wrapping(a, b):
     assert math.sin(w) == pytest.approx(math.sin(a), abs=1e-9)
     assert wrap_pi(w) == w
     assert abs(wrap_pi(wrap_pi(a) + wrap_pi(b) - a - b)) < 1e-8
-
-
-def test_wrapping_at_the_limits():
-    assert wrap_pi(math.pi) == math.pi
-    assert wrap_pi(-math.pi) == math.pi
-    assert wrap_pi(0.0) == 0.0
-    for bad in (math.nan, math.inf, -math.inf):
-        assert math.isnan(wrap_pi(bad))
 
 
 @pytest.mark.parametrize(

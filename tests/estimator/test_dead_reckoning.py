@@ -1,6 +1,4 @@
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -8,37 +6,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator import dead_reckoning as dr
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting, Verdict
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.options import DeadReckoningOptions
+from tests.make import attitude, imu, ns, sighting, stamp, velocity
 
-FLIGHT = Path(__file__).parents[2] / "../shared/data/flight_with_mocap"
 G = np.array([0.0, 0.0, -G_M_S2])
-V_COV = np.diag([1e-4, 1e-4, 1e-4])
-V_COV_NO_VERTICAL = np.diag([1e-4, 1e-4, UNKNOWN_VAR])
+NO_VERTICAL = (1e-4, 1e-4, UNKNOWN_VAR)
 
 
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
+def facing(t, yaw=0.0, roll=0.0, pitch=0.0):
+    return attitude(t, roll, pitch, yaw)
 
 
-def stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
-    return Stamp(ns(measured_at_s), ns(measured_at_s if received_at_s is None else received_at_s), 1e-3, "sim")
+def moving(t, v, var=1e-4):
+    return velocity(t, v, var=var)
 
 
-def attitude(t, yaw=0.0, roll=0.0, pitch=0.0):
-    return Attitude(stamp(t), Rotation.from_rpy(roll, pitch, yaw), 1e-4 * np.eye(3))
-
-
-def velocity(t, v, cov=V_COV):
-    return BodyVelocity(stamp(t), np.array(v, float), cov)
-
-
-def imu(t, f):
-    return Imu(stamp(t), np.zeros(3), np.array(f, float))
+def felt(t, f):
+    return imu(t, f=f)
 
 
 def pushed(*a_body):
@@ -46,10 +34,8 @@ def pushed(*a_body):
     return G + np.array(a_body)
 
 
-def sighting(t, d, yaw=0.0, received_at=None, ambiguous=False, sigma=0.01):
-    yaw_var = UNKNOWN_YAW_VAR if yaw is None else 1e-3
-    cov = np.diag([sigma**2] * 3 + [yaw_var])
-    return Sighting(stamp(t, received_at), 0, "selected", np.array(d, float), yaw, ambiguous, cov, 0.9)
+def pad_at(t, d, yaw=0.0, received_at=None, ambiguous=False, sigma=0.01):
+    return sighting(stamp(t, 0.0 if received_at is None else received_at - t), d, yaw, var=sigma**2, ambiguous=ambiguous)
 
 
 def feed(events, options=None, state=None):
@@ -62,36 +48,27 @@ def feed(events, options=None, state=None):
     return state, verdicts
 
 
-def path(seconds, rate_hz, v_level, yaw_rate=0.0, cov=V_COV):
+def path(seconds, rate_hz, v_level, yaw_rate=0.0, var=1e-4):
     """Return samples of a flight at constant velocity in level axes and constant turn rate, from heading 0."""
     events = []
     for i in range(round(seconds * rate_hz) + 1):
         t = i / rate_hz
-        events += [attitude(t, wrap_pi(yaw_rate * t)), imu(t, G), velocity(t, v_level, cov)]
+        events += [facing(t, wrap_pi(yaw_rate * t)), felt(t, G), moving(t, v_level, var)]
     return events
 
 
 def test_nothing_is_known_before_a_sighting():
-    state, verdicts = feed([sighting(0.0, [1, 2, 3])])
+    state, verdicts = feed([pad_at(0.0, [1, 2, 3])])
     assert verdicts == [Verdict.NO_ATTITUDE]
     assert dr.at(state, ns(1.0)) is None
     state, _ = feed(path(0.5, 50, [0.1, 0, 0]), state=state)
     assert dr.at(state, ns(0.5)) is None
 
 
-def test_flying_towards_the_pad_shortens_the_vector():
-    state, _ = feed([attitude(0, 0), sighting(0, [2.0, 1.0, 3.0]), *path(1.0, 100, [0.5, -0.2, 0.1])])
-    r = dr.at(state, ns(1.0))
-    np.testing.assert_allclose(r.d_body_pad_level, [1.5, 1.2, 2.9], atol=0.006)  # the first 10 ms had no velocity yet
-    np.testing.assert_allclose(r.v_pad_level, [-0.5, 0.2, -0.1])
-    assert r.path == "dead_reckoning"
-    assert r.sighted == 0
-
-
 def test_the_step_is_taken_from_the_velocity_and_acceleration_at_its_start():
     """p_n = p_(n-1) + v_(n-1) dt + a_(n-1) dt^2 / 2, the right reading of eq. 4.16."""
-    events = [attitude(0), imu(0, pushed(2.0, 0, 0)), velocity(0, [1.0, 0, 0]), sighting(0, [0, 0, 2])]
-    state, _ = feed([*events, velocity(0.1, [1.2, 0, 0])])
+    events = [facing(0), felt(0, pushed(2.0, 0, 0)), moving(0, [1.0, 0, 0]), pad_at(0, [0, 0, 2])]
+    state, _ = feed([*events, moving(0.1, [1.2, 0, 0])])
     r = dr.at(state, ns(0.1))
     assert r.d_body_pad_level[0] == pytest.approx(-(0.1 + 0.5 * 2.0 * 0.01))
     assert r.v_pad_level[0] == pytest.approx(-1.2)
@@ -99,27 +76,18 @@ def test_the_step_is_taken_from_the_velocity_and_acceleration_at_its_start():
 
 def test_turning_on_the_spot_rotates_the_position_vector():
     """Eq. 4.18, 4.19: the whole vector turns, though no velocity was measured."""
-    events = [attitude(0), velocity(0, [0, 0, 0]), sighting(0, [2.0, 0.0, 3.0], yaw=0.0)]
+    events = [facing(0), moving(0, [0, 0, 0]), pad_at(0, [2.0, 0.0, 3.0], yaw=0.0)]
     for i in range(1, 101):
-        events += [attitude(i * 0.01, math.pi / 2 * i / 100), velocity(i * 0.01, [0, 0, 0])]
+        events += [facing(i * 0.01, math.pi / 2 * i / 100), moving(i * 0.01, [0, 0, 0])]
     r = dr.at(feed(events)[0], ns(1.0))
     np.testing.assert_allclose(r.d_body_pad_level, [0.0, -2.0, 3.0], atol=1e-9)
     assert r.yaw_rad == pytest.approx(math.pi / 2)
 
 
-def test_heading_passes_the_limit_of_its_range():
-    """Algorithm 2 of the thesis."""
-    events = [attitude(0, 3.1), velocity(0, [0, 0, 0]), sighting(0, [1.0, 0.0, 3.0], yaw=3.0)]
-    events += [attitude(0.1, wrap_pi(3.1 + 0.2))]
-    r = dr.at(feed(events)[0], ns(0.1))
-    assert r.yaw_rad == pytest.approx(wrap_pi(3.2))
-    np.testing.assert_allclose(r.d_body_pad_level, [math.cos(0.2), -math.sin(0.2), 3.0], atol=1e-9)
-
-
 @settings(max_examples=20)
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)), st.floats(-1.5, 1.5), st.floats(0.02, 0.9))
 def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):
-    seen = sighting(0.5, [0.7, -0.4, 2.2], yaw=0.3, received_at=0.5 + delay)
+    seen = pad_at(0.5, [0.7, -0.4, 2.2], yaw=0.3, received_at=0.5 + delay)
     events = path(1.5, 50, v, yaw_rate)
     prompt = [e for e in events if e.stamp.measured_at <= seen.stamp.measured_at]
     after = [e for e in events if e.stamp.measured_at > seen.stamp.measured_at]
@@ -140,7 +108,7 @@ def test_follows_a_flight_along_a_curve(v, yaw_rate):
     """The pad stands still in `ned`; 200 Hz samples carry one sighting over a second and a half."""
     d0 = np.array([1.0, 0.5, 3.0])
     events = path(1.5, 200, v, yaw_rate)
-    state, _ = feed([*events[:3], sighting(0, d0, yaw=0.0), *events[3:]])
+    state, _ = feed([*events[:3], pad_at(0, d0, yaw=0.0), *events[3:]])
     fine = np.linspace(0.0, 1.5, 6001)
     middles = 0.5 * (fine[1:] + fine[:-1])
     turned = np.array([Rotation.from_rpy(0, 0, yaw_rate * t) @ np.array(v) for t in middles])
@@ -150,36 +118,25 @@ def test_follows_a_flight_along_a_curve(v, yaw_rate):
 
 
 def test_a_sighting_in_between_does_not_make_time_run_twice():
-    events = [attitude(0), velocity(0, [1.0, 0, 0]), sighting(0, [5.0, 0, 2])]
-    events += [velocity(0.1, [1.0, 0, 0]), sighting(0.15, [5.0, 0, 2]), velocity(0.2, [1.0, 0, 0])]
+    events = [facing(0), moving(0, [1.0, 0, 0]), pad_at(0, [5.0, 0, 2])]
+    events += [moving(0.1, [1.0, 0, 0]), pad_at(0.15, [5.0, 0, 2]), moving(0.2, [1.0, 0, 0])]
     assert dr.at(feed(events)[0], ns(0.2)).d_body_pad_level[0] == pytest.approx(4.95)
 
 
-def test_a_heading_of_exactly_zero_replaces_and_none_keeps():
-    base = [attitude(0, 1.0), velocity(0, [0, 0, 0]), sighting(0, [0, 0, 2], yaw=0.5)]
-    zero = dr.at(feed([*base, sighting(0.1, [0, 0, 2], yaw=0.0)])[0], ns(0.1))
-    none = dr.at(feed([*base, sighting(0.1, [0, 0, 2], yaw=None)])[0], ns(0.1))
-    assert zero.yaw_rad == pytest.approx(0.0)
-    assert none.yaw_rad == pytest.approx(0.5)
-    never = dr.at(feed([*base[:2], sighting(0.1, [0, 0, 2], yaw=None)])[0], ns(0.1))
-    assert never.yaw_rad is None
-    assert never.cov[6, 6] == pytest.approx(UNKNOWN_YAW_VAR)
-
-
 def test_an_ambiguous_heading_takes_the_branch_already_known():
-    base = [attitude(0), velocity(0, [0, 0, 0]), sighting(0, [0, 0, 2], yaw=2.9)]
-    state, _ = feed([*base, sighting(0.1, [0, 0, 2], yaw=wrap_pi(3.0 + math.pi), ambiguous=True)])
+    base = [facing(0), moving(0, [0, 0, 0]), pad_at(0, [0, 0, 2], yaw=2.9)]
+    state, _ = feed([*base, pad_at(0.1, [0, 0, 2], yaw=wrap_pi(3.0 + math.pi), ambiguous=True)])
     r = dr.at(state, ns(0.1))
     assert r.yaw_rad == pytest.approx(3.0)
     assert dict(r.details)["yaw_ambiguous"] == 0.0
-    alone = dr.at(feed([*base[:2], sighting(0.1, [0, 0, 2], yaw=0.3, ambiguous=True)])[0], ns(0.1))
+    alone = dr.at(feed([*base[:2], pad_at(0.1, [0, 0, 2], yaw=0.3, ambiguous=True)])[0], ns(0.1))
     assert dict(alone.details)["yaw_ambiguous"] == 1.0
 
 
 def test_small_readings_inside_the_dead_band_do_not_drift():
-    events = [attitude(0), sighting(0, [0, 0, 2])]
+    events = [facing(0), pad_at(0, [0, 0, 2])]
     for i in range(200):
-        events += [imu(i * 0.05, pushed(0.4, -0.4, 0.0)), velocity(i * 0.05, [0.0029, -0.0029, 0.0029])]
+        events += [felt(i * 0.05, pushed(0.4, -0.4, 0.0)), moving(i * 0.05, [0.0029, -0.0029, 0.0029])]
     np.testing.assert_array_equal(dr.at(feed(events)[0], ns(9.95)).d_body_pad_level, [0, 0, 2])
 
 
@@ -190,10 +147,10 @@ def test_calibration_at_rest_takes_the_means_off():
     events = []
     for i in range(1100):
         t = i * 0.01
-        events += [attitude(t, roll=0.05, pitch=-0.03), velocity(t, bias_v + rng.normal(0, 0.005, 3))]
-        events += [imu(t, tilt.inv @ G + bias_f + rng.normal(0, 0.1, 3))]
+        events += [facing(t, roll=0.05, pitch=-0.03), moving(t, bias_v + rng.normal(0, 0.005, 3))]
+        events += [felt(t, tilt.inv @ G + bias_f + rng.normal(0, 0.1, 3))]
     state, _ = feed(events, DeadReckoningOptions(calibration_s=10.0))
-    state, _ = feed([sighting(10.995, [0, 0, 2])], state=state)
+    state, _ = feed([pad_at(10.995, [0, 0, 2])], state=state)
     details = dict(dr.at(state, ns(11.0)).details)
     assert details["calibrated"] == 1.0
     assert [details[f"bias_v_{a}_m_s"] for a in "xyz"] == pytest.approx(bias_v, abs=0.001)
@@ -202,13 +159,13 @@ def test_calibration_at_rest_takes_the_means_off():
 
 def test_a_drone_that_moves_is_not_at_rest():
     options = DeadReckoningOptions(calibration_s=1.0, calibration_samples=50)
-    events = [e for i in range(200) for e in (attitude(i * 0.01), imu(i * 0.01, G), velocity(i * 0.01, [(i % 50) * 0.01, 0, 0]))]
-    state, _ = feed([*events, sighting(1.99, [0, 0, 2])], options)
+    events = [e for i in range(200) for e in (facing(i * 0.01), felt(i * 0.01, G), moving(i * 0.01, [(i % 50) * 0.01, 0, 0]))]
+    state, _ = feed([*events, pad_at(1.99, [0, 0, 2])], options)
     assert dict(dr.at(state, ns(2.0)).details)["calibrated"] == 0.0
 
 
 def test_a_velocity_that_stops_coming_is_not_flown_on_for_ever():
-    state, _ = feed([attitude(0), velocity(0, [1.0, 0, 0]), sighting(0, [5.0, 0, 2])])
+    state, _ = feed([facing(0), moving(0, [1.0, 0, 0]), pad_at(0, [5.0, 0, 2])])
     soon, late = dr.at(state, ns(0.2)), dr.at(state, ns(3.0))
     assert soon.d_body_pad_level[0] == pytest.approx(4.8)
     assert late.d_body_pad_level[0] == pytest.approx(4.75)
@@ -219,10 +176,10 @@ def test_a_velocity_that_stops_coming_is_not_flown_on_for_ever():
 
 def test_a_sighting_older_than_the_history_or_the_last_is_refused():
     state, _ = feed(path(4.0, 50, [0, 0, 0]))
-    old, verdicts = feed([sighting(1.0, [0, 0, 2], received_at=4.0)], state=state)
+    old, verdicts = feed([pad_at(1.0, [0, 0, 2], received_at=4.0)], state=state)
     assert verdicts == [Verdict.TOO_OLD]
     assert dr.at(old, ns(4.0)) is None
-    _, verdicts = feed([sighting(3.9, [0, 0, 2]), sighting(3.8, [1, 1, 2], received_at=4.0)], state=state)
+    _, verdicts = feed([pad_at(3.9, [0, 0, 2]), pad_at(3.8, [1, 1, 2], received_at=4.0)], state=state)
     assert verdicts == [Verdict.FUSED, Verdict.TOO_OLD]
 
 
@@ -232,10 +189,10 @@ def test_vertical_velocity_comes_from_sightings_despite_an_accelerometer_bias():
     events = []
     for i in range(1601):
         t = i / 200
-        events += [attitude(t), imu(t, pushed(0, 0, 0.7)), velocity(t, [0, 0, 0], V_COV_NO_VERTICAL)]
+        events += [facing(t), felt(t, pushed(0, 0, 0.7)), moving(t, [0, 0, 0], NO_VERTICAL)]
         if i % 7 == 0 and i > 20:
             z = 4.0 - 0.3 * (t - 0.1)
-            events.append(sighting(t - 0.1, [0, 0, z + rng.normal(0, 0.005)], received_at=t, sigma=0.005))
+            events.append(pad_at(t - 0.1, [0, 0, z + rng.normal(0, 0.005)], received_at=t, sigma=0.005))
     state, _ = feed(events)
     r = dr.at(state, ns(8.0))
     assert r.height_m == pytest.approx(4.0 - 0.3 * 8.0, abs=0.03)
@@ -250,7 +207,7 @@ def test_sightings_that_contradict_each_other_are_not_consistent():
     for i in range(12):
         t = 0.1 * (i + 1)
         jump = 3.0 * (i % 2)
-        state, _ = feed([attitude(t), velocity(t, [0, 0, 0]), sighting(t, [jump, 0, 2])], state=state)
+        state, _ = feed([facing(t), moving(t, [0, 0, 0]), pad_at(t, [jump, 0, 2])], state=state)
     assert not dr.at(state, ns(1.2)).consistent
 
 
@@ -272,10 +229,10 @@ def test_whatever_comes_the_covariance_stays_one_and_grows_without_sightings(scr
     for kind, dt, x, late in script:
         t += dt
         event = {
-            "a": lambda t=t, x=x: attitude(t, x[0], 0.1 * x[1], 0.1 * x[2]),
-            "i": lambda t=t, x=x: imu(t, G + np.array(x)),
-            "v": lambda t=t, x=x: velocity(t, x, V_COV_NO_VERTICAL),
-            "s": lambda t=t, x=x, late=late: sighting(t - late, [x[0], x[1], 3.1 + x[2]], yaw=x[0], received_at=t),
+            "a": lambda t=t, x=x: facing(t, x[0], 0.1 * x[1], 0.1 * x[2]),
+            "i": lambda t=t, x=x: felt(t, G + np.array(x)),
+            "v": lambda t=t, x=x: moving(t, x, NO_VERTICAL),
+            "s": lambda t=t, x=x, late=late: pad_at(t - late, [x[0], x[1], 3.1 + x[2]], yaw=x[0], received_at=t),
         }[kind]()
         state, verdict = dr.step(state, event)
         assert (verdict is not None) == (kind == "s")
@@ -286,46 +243,3 @@ def test_whatever_comes_the_covariance_stays_one_and_grows_without_sightings(scr
         later = dr.at(state, ns(t + 1.0))
         assert np.trace(later.cov[:3, :3]) > np.trace(now.cov[:3, :3])
         assert len(state.track) <= 400
-
-
-@pytest.mark.skipif(not FLIGHT.is_dir(), reason="the recorded flight with motion capture is not at hand")
-def test_a_real_flight_is_carried_over_five_seconds_without_sightings():
-    """An AR.Drone 2.0's own navdata against motion capture: 10 Hz sightings 100 ms late, off for five of every ten seconds."""
-    nav = np.genfromtxt(FLIGHT / "navdata.csv", delimiter=",", names=True)
-    mocap = np.genfromtxt(FLIGHT / "optitrack.csv", delimiter=",", names=True)
-    tm, w, z = mocap["t_stamp_s"], mocap["q4"], mocap["q3"]
-    yaw_m = np.unwrap(np.arctan2(2 * (w * z + mocap["q1"] * mocap["q2"]), 1 - 2 * (mocap["q2"] ** 2 + z**2)))
-
-    def truth(t):
-        x, y, up, yaw = (float(np.interp(t, tm, c)) for c in (mocap["x_m"], mocap["y_m"], mocap["z_m"], yaw_m))
-        c, s = math.cos(yaw), math.sin(yaw)
-        return np.array([-c * x - s * y, -s * x + c * y, up]), wrap_pi(-yaw)
-
-    events = []
-    for r in nav:
-        t = float(r["t_stamp_s"])
-        roll, pitch, yaw = np.radians([r["rotX_deg"], -r["rotY_deg"], -r["rotZ_deg"]])
-        events += [
-            (t, attitude(t, yaw, roll, pitch)),
-            (t, imu(t, G_M_S2 * np.array([r["ax_g"], -r["ay_g"], -r["az_g"]]))),
-            (t, velocity(t, [r["vx_mm_s"] / 1e3, -r["vy_mm_s"] / 1e3, 0.0], np.diag([2.5e-3, 2.5e-3, UNKNOWN_VAR]))),
-        ]
-    rng = np.random.default_rng(0)
-    for t in np.arange(13.0, 46.0, 0.1):
-        if (t - 13.0) // 5 % 2 == 0:
-            d, yaw = truth(t)
-            events.append((t + 0.1, sighting(t, d + rng.normal(0, 0.01, 3), yaw, received_at=t + 0.1)))
-    events.sort(key=lambda e: e[0])
-    state, fresh, old = dr.DeadReckoning.start(), list[Any](), list[Any]()
-    for i, (t, event) in enumerate(events):
-        state, _ = dr.step(state, event)
-        if i % 100 == 0 and t > 13.5:
-            r = dr.at(state, ns(t))
-            error = r.d_body_pad_level - truth(t)[0]
-            (fresh if r.age_s(ns(t)) < 0.3 else old).append(
-                (np.linalg.norm(error), error @ np.linalg.solve(r.cov[:3, :3], error))
-            )
-            assert r.consistent
-    assert math.sqrt(np.mean([e**2 for e, _ in fresh])) < 0.035
-    assert max(e for e, _ in old) < 0.3
-    assert np.mean([nees for _, nees in fresh + old]) < 3.0

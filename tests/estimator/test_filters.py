@@ -27,12 +27,6 @@ def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
     return out
 
 
-def test_starts_with_what_it_has():
-    out = run([1.0] * 6)
-    assert [f.d_body_pad_level[0] for f in out] == [1.0] * 6
-    assert [f.samples for f in out] == [1, 2, 3, 4, 5, 5]
-
-
 def test_a_single_outlier_leaves_no_trace():
     out = run([1.0, 1.0, 1.0, 50.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     assert [f.d_body_pad_level[0] for f in out] == [1.0] * 9
@@ -75,16 +69,6 @@ def test_heading_is_the_same_wherever_the_circle_is_cut(base, wobbles):
 def test_circular_median_ignores_one_wild_angle_of_three(base, a, b, wild):
     got = circular_median([wrap_pi(base + a), wrap_pi(base + b), wild])
     assert abs(wrap_pi(got - base)) <= 0.2 + 1e-9
-
-
-def test_a_heading_of_exactly_zero_counts():
-    assert run([0.0] * 4, yaws=[0.0] * 4)[-1].yaw_rad == 0.0
-
-
-def test_missing_headings_are_left_out():
-    out = run([0.0] * 5, yaws=[None, 0.3, None, 0.3, None])
-    assert out[0].yaw_rad is None
-    assert out[-1].yaw_rad == pytest.approx(0.3)
 
 
 def test_an_h_alone_keeps_the_branch_the_arrow_chose():
