@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from companion.settings.load import SHIPPED, read_toml
 from companion.tools.calibrate.board import Board
 from companion.tools.print_pad.drawing import Disc, Polygon, board_drawing, pad_drawing
 from companion.tools.print_pad.sheets import RULER_MM, sheets
+from companion.tools.report.drawing import require_drawing
+from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from tests.support.shipped import shipped_pad
 
@@ -228,3 +231,42 @@ def test_a_pad_in_millimetres_is_refused_with_its_cure(tmp_path: Path, capsys: p
     output = capsys.readouterr().err
     assert "regions[0].radius_m" in output
     assert "Write metres, 0.39 for 390" in output
+
+
+def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_drawing("--plot")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(BadInput, match=r"--plot draws with matplotlib, .* requirements/report\.txt"):
+        require_drawing("--plot")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", "camera", "{}", "--out", "{}/camera.toml", "--figures", "{}"],
+        ["campaign", "demo", "--soak", "--plot", "{}/soak.svg", "--hours", "1"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_every_command_that_draws_refuses_at_once(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main([word.format(tmp_path) for word in words]) == 2
+    assert "matplotlib, which is not installed" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+_ALL_HELP = """
+import sys
+sys.modules["matplotlib"] = None
+from companion.cli.main import COMMANDS, main
+for command in COMMANDS:
+    try:
+        main([command, "--help"])
+    except SystemExit as end:
+        assert end.code == 0, command
+assert "sitl.campaign.soak" in sys.modules
+"""
+
+
+def test_every_command_has_its_help_without_matplotlib() -> None:
+    assert subprocess.run([sys.executable, "-c", _ALL_HELP], capture_output=True, text=True, check=False).stderr == ""

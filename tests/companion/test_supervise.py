@@ -1,15 +1,33 @@
-"""The outside world failing restarts one part; a bug of ours takes the group down; cancelling stops it cleanly."""
+"""Parts restart alone and bugs end the group; vision takes its share of a core; a held loop is named and counted."""
 
 import asyncio
+import gc
+import logging
 import sys
+import time
+from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from companion.base import event_loop
 from companion.base.health import Health
+from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
+from companion.base.memory import GroundedCollector, no_full_collections
+from companion.base.observer import Decision
 from companion.base.supervise import contain, keep_alive, run
+from companion.parts.recorder.setup import about, recorder_to_file
+from companion.recording.reading import open_recording
+from companion.service.daemon import VisionShare
+from companion.settings.load import camera_model
 from companion.settings.restart import RestartOptions
+from companion.tools.replay.recorded_log import log_of
+from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
+from estimator.contracts.time import MonoNs, after, seconds_between
+from tests.fly import sim_settings
 from tests.support.clocks import SleepingClock
 
 
@@ -174,3 +192,182 @@ async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fail
     assert health.contained["mqtt"] == 10
     assert health.flight_fault() is None
     assert health.fault() == "mqtt is down: off after 10 failures: 'ours'"
+
+
+def looked_at(core_fraction: float, look_s: float, period_s: float, frames: int = 300) -> tuple[list[float], float]:
+    """Return the instants at which frames of a camera were looked at, s, and the share of the time that the looks took."""
+    share, free_at, began = VisionShare(core_fraction), MonoNs(0), []
+    for n in range(frames):
+        now = after(MonoNs(0), n * period_s)
+        if now < free_at or not share.admits(now):
+            continue
+        free_at = after(now, look_s)
+        share.looked(now, look_s)
+        began.append(seconds_between(MonoNs(0), now))
+    return began, look_s * len(began) / (frames * period_s)
+
+
+@given(st.floats(0.4, 0.9), st.floats(0.002, 0.1), st.sampled_from((1 / 60, 1 / 30, 1 / 15)))
+def test_looks_take_no_more_than_their_share(core_fraction: float, look_s: float, period_s: float) -> None:
+    began, share = looked_at(core_fraction, look_s, period_s)
+    assert share <= core_fraction + look_s / (300 * period_s)
+    assert np.max(np.diff(began), initial=0.0) <= look_s / core_fraction + period_s + 1e-6, "and hardly less"
+
+
+def test_a_machine_that_is_fast_enough_looks_at_each_frame() -> None:
+    began, share = looked_at(0.7, 0.02, 1 / 30)
+    assert len(began) == 300
+    assert 0.5 < share < 0.7
+
+
+def test_a_share_of_one_skips_nothing_that_the_thread_has_time_for() -> None:
+    began, _ = looked_at(1.0, 0.05, 1 / 30)
+    assert len(began) == 150
+
+
+def test_however_long_a_look_takes_the_next_one_waits_no_longer_than_a_fifth_of_a_second() -> None:
+    began, _ = looked_at(0.1, 1.0, 1 / 30)
+    assert np.max(np.diff(began)) <= 1.0 + 0.2 + 1 / 30 + 1e-6
+
+
+def test_a_full_collection_happens_on_the_ground_alone() -> None:
+    collector = GroundedCollector()
+    for at_s, flying, collections in (
+        (0, False, 0),
+        (59, None, 0),
+        (61, True, 0),
+        (600, True, 0),
+        (601, False, 1),
+        (630, None, 1),
+    ):
+        collector.tick(after(MonoNs(0), at_s), flying)
+        assert collector.collections == collections, (at_s, flying)
+
+
+def test_the_interpreter_starts_no_full_collection_while_the_service_runs() -> None:
+    """A list of many young objects that stay makes the interpreter look through the oldest generation, as a flight's do."""
+    fulls: list[int] = []
+
+    def seen(phase: str, info: dict[str, int]) -> None:
+        if phase == "start" and info["generation"] == 2:
+            fulls.append(1)
+
+    def churn() -> list[list[int]]:
+        return [[n] for n in range(300_000)]
+
+    before = gc.get_threshold()
+    gc.callbacks.append(seen)
+    try:
+        kept = churn()
+        assert fulls, "or this test proves nothing"
+        with no_full_collections():
+            fulls.clear()
+            kept += churn()
+            assert not fulls
+    finally:
+        gc.callbacks.remove(seen)
+    assert gc.get_threshold() == before
+    assert len(kept) == 600_000
+
+
+@given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=300), st.floats(0.01, 1.0))
+def test_a_quantile_is_known_to_five_percent(values: list[float], q: float) -> None:
+    lags = Lags()
+    for value in values:
+        lags.add(value)
+    ordered = sorted(values)
+    true = next(v for n, v in enumerate(ordered, 1) if n >= q * len(ordered) - 1e-9)
+    assert lags.worst_s == ordered[-1]
+    assert true <= lags.quantile(q) + 1e-12
+    assert lags.quantile(q) <= max(1.05 * true, 1e-4) + 1e-12
+
+
+def watch(flying: bool = False) -> tuple[LoopWatch, Health, list[str]]:
+    health, held = Health(SystemClock()), list[str]()
+    return LoopWatch(health, lambda: flying, lambda: held.append("hold")), health, held
+
+
+async def test_a_long_hold_is_named_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    def grinds_the_loop() -> None:
+        end = time.monotonic() + 3 * HELD_S
+        while time.monotonic() < end:
+            sum(range(1000))
+
+    watching, health, held = watch(flying=True)
+    task = asyncio.create_task(watching.run())
+    await asyncio.sleep(0.1)
+    assert watching.lags.count >= 1
+    grinds_the_loop()
+    await asyncio.sleep(0.1)
+    task.cancel()
+    reported = [r.getMessage() for r in caplog.records if "was held for" in r.getMessage()]
+    assert len(reported) >= 1
+    assert any("grinds_the_loop (test_loop_lag.py:" in text for text in reported)
+    counts = health.snapshot().counters["loop"]
+    assert counts["held"] >= 1
+    assert counts["lag_worst_s"] >= 2 * HELD_S
+    assert held == []
+
+
+@pytest.mark.parametrize(
+    ("flying", "late_s", "away_s", "said", "holds"),
+    [
+        (True, 0.0, 20.0, "this computer was suspended for 20.0 s: the drone is commanded to hold", 1),
+        (
+            True,
+            3.0,
+            3.0,
+            "the service stood still (stopped, or without processor time) for 3.0 s: the drone is commanded to hold",
+            1,
+        ),
+        (False, 0.0, 20.0, "this computer was suspended for 20.0 s", 0),
+        (True, STOOD_S - 0.1, STOOD_S - 0.1, "was held for 1.90 s", 0),
+    ],
+)
+def test_a_standstill_holds_what_flies(flying, late_s, away_s, said, holds, caplog):
+    watching, _, held = watch(flying)
+    watching._worked_s = time.process_time()
+    with caplog.at_level(logging.WARNING):
+        watching._note(late_s, away_s)
+    assert said in caplog.messages[-1]
+    assert caplog.messages[-1].endswith("hold") == (holds == 1)
+    assert len(held) == holds
+
+
+def test_each_flight_has_its_own_worst() -> None:
+    flies = [False]
+    health = Health(SystemClock())
+    watching = LoopWatch(health, lambda: flies[0], lambda: None)
+    watching._note(0.15, 0.17)
+    flies[0] = True
+    watching._note(0.01, 0.03)
+    watching._note(0.02, 0.04)
+    assert watching.counts()["lag_worst_s"] == 0.02
+    flies[0] = False
+    watching._note(0.001, 0.02)
+    assert watching.counts()["lag_worst_s"] == 0.02, "it is told until the next flight"
+
+
+def test_a_recorded_flight_says_in_its_report_how_late_the_loop_was(tmp_path: Path) -> None:
+    health, settings = Health(SystemClock()), sim_settings()
+    watching = LoopWatch(health, lambda: True, lambda: None)
+    for late_s in (*[0.002] * 2000, 0.3):
+        watching._note(late_s, late_s)
+    with recorder_to_file(tmp_path / "flight.mcap", camera_model(settings), about(settings, {"kind": "test"}), live=True) as kept:
+        kept.watch(health)
+        kept.on_decision(Decision(health.now(), "search", None, None))
+    facts = dict(log_of(open_recording([tmp_path / "flight.mcap"]), "one").facts)
+    assert facts["event loop"] == "late by at most 300 ms, 99.9 % within 2.1 ms, held longer than 0.2 s 1 times"
+
+
+async def test_a_wall_clock_that_is_set_is_reported_once(caplog, monkeypatch):
+    ahead, real = [0.0], time.time
+    monkeypatch.setattr(time, "time", lambda: real() + ahead[0])
+    watching, *_ = watch()
+    task = asyncio.create_task(watching.run())
+    await asyncio.sleep(0.05)
+    ahead[0] = 200 * 86400.0
+    await asyncio.sleep(0.1)
+    task.cancel()
+    reported = [m for m in caplog.messages if "wall clock" in m]
+    assert reported == ["the wall clock was set by +17280000.0 s: the flight does not go by it"]

@@ -1,8 +1,11 @@
-"""Test the navigation and every link of the documentation, without mkdocs; `make docs` builds the site itself."""
+"""Navigation and links of the documentation, and pages that are made from the code or name its tests."""
 
 import re
 import tomllib
 from pathlib import Path
+
+from companion.cli.fly import KEYS, MOTIONS, ORDERS
+from companion.guidance.operator.precedence import markdown
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -58,3 +61,42 @@ def test_the_changelog_and_the_pages_name_the_version() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\n## {version} - " in (ROOT / "CHANGELOG.md").read_text()
     assert f"decklander_{version}_arm64.deb" in (DOCS / "installation.md").read_text()
+
+
+PAGE = (Path(__file__).parents[2] / "docs/operator.md").read_text()
+
+
+def test_the_page_holds_the_table_of_precedence() -> None:
+    shown = PAGE.partition("<!-- precedence -->\n")[2].partition("<!-- /precedence -->")[0]
+    assert shown == markdown(), "copy what python -m companion.guidance.operator.precedence prints"
+
+
+def test_the_page_names_every_order_and_key() -> None:
+    assert all(f"decklander fly {name}" in PAGE for name in ORDERS)
+    letters = [key for key in (*MOTIONS, *KEYS) if len(key) == 1 and key != " "]
+    assert all(f"`{key}`" in PAGE for key in letters)
+
+
+PAGE_OF_SECURITY = ROOT / "docs/security.md"
+_NAMED = re.compile(r"`(tests/[\w./]+)::(\w+)`")
+
+
+def rows() -> list[str]:
+    """Return the lines of the threat model's table, without its head."""
+    model = PAGE_OF_SECURITY.read_text().split("## Threat model", 1)[1].split("\n## ", 1)[0]
+    return [line for line in model.splitlines() if line.startswith("|")][2:]
+
+
+def test_every_line_of_the_threat_model_names_a_test() -> None:
+    assert len(rows()) >= 5
+    assert [row for row in rows() if not _NAMED.search(row)] == []
+    assert [row for row in rows() if row.count("|") != 5] == [], "who, what they try, what they get, the test"
+
+
+def test_every_test_that_the_page_names_is_there() -> None:
+    missing = [
+        f"{path}::{name}"
+        for path, name in _NAMED.findall(PAGE_OF_SECURITY.read_text())
+        if not (ROOT / path).is_file() or not re.search(rf"^ *(?:async )?def {name}\(", (ROOT / path).read_text(), re.MULTILINE)
+    ]
+    assert missing == []

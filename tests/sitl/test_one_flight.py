@@ -1,20 +1,27 @@
-"""One flight is a function of scenario, seed, settings and perception."""
+"""Whole flights: what an ending says, and landings that went wrong once."""
 
 import re
+from collections import Counter
+from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome, State
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli import main as cli
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
+from estimator.contracts.time import NS_PER_S
 from sitl.campaign.summary import CampaignTally, in_words
+from sitl.flight.ending import Ending
 from sitl.flight.grade import Grade
-from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, perception_level, settings_for
+from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth
-from tests.fly import land, near, new_flight
+from tests.fly import ObservedCalls, land, near, new_flight, simulate
+from tests.make import change
 
 
 def test_the_same_arguments_give_the_same_ending() -> None:
@@ -115,3 +122,138 @@ def test_a_campaign_counts_the_flights_in_which_a_sensor_was_named() -> None:
     summary = counted.summary("near", "model", 1.0)
     assert (summary["flights_naming_a_sensor"], summary["named_sensors"]) == (1, {"accelerometer": 1})
     assert "flights in which a sensor was named: 1 (accelerometer in 1)" in in_words(summary)
+
+
+class Chosen(NullObserver):
+    """Counts by what the pad was seen."""
+
+    def __init__(self) -> None:
+        self.by: Counter[str | None] = Counter()
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        if processed.detection is not None:
+            self.by[processed.detection.chosen] += 1
+
+
+def test_a_vehicle_lands_at_night_by_the_lamps_of_the_pad():
+    chosen = Chosen()
+
+    ending = land("night", 300, level="pixels", observers=[chosen]).as_json()
+
+    assert ending["landed_on_pad"], ending
+    assert ending["touchdown"]["lateral_m"] < 0.1
+    assert ending["contacts_outside_commit"] == 0
+    assert chosen.by["lamps"] > 100
+    # Near the deck the lamps leave the picture, once more with each try.
+    assert chosen.by["registration"] < 0.2 * chosen.by["lamps"]
+
+
+SCENARIO = "sea_state_5"
+SEED = 40001
+"""A deck that is about to fall away while the drone is at the gate."""
+
+
+def fly_with_limits(seed: int, **limits: Any) -> tuple[Ending, set[State]]:
+    """Return the ending of a flight with other limits, and the states that it came into."""
+    settings, calls = change(settings_for(load(SCENARIO), None), guidance={"limits": limits}), ObservedCalls()
+    ending = land(SCENARIO, seed, level="model", settings=settings, observers=[calls])
+    return ending, {change.target for decision in calls.decisions for change in decision.transitions}
+
+
+def assert_landed_softly(ending: Ending) -> None:
+    assert ending.on_pad
+    assert ending.contact is not None
+    assert ending.contact.lateral_m < 0.05
+    assert ending.contact.vertical_speed_m_s < 0.5
+
+
+@pytest.mark.hazard("H3")
+def test_it_waits_at_the_gate_while_the_deck_will_fall_away_from_a_drone_that_stands_on_it() -> None:
+    hasty, _ = fly_with_limits(SEED, deck_fall_m_s=10.0)
+    ending, states = fly_with_limits(SEED)
+    assert_landed_softly(ending)
+    assert_landed_softly(hasty)
+    assert len(ending.contacts) == 1
+    assert hasty.contacts[0].at < ending.contacts[0].at - NS_PER_S, "without the limit it meets the deck before that falls"
+    assert State.GO_AROUND not in states
+
+
+FEET_M = 0.25
+
+
+class _Gate(NullObserver):
+    def __init__(self) -> None:
+        self.heights_m: list[float] = []
+
+    def on_decision(self, decision: Decision) -> None:
+        if decision.phase == State.GATE.value and decision.belief is not None:
+            self.heights_m.append(decision.belief.height_m)
+
+
+def flown(feet_m: float | None = None, **changes: float) -> tuple[Ending, list[float]]:
+    """Return the ending of a flight with its own feet or others, and its heights at the gate, m."""
+    scenario, gate = replace(load("hexa_7kg"), **changes), _Gate()
+    settings = settings_for(scenario, None)
+    assert settings.guidance.cone.feet_below_m == FEET_M
+    cone = replace(settings.guidance.cone, feet_below_m=FEET_M if feet_m is None else feet_m)
+    settings = replace(settings, guidance=replace(settings.guidance, cone=cone))
+    return fly("hexa_7kg", scenario, 17, settings, "model", observers=[gate]), gate.heights_m
+
+
+def test_it_waits_with_its_feet_over_the_deck_and_touches_in_the_commit_alone() -> None:
+    ending, heights_m = flown()
+    assert ending.good
+    assert len(ending.contacts) == 1
+    assert min(heights_m) > FEET_M + 0.1
+
+
+def test_with_the_feet_of_a_smaller_vehicle_it_waits_too_low() -> None:
+    _, heights_m = flown(0.045, duration_limit_s=10.5)
+    assert min(heights_m) < FEET_M + 0.1
+
+
+@pytest.mark.parametrize("seed", [7020, 7021])
+def test_it_touches_nothing_before_its_landing(seed: int) -> None:
+    """The accelerometer is wrong by 0.8 m/s^2 for seed 7020; below 0.2 m neither camera nor ultrasound measures the height."""
+    ending = land("ardrone1", seed, level="model")
+    assert ending.good
+    assert len(ending.contacts) == 1
+
+
+def test_after_a_contact_that_nobody_felt_the_pad_a_third_of_a_metre_from_the_estimate_is_the_same_one() -> None:
+    """One of three navdata datagrams comes too late to be used; the go-around begins on the pad."""
+    wanted = faulty(load("demo"), 2325, possible=lambda _: True, name="faults/navdata_overtaken")
+    assert land(wanted, 2325, level="model", options=FlyOptions(overtime_s=30.0)).good
+
+
+def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixture[str]) -> None:
+    code, ending = simulate(capsys, "rendezvous")
+    assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
+    assert ending["contacts_outside_commit"] == 0
+    assert ending["duration_s"] < 90.0
+
+
+def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocity(capsys: pytest.CaptureFixture[str]) -> None:
+    """The flow measures against the deck, which goes on at 1.5 m/s, for a second before the first sighting."""
+    code, ending = simulate(capsys, "rendezvous", "--seed", "3014", level="model")
+    assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "words"),
+    [
+        ("faults/ship_place_stops", "the ship's newest place is"),
+        ("faults/ship_place_jumps", "reported place jumped"),
+        ("faults/ship_place_late", "come too late"),
+    ],
+)
+def test_wrong_places_are_refused_with_their_reason(capsys: pytest.CaptureFixture[str], scenario: str, words: str) -> None:
+    code, ending = simulate(capsys, scenario)
+    assert (code, ending["outcome"], ending["contacts"]) == (0, "refused", [])
+    assert words in str(ending["refused"])
+
+
+def test_a_drone_without_a_receiver_refuses_and_gives_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    code, ending = simulate(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
+    assert (code, ending["outcome"]) == (1, "refused")
+    assert "the drone does not know its own place (no GNSS)" in str(ending["refused"])

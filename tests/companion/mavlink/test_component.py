@@ -1,19 +1,35 @@
-"""The component beside an autopilot, over real sockets."""
+"""The component beside an autopilot, over real sockets: what it sends, what ends its heartbeat, and bytes that end nothing."""
 
 import asyncio
+import logging
 import math
+import random
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import AsyncExitStack
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
 
-from drivers.mavlink.dialect import ComponentInformationBasic, mav
+from companion.base.health import Health
+from companion.base.observer import Decision
+from companion.parts.mavlink.component import Component, ComponentOptions
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
+from drivers.mavlink.links import Containment, ReceivedMessage
 from drivers.mavlink.vehicle import Stack
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import IntegrityAlert, Verdict
+from estimator.contracts.time import MonoNs, after
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, frame, messages
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
+from tests.companion.mavlink.test_component_parts import Tower
 from tests.support.waiting import until
 
 
@@ -204,3 +220,186 @@ async def test_a_frame_that_was_fused_is_reported_without_waiting_for_the_next_t
             stage.component.on_frame(SimpleNamespace(verdict=Verdict.FUSED))  # type: ignore[arg-type]
             await asyncio.sleep(0.02)
         assert len(fake.of("LANDING_TARGET")) - before >= 9
+
+
+FLOWN_S = 10
+
+
+class Clock:
+    """Stands where it is put."""
+
+    t = MonoNs(0)
+
+    def now(self) -> MonoNs:
+        return self.t
+
+    async def sleep(self, seconds: float) -> None:
+        raise RuntimeError("nobody sleeps here")
+
+
+class Said:
+    """Messages that go out over the links."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.contained = Containment(clock)
+        self.kinds: Counter[str] = Counter()
+        self.texts: list[str] = []
+        self.identity = (1, 191)
+
+    def send(self, message: Message, to: int | None = None) -> bool:
+        self.kinds[message.get_type()] += 1
+        if message.get_type() == "STATUSTEXT":
+            self.texts.append(str(message.text))
+        return True
+
+
+def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseException | None = None) -> Said:
+    """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
+    options = ComponentOptions(0.39, 0.5)
+    component = Component(options, Tower(), None, healthy=health.flight_fault, clock=clock, health=health)
+    output = Said(clock)
+    autopilot: Any = SimpleNamespace(links=output, add_listener=lambda listener: None, connected=False)
+    component.attach(autopilot)
+
+    def fail(*_: object) -> None:
+        assert error is not None
+        raise error
+
+    if broken is not None:
+        owner, _, name = broken.rpartition(".")
+        setattr(getattr(component, owner) if owner else component, name, fail)
+    for n in range(100 * FLOWN_S):
+        clock.t = after(clock.t, 0.01)
+        if n % 2 == 0:
+            component.on_decision(Decision(clock.t, "approach", None, None))
+        component.tick(clock.t)
+    return output
+
+
+@pytest.fixture
+def health() -> Health:
+    health = Health(Clock())
+    for part in ("vehicle", "guidance"):
+        health.vital(part)
+        health.up(part)
+    return health
+
+
+@pytest.mark.parametrize("part", ["broker", "recorder", "mqtt", "metrics", "bridge"])
+def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_reported_once(health: Health, part: str) -> None:
+    health.down(part, Recoverable("gone"))
+    output = flown(health, Clock())
+    assert output.kinds["HEARTBEAT"] == FLOWN_S
+    assert [text for text in output.texts if part in text] == [f"Decklander: {part} is down: gone"]
+
+
+@pytest.mark.parametrize("part", ["vehicle", "guidance"])
+def test_a_vital_part_that_is_down_ends_it(health: Health, part: str) -> None:
+    health.down(part, Recoverable("gone"))
+    assert flown(health, Clock()).kinds["HEARTBEAT"] == 0
+
+
+@pytest.mark.parametrize("broken", ["_computer.read", "_value", "texts.due", "_commands.due", "_check_health"])
+@pytest.mark.parametrize("error", [OSError(24, "too many open files"), ValueError("bad"), MemoryError(), RecursionError()])
+def test_whatever_else_it_says_may_fail_and_the_heartbeat_goes_on(health: Health, broken: str, error: BaseException) -> None:
+    output = flown(health, Clock(), broken, error)
+    assert output.kinds["HEARTBEAT"] == FLOWN_S
+    assert sum(health.contained.values()) + output.contained.total > 0
+
+
+@pytest.fixture(scope="module")
+def border() -> Iterator[tuple[asyncio.AbstractEventLoop, Border]]:
+    loop = asyncio.new_event_loop()
+    stack = AsyncExitStack()
+    yield loop, loop.run_until_complete(stack.enter_async_context(bordered()))
+    loop.run_until_complete(stack.aclose())
+    loop.close()
+
+
+async def test_the_two_datagrams_that_ended_the_service() -> None:
+    async with bordered() as border:
+        await border.send(mav.MAVLink_command_long_message(*US, 511, 0, 0, 1e38, 0, 0, 0, 0, 0))
+        await border.send(mav.MAVLink_command_long_message(*US, 510, 0, 0, 0, 0, 0, 0, 0, 0))
+        acks = {m.command: m.result for m in border.answers() if m.get_type() == "COMMAND_ACK"}
+        assert acks[511] == mav.MAV_RESULT_DENIED, "an interval that no answer can carry"
+        assert acks[510] == mav.MAV_RESULT_ACCEPTED
+        await border.alive()
+
+
+def test_every_message_of_the_dialect_with_random_bytes_as_its_fields(border: tuple[asyncio.AbstractEventLoop, Border]) -> None:
+    loop, service = border
+    chance = random.Random(11)
+    for cls in mav.mavlink_map.values():
+        size = cls.unpacker.size
+        payloads = [b"\xff" * size, b"\x00", *(chance.randbytes(size) for _ in range(3))]
+        for source in (AUTOPILOT, (255, 190), (0, 0)):
+            loop.run_until_complete(service.throw(*(frame(cls, payload, source) for payload in payloads)))
+        assert dict(service.links.contained.faults) == {}, cls.msgname
+    loop.run_until_complete(service.alive())
+
+
+@settings(max_examples=300, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=messages())
+def test_any_fields_with_the_right_checksum(border: tuple[asyncio.AbstractEventLoop, Border], data: bytes) -> None:
+    loop, service = border
+    loop.run_until_complete(service.throw(data))
+    assert dict(service.links.contained.faults) == {}
+    assert dict(service.links.unfit) == {}
+
+
+@settings(max_examples=200, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(data=messages(mav.MAVLink_command_long_message))
+def test_any_command(border: tuple[asyncio.AbstractEventLoop, Border], data: bytes) -> None:
+    loop, service = border
+    loop.run_until_complete(service.throw(data))
+    assert dict(service.links.contained.faults) == {}
+    assert dict(service.links.unfit) == {}
+
+
+def test_and_the_service_goes_on_answering(border: tuple[asyncio.AbstractEventLoop, Border]) -> None:
+    loop, service = border
+    service.clock.leap(30.0)  # what other autopilots with its id seem to have said counts for seconds
+    loop.run_until_complete(service.alive())
+    loop.run_until_complete(service.told_of_the_pad())
+
+
+async def test_a_bug_in_a_handler_is_counted_and_logged_once_and_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    def broken(received: ReceivedMessage) -> None:
+        raise ZeroDivisionError("a bug of ours")
+
+    async with bordered() as border:
+        border.autopilot._listeners.insert(0, broken)
+        with caplog.at_level(logging.ERROR):
+            await border.send(*(mav.MAVLink_statustext_message(4, b"any") for _ in range(20)))
+        assert border.links.contained.faults["the handling of STATUSTEXT"] == 20
+        logged = [r for r in caplog.records if "STATUSTEXT" in r.getMessage()]
+        assert len(logged) == 1
+        assert logged[0].exc_info, "with its traceback"
+        assert "system 7, component 1" in logged[0].getMessage()
+        border.autopilot._listeners.remove(broken)
+        border.links.contained.faults.clear()
+        await border.alive()
+
+
+async def test_a_message_of_ours_that_does_not_fit_the_wire_is_a_counted_refusal(caplog: pytest.LogCaptureFixture) -> None:
+    async with bordered() as border:
+        for _ in range(3):
+            assert not border.links.send(mav.MAVLink_message_interval_message(0, 10**20))
+        assert border.links.unfit == {"MESSAGE_INTERVAL.interval_us": 3}
+        assert len([r for r in caplog.records if "MESSAGE_INTERVAL.interval_us" in r.getMessage()]) == 1
+        border.links.unfit.clear()
+        await border.alive()
+
+
+def test_a_key_in_clear_reaches_no_recording() -> None:
+    async def flown() -> list[str]:
+        names: list[str] = []
+        async with bordered() as border:
+            border.links.tap = lambda at, link, way, data, name: names.append(name)
+            await border.throw(Codec(*AUTOPILOT).pack(mav.MAVLink_setup_signing_message(*US, list(range(32)), 1)))
+            await border.alive()
+        return names
+
+    names = asyncio.run(flown())
+    assert "COMMAND_LONG" in names
+    assert "SETUP_SIGNING" not in names

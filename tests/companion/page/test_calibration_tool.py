@@ -14,7 +14,7 @@ from companion.parts.page import make
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.guide import Guide
 from estimator.vision.camera import Camera
-from tests.companion.page.test_settings_tool import names, rig
+from tests.companion.page.test_tools import names, rig
 from tests.support.calibration_images import Studio, good_round, lens
 from tests.support.page_service import Browser, browsing, serving
 

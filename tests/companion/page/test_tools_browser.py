@@ -7,7 +7,7 @@ import pytest
 from companion.parts.page.settings_tool import masked
 from tests.companion.page.test_browser import CALM, PHONE, chromium, playwright, window
 from tests.companion.page.test_browser import pytestmark as of_a_browser
-from tests.companion.page.test_settings_tool import FASTER, RIG, rig
+from tests.companion.page.test_tools import FASTER, RIG, rig
 from tests.support.page_service import serving
 
 pytestmark = of_a_browser

@@ -1,0 +1,430 @@
+"""The doctor on the page: over the links that the service has open, on the ground alone."""
+
+import asyncio
+import errno
+import math
+import socket
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from companion.parts.page.access import own_names, refused_origin
+from companion.parts.page.settings_tool import check, line_of, masked, unmasked
+from companion.parts.page.state import picture_lines, place
+from companion.settings.http import HttpSettings
+from companion.settings.load import camera_model, load, pad_model
+from companion.settings.settings_file import SettingsFile
+from companion.tools.doctor import live, rules_values
+from companion.tools.doctor.diagnose import PARAMETERS
+from companion.tools.report.expected_place import camera_lean
+from drivers.clock import SystemClock
+from drivers.mavlink import samples
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from tests.companion.doctor.test_rules import ARDUPILOT
+from tests.support.page_service import Browser, browsing, serving
+from tests.support.processed_frames import seen
+from tests.support.waiting import until
+
+
+def with_fault() -> dict[str, float]:
+    good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
+    return {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]} | {"PLND_TYPE": 2.0}
+
+
+@asynccontextmanager
+async def flown_by(fake: MiniatureAutopilot) -> AsyncIterator[Autopilot]:
+    """Open the autopilot as the service does, with none of its parameters known."""
+    async with fake.talking_to("udpin://127.0.0.1:0"):
+        await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
+        assert fake.links is not None
+        _, port = fake.links.all[0].local or ("", 0)
+        options = AutopilotOptions(f"udpout://127.0.0.1:{port}", silence_s=1.0, command_period_s=0.01)
+        async with open_autopilot(options, SystemClock()) as autopilot:
+            await until(lambda: autopilot.connected)
+            yield autopilot
+
+
+def reads_of(fake: MiniatureAutopilot) -> int:
+    """Return the parameters that were requested, beside those that the driver reads on each connect."""
+    asked = [message.param_id for message in fake.messages if message.get_type() == "PARAM_REQUEST_READ"]
+    return sum(name not in samples.SAMPLE_PARAMETERS[Stack.ARDUPILOT] for name in asked)
+
+
+async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "LISTENING_S", 0.5)
+    fake = MiniatureAutopilot(parameters=with_fault())
+    async with (
+        flown_by(fake) as autopilot,
+        serving(tmp_path, autopilot=autopilot) as service,
+        browsing(service) as browser,
+        browsing(service) as other,
+    ):
+        await browser.send(kind="examine")
+        assert "the vehicle flies" in (await browser.read("examined"))["text"]
+        assert reads_of(fake) == 0, "in flight nothing is asked"
+        await service.lands()
+        await browser.send(kind="examine")
+        assert (await browser.read("examined"))["busy"]
+        await other.send(kind="examine")
+        assert (await other.read("examined"))["busy"]
+        found, same = await asyncio.gather(browser.read("examined"), other.read("examined"))
+        rules = {finding["rule"]: finding for finding in found["findings"]}
+        assert rules["plnd-type"]["severity"] == "error"
+        assert "PLND_TYPE" in rules["plnd-type"]["fix"]
+        assert f"{len(with_fault())} parameters" in found["text"]
+        assert same["findings"] == found["findings"], "one examination serves both"
+        asked = reads_of(fake)
+        await browser.send(kind="examine")
+        assert (await browser.read("examined"))["findings"] == found["findings"]
+        assert reads_of(fake) == asked, "another one within seconds asks the autopilot nothing"
+        assert autopilot._listeners == []
+
+
+async def test_a_take_off_ends_an_examination(tmp_path: Path) -> None:
+    fake = MiniatureAutopilot(parameters=with_fault())
+    async with flown_by(fake) as autopilot, serving(tmp_path, autopilot=autopilot) as service, browsing(service) as browser:
+        await service.lands()
+        await browser.send(kind="examine")
+        assert (await browser.read("examined"))["busy"]
+        service.flying = True
+        assert (await browser.read("examined"))["text"] == live.TOOK_OFF
+        assert autopilot.parameters is not None
+        assert autopilot.parameters.settled, "nothing more is asked"
+        assert autopilot._listeners == []
+
+
+async def test_a_service_without_an_autopilot_is_examined_too(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service) as browser:
+        (tmp_path / "token").unlink()
+        await service.lands()
+        await browser.send(kind="examine")
+        await browser.read("examined")
+        found = await browser.read("examined")
+        assert [finding["rule"] for finding in found["findings"]] == ["settings-files"]
+        assert found["text"].startswith("1 of ")
+
+
+RIG = """# the rig
+[vehicle]
+kind = "ardrone"
+
+[camera]
+file = "sim"
+source = "stream"
+device = "rtsp://admin:hunter2@10.0.0.8/live?token=s3cret"
+
+[pad]
+file = "thesis"
+
+[guidance]
+start = "signal"
+
+[expert.guidance]
+rate_hz = 20.0
+"""
+FASTER = RIG.replace("rate_hz = 20.0", "rate_hz = 30.0")
+
+
+def rig(folder: Path, text: str = RIG) -> Path:
+    path = folder / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+async def saved(browser: Browser, text: str, revision: str = "") -> dict[str, Any]:
+    if not revision:
+        await browser.send(kind="settings")
+        revision = (await browser.read("settings"))["revision"]
+    await browser.send(kind="save_settings", text=text, revision=revision)
+    return await browser.read("saved")
+
+
+def refused(text: str, folder: Path = Path(), before: str = RIG) -> str:
+    """Return why a text is refused; empty if it is not."""
+    try:
+        check(text, before, SettingsFile(folder / "rig.toml"))
+    except BadInput as why:
+        return str(why)
+    return ""
+
+
+async def test_a_text_is_checked_and_saved_with_the_one_before_kept(tmp_path: Path) -> None:
+    path = rig(tmp_path)
+    path.chmod(0o640)
+    async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser:
+        await service.lands()
+        await browser.send(kind="settings")
+        shown = await browser.read("settings")
+        assert shown["text"] == masked(RIG)
+        assert "rate_hz" in shown["in_force"]
+        edited = shown["text"].replace("20.0", "30.0")
+        answer = await saved(browser, edited, shown["revision"])
+        assert answer["saved"], answer
+        assert path.read_text() == FASTER, "secrets are as they were"
+        assert (tmp_path / "rig.toml.before").read_text() == RIG
+        assert path.stat().st_mode & 0o777 == 0o640
+        assert "changed since" in (await saved(browser, masked(RIG), shown["revision"]))["text"], "the revision of before"
+        assert (await saved(browser, masked(RIG), answer["revision"]))["saved"]
+        path.write_text(RIG + "# edited over SSH\n")
+        assert not (await saved(browser, edited, answer["revision"]))["saved"], "another operator's changes are not overwritten"
+    assert names(tmp_path) == ["rig.toml", "rig.toml.before", "token"]
+
+
+async def test_nothing_is_saved_in_flight_while_armed_or_without_the_token(tmp_path: Path) -> None:
+    path = rig(tmp_path)
+    autopilot: Any = SimpleNamespace(condition=Condition())
+    async with serving(tmp_path, settings_file=path, autopilot=autopilot) as service, browsing(service) as browser:
+        assert "flies" in (await saved(browser, FASTER))["text"]
+        await service.lands()
+        autopilot.condition = Condition(armed=True)
+        assert "armed" in (await saved(browser, FASTER))["text"]
+        async with browsing(service, "another-token-of-sixteen") as other:
+            await other.send(kind="save_settings", text=FASTER, revision="")
+            assert (await other.read("closed"))["code"] == 4401
+            assert [message["kind"] for message in other.messages] == ["refused"]
+        assert path.read_text() == RIG
+
+
+async def test_where_the_service_may_not_write_it_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = rig(tmp_path)
+
+    def read_only(**_: Any) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser:
+        await service.lands()
+        monkeypatch.setattr(tempfile, "mkstemp", read_only)
+        answer = await saved(browser, masked(FASTER))
+        assert not answer["saved"]
+        assert "Read-only file system" in answer["text"]
+        path.write_bytes(b"\xff\xfe")
+        await browser.send(kind="settings")
+        assert "not UTF-8" in (await browser.read("settings"))["refusal"]
+        assert "not UTF-8" in (await saved(browser, FASTER, "x"))["text"]
+    async with serving(tmp_path) as service, browsing(service) as browser:
+        await browser.send(kind="settings")
+        assert "without a settings file" in (await browser.read("settings"))["refusal"]
+    shipped = SettingsFile(Path(load.__globals__["SHIPPED"]) / "sim.toml")
+    with pytest.raises(BadInput, match="belongs to the installation"):
+        shipped.save("", "")
+
+
+async def test_garbage_is_reported_and_what_is_no_message_ends_its_connection(tmp_path: Path) -> None:
+    path = rig(tmp_path)
+    async with serving(tmp_path, settings_file=path) as service, browsing(service) as other:
+        await service.lands()
+        assert (await saved(other, 'a = \n"'))["line"] == 1
+        assert (await saved(other, masked(RIG).replace("20.0", "-1")))["line"] == 17
+        for text in ("", "\0", "[" * 5000, "x = " + "9" * 9000, "vehicle = 1", "é" * 5_000):
+            assert not (await saved(other, text))["saved"], text[:20]
+        too_long = '{"kind":"report","name":"x","padding":"' + "y" * 2000 + '"}'
+        for message in ('{"kind":"settings","x":1}', '{"kind":"save_settings"}', too_long):
+            async with browsing(service) as browser:
+                await browser.read("welcome")
+                await browser.socket.send_str(message)
+                assert (await browser.read("closed"))["code"] == 4400
+        for frame in (b'{"kind":"settings\xff"}', b'{"kind":"save_settings","text":"' + b"x" * 70_000 + b'","revision":""}'):
+            async with browsing(service) as browser:
+                await browser.read("welcome")
+                await browser.socket._writer.send_frame(frame, aiohttp.WSMsgType.TEXT)
+                assert (await browser.read("closed"))["code"] in (1006, 1007, 1009)
+        assert path.read_text() == RIG
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "line"),
+    [
+        ("20.0", "-1", 17),
+        ("[pad]", "[pad]\ncolour = 1", 11),
+        ('"ardrone"', '"ardrone"\nmodel = "9"', 4),
+        ("[guidance]", "[recorder]\nframe = 1\n[guidance]", 14),
+        ("[pad]", "[pad", 10),
+    ],
+)
+def test_a_fault_is_refused_with_its_line(was: str, becomes: str, line: int) -> None:
+    text = RIG.replace(was, becomes, 1)
+    assert line_of(text, refused(text)) == line
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "named"),
+    [
+        ('file = "sim"', 'file = "/etc/shadow"', "camera.file"),
+        ('file = "sim"', 'file = "../secret.toml"', "camera.file"),
+        ('file = "sim"', 'file = "out/secret.toml"', "camera.file"),
+        ('file = "thesis"', 'file = "a/../../b.toml"', "pad.file"),
+        ('device = "rtsp', 'device = "/srv/other/film.mp4"\n#', "camera.device"),
+        ('device = "rtsp', 'device = "file:///srv/other/film.mp4"\n#', "camera.device"),
+        (
+            'source = "stream"\ndevice = "rtsp',
+            'source = "gstreamer"\ndevice = "fakesrc ! filesink location=x"\n#',
+            "camera.device",
+        ),
+        ('source = "stream"', 'source = "gstreamer"', "camera.device"),
+        ("[guidance]", '[operator]\ngamepad = "/srv/other/pad.toml"\n[guidance]', "operator.gamepad"),
+        ("[guidance]", '[operator]\nsocket = "/tmp/socket"\n[guidance]', "operator.socket"),
+        ("[guidance]", '[recorder]\nfolder = "/srv/other"\n[guidance]', "recorder.folder"),
+        ("[guidance]", '[http]\nendpoint = "http"\ntoken_file = "/etc/hostname"\n[guidance]', "http."),
+        ("[guidance]", '[mqtt]\ntransport = "tcp"\nhost = "evil.example"\n[guidance]', "mqtt."),
+    ],
+)
+def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, was: str, becomes: str, named: str) -> None:
+    (tmp_path / "rig").mkdir()
+    (tmp_path / "secret.toml").write_text("x = 1")
+    (tmp_path / "rig/out").symlink_to(tmp_path)
+    why = refused(RIG.replace(was, becomes), tmp_path / "rig")
+    assert why.startswith(named)
+    assert "from a browser" in why, "nothing is read, so it is not told whether it exists"
+
+
+def test_a_name_that_was_allowed_for_one_kind_of_camera_is_not_for_another(tmp_path: Path) -> None:
+    words = 'source = "stream"\ndevice = "rtsp://admin:hunter2@10.0.0.8/live?token=s3cret"'
+    for device, source in (("../film.mp4", "stream"), ("fakesrc ! filesink location=x", "gstreamer")):
+        before, after = (RIG.replace(words, f'source = "{kind}"\ndevice = "{device}"') for kind in ("v4l2", source))
+        assert refused(after, tmp_path, before).startswith("camera.device")
+
+
+def test_an_address_that_was_changed_gets_no_secret_of_another() -> None:
+    assert "hunter2" not in masked(RIG)
+    assert "s3cret" not in masked(RIG)
+    with pytest.raises(BadInput, match="again in place"):
+        unmasked(masked(RIG).replace("10.0.0.8", "evil.example"), RIG)
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=60), st.text("ab:/@?=&*pw\"' token", max_size=60))
+def test_hidden_secrets_come_back(before: str, address: str) -> None:
+    text = f'{before}\ndevice = "rtsp://{address}"'
+    assert unmasked(masked(text), text) == text or "***" in text
+
+
+PIECES = st.sampled_from(
+    ["[vehicle]", "[pad]", "kind = ", '"mavlink"', "file = ", '"x"', "\n", "[[a]]", "a.b = 1", "=", "nan", "{", "'"]
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(PIECES, max_size=12).map("".join) | st.text(max_size=60))
+def test_every_text_is_good_or_refused(text: str) -> None:
+    refused(RIG + text)
+    assert refused(text)
+
+
+NAMES = own_names(HttpSettings(hosts="Drone.lan, bridge.example.org.,"))
+OWN = socket.gethostname().partition(".")[0].lower()
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "127.0.0.1:8480", "192.168.1.7:8480", "[::1]:8480", "[fe80::1]", "localhost:8480", "LOCALHOST", f"{OWN}.local:8480",
+        f"{OWN.upper()}.local", "drone.lan:8480", "drone.lan.", "bridge.example.org",
+    ],
+)  # fmt: skip
+def test_its_own_page_is_let_in_by_each_of_its_names(host: str) -> None:
+    assert refused_origin(f"http://{host}", host, NAMES) is None
+    assert refused_origin(f"https://{host}", host.lower(), NAMES) is None
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8480", "localhost.evil.example", "drone.lan.evil", "1.2.3.4.nip.io"]
+)
+def test_a_name_that_somebody_else_points_here_is_refused_and_the_answer_names_the_setting(host: str) -> None:
+    why = refused_origin(f"http://{host}", host, NAMES)
+    assert why is not None
+    assert "[expert.http] hosts" in why
+
+
+@pytest.mark.parametrize(
+    ("origin", "host"),
+    [
+        (None, "127.0.0.1:8480"), ("http://127.0.0.1:8480", None), ("null", "127.0.0.1:8480"), ("", ""), ("http://", ""),
+        ("http://127.0.0.1:8481", "127.0.0.1:8480"), ("file://127.0.0.1", "127.0.0.1"), ("http://[::1", "[::1"),
+        ("https://evil.example", "127.0.0.1"),
+    ],
+)  # fmt: skip
+def test_the_page_of_another_is_refused(origin: str | None, host: str | None) -> None:
+    assert refused_origin(origin, host, NAMES) == "this connection belongs to another page"
+
+
+SETTINGS = load("sim")
+CAMERA, PAD = camera_model(SETTINGS), pad_model(SETTINGS)
+AT = MonoNs(5_000_000_000)
+small = st.floats(-0.08, 0.08)
+
+
+def believed(d: np.ndarray, yaw_rad: float | None = 0.3) -> RelativeState:
+    return RelativeState(AT, "ekf", d, np.array([0.1, -0.2, 0.3]), yaw_rad, np.diag([0.04, 0.01, 0.09, 1, 1, 1, 0.01]), AT, True)
+
+
+@given(st.tuples(small, small, small), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
+def test_the_outline_lies_where_the_filter_expects_the_pad_whatever_the_attitude_s_error(error, forward_m, right_m):
+    """The vehicle reports an attitude that is wrong by `error`; the filter knows that, and its innovation is zero."""
+    R_body_level = Rotation.from_rpy(0.05, -0.03, 0.0).inv
+    d = np.array([forward_m, right_m, 3.0])
+    in_body = R_body_level @ d
+    reported = Rotation.from_rpy(0.05, -0.03, 0.0) @ Rotation.from_rotvec(np.array([error[0], error[1], 0.0]))
+    frame = seen(AT, found=True)
+    level = reported.without_heading()
+    found = frame.detection
+    assert found is not None
+    assert found.selected is not None
+    sighting = replace(found.selected, d_body_pad_level=level @ in_body)
+    frame = replace(
+        frame,
+        attitude=Attitude(frame.frame.stamp, reported, np.eye(3) * 1e-4),
+        detection=replace(found, selected=sighting),
+        results=(FusionResult("ekf", "sighting", Verdict.FUSED, AT, AT, np.zeros(4), np.eye(4), 0.0, 0.0),),
+    )
+    lean = camera_lean(frame, believed(d))
+    assert lean is not None
+    lines = picture_lines(frame, believed(d), None, lean, CAMERA, PAD)
+    disc = np.array(next(line.uv_px for line in lines if line.kind == "pad")).reshape(-1, 2)[:-1]
+    centre = CAMERA.project((CAMERA.T_body_cam.inv @ in_body)[None, :])[0]
+    assert disc.mean(axis=0) == pytest.approx(centre, abs=3.0)
+
+
+def test_a_frame_that_was_not_compared_reports_nothing_of_the_mount() -> None:
+    assert camera_lean(seen(AT, found=True), believed(np.array([0.0, 0.0, 3.0]))) is None
+    assert camera_lean(seen(AT, found=False), believed(np.array([0.0, 0.0, 3.0]))) is None
+    assert camera_lean(seen(AT, found=True), None) is None
+
+
+@given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-2.0, 40.0), st.none() | st.floats(-3.1, 3.1))
+def test_any_estimate_makes_lines_of_finite_points(forward: float, right: float, down: float, yaw: float | None) -> None:
+    belief = believed(np.array([forward, right, down]), yaw)
+    for line in picture_lines(seen(AT, found=False), belief, None, Rotation.identity(), CAMERA, PAD):
+        uv = np.array(line.uv_px, dtype=float)
+        assert uv.size >= 4
+        assert np.abs(uv).max() < 4001.0
+
+
+def test_the_place_is_that_of_the_drone_in_the_pad_s_axes() -> None:
+    """Nose 90 degrees clockwise of the arrow, the pad 2 m ahead of it: the drone is 2 m to port of the pad."""
+    shown = place(believed(np.array([2.0, 0.0, 3.0]), math.pi / 2), None, AT)
+    assert (shown.x_m, shown.y_m, shown.z_m) == pytest.approx((0.0, -2.0, 3.0), abs=1e-6)
+    assert shown.v_m_s == pytest.approx((-0.2, -0.1, 0.3), abs=1e-6), "ahead of the nose is to starboard of the arrow"
+    assert shown.cov_m2 == pytest.approx((0.01, 0.0, 0.04), abs=1e-9)
+    assert not place(believed(np.array([2.0, 0.0, 3.0]), None), None, AT).heading_known
