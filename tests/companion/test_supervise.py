@@ -302,7 +302,7 @@ async def test_a_long_hold_is_named_and_counted(caplog: pytest.LogCaptureFixture
     task.cancel()
     reported = [r.getMessage() for r in caplog.records if "was held for" in r.getMessage()]
     assert len(reported) >= 1
-    assert any("grinds_the_loop (test_loop_lag.py:" in text for text in reported)
+    assert any("grinds_the_loop (test_supervise.py:" in text for text in reported)
     counts = health.snapshot().counters["loop"]
     assert counts["held"] >= 1
     assert counts["lag_worst_s"] >= 2 * HELD_S
