@@ -188,7 +188,6 @@ class PaveParser:
         """The number of bytes that belonged to no returned frame."""
         self.torn = 0
         """The number of frames that were cut short by the header of the next."""
-        self.resyncs = 0
         self.number_gaps = 0
         """The number of frame numbers that never arrived."""
 
@@ -282,6 +281,5 @@ class PaveParser:
 
     def _move(self, at: int) -> None:
         self.skipped_bytes += max(0, at - self._at)
-        self.resyncs += self._clean
         self._clean = False
         self._at = self._floor = self._searched = at

@@ -148,8 +148,6 @@ class _Landing:
     from_m: float | None
     """Position below the autopilot's origin at which it began; None if it was not known."""
     by_velocity: bool
-    paused: bool = False
-    """True while it is not renewed; it continues when it is renewed."""
     spent: bool = False
     """True if it has used up its time or its height."""
 
@@ -196,12 +194,6 @@ class SetpointStreamer:
         """True once something of ours was sent to it."""
         self.motors_cut = False
         """True if a person cut the motors and the autopilot has reported that it is disarmed."""
-        self.blind_periods = 0
-        """The number of periods without a recent heading, in which it was only held over the surface below, or climbed."""
-        self.stale_periods = 0
-        """The number of periods in which a velocity was too old to be flown."""
-        self.landings_called_off = 0
-        """The number of landings that ended in the air: not renewed, or with their time or height used up."""
 
     @property
     def _mode(self) -> str | None:
@@ -282,7 +274,6 @@ class SetpointStreamer:
             if self._on(HandEvent.RETURN):
                 self._goal = None
         elif self.hand is not Hand.STANDING or self._flies_again:
-            self.landings_called_off += self.hand is Hand.LANDING
             self._on(HandEvent.HOVER)
 
     def _take_velocity(self, command: Velocity | Lean, now: MonoNs, v_deck_level: F64 | None) -> None:
@@ -437,7 +428,6 @@ class SetpointStreamer:
     def _steer(self, now: MonoNs) -> list[Message]:
         silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
         fresh = silent_s <= self._o.command_timeout_s
-        self.stale_periods += not fresh
         if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
@@ -483,17 +473,13 @@ class SetpointStreamer:
         landing = self._landing
         if not self._wanted(now):
             if not landing.by_velocity:
-                self.landings_called_off += 1
                 self._on(HandEvent.NOT_RENEWED)
                 return self._steer(now)
-            self.landings_called_off += not landing.paused
-            landing.paused = True
             silent_s = seconds_between(landing.at, now)
             if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
                 return self._hold(now)
             velocity = self._mean_velocity * (1.0, 1.0, 0.0) if silent_s <= self._o.deck_hold_s else np.zeros(3)
             return self._setpoint(now, Velocity(velocity, 0.0))
-        landing.paused = False
         if landing.order.persistent and seconds_between(landing.began, now) > self._o.landing_most_s:
             landing.by_velocity = False
         if landing.by_velocity:
@@ -582,7 +568,6 @@ class SetpointStreamer:
     def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
         attitude = self._attitude
         fresh = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.attitude_timeout_s
-        self.blind_periods += not fresh
         if attitude is None or (self.hand is Hand.TAKING and not fresh):
             return []
         last = self._streamed

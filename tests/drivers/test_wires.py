@@ -19,15 +19,12 @@ from drivers import wires
 from drivers.endpoint import Address, Endpoint
 from drivers.wires import QUEUE_S, SendQueue, WireCounts, open_wire, resolve
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.contracts.time import MonoNs
+from tests.make import ns
 from tests.support.clocks import SteppedClock
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
-
-
-def at(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * NS_PER_S))
 
 
 def nobody(data: bytes, received_at: MonoNs, sender: Address | None) -> None:
@@ -40,15 +37,15 @@ def test_a_line_gets_the_newest_setpoint_first_and_nothing_old(steps: list[tuple
     queue = SendQueue(counts)
     for kind, wait_s, takes in steps:
         now += wait_s
-        queue.put(partial(str.encode, f"{kind} {len(put)}"), kind, at(now))
+        queue.put(partial(str.encode, f"{kind} {len(put)}"), kind, ns(now))
         put.append((kind, now))
-        if takes and (data := queue.take(at(now))):
+        if takes and (data := queue.take(ns(now))):
             kind, _, number = data.decode().rpartition(" ")
             got.append((kind, put[int(number)][1]))
             assert now - got[-1][1] <= QUEUE_S + 1e-6
             newest = [t for k, t in put if k == kind]
             assert not kind or got[-1][1] == newest[-1], "the newest of its kind"
-    while queue.take(at(now)):
+    while queue.take(ns(now)):
         got.append(("", now))
     assert len(got) + counts.late == len(put), "what does not go is counted"
     ordinary = [t for kind, t in got if not kind]

@@ -8,9 +8,51 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, SeaState, Waves, jonswap, sea_state
-from tests.sitl.closed_forms import ittc
+from sitl.sea.sea import (
+    SEA_STATES,
+    SHELTERED_SLIGHT,
+    WMO_3700_M,
+    Components,
+    Sea,
+    SeaState,
+    Waves,
+    WaveSystem,
+    jonswap,
+    ochi_hubble_part,
+    sea_state,
+)
+
+
+def ittc(w_rad_s: F64, hs_m: float, tp_s: float) -> F64:
+    """Return ITTC's modified Pierson-Moskowitz spectrum (Bretschneider's shape) at angular frequencies, positive, of any shape.
+
+    Source: ITTC 1978 two-parameter spectrum with the modal period, A = 487 Hs^2 / T0^4, B = 1949 / T0^4.
+    """
+    w = np.asarray(w_rad_s, dtype=float)
+    return np.asarray(487.0 * hs_m**2 / tp_s**4 * w**-5 * np.exp(-1949.0 / tp_s**4 * w**-4))
+
+
+def ochi_hubble_moment(n: int, hs_m: float, tp_s: float, shape: float) -> float:
+    """Return the n-th moment of `sitl.sea.sea.ochi_hubble_part`, m^2 (rad/s)^n, in closed form; infinite unless n < 4 shape.
+
+    With x = b w^-4 the integral of w^n S is a gamma function; a shape of 1 gives the moments of Bretschneider's spectrum.
+    """
+    if n >= 4.0 * shape:
+        return math.inf
+    b = (4.0 * shape + 1.0) / 4.0 * (math.tau / tp_s) ** 4
+    return float(hs_m**2 / 16.0 * b ** (n / 4.0) * math.gamma(shape - n / 4.0) / math.gamma(shape))
+
+
+def spread_density(off_rad: F64, s: float) -> F64:
+    """Return the density per rad of directions `off_rad` from the mean one, of any shape: cos^2s of half the angle.
+
+    Source: Longuet-Higgins, Cartwright & Smith 1963; the factor makes the integral over the circle 1.
+    """
+    factor = math.exp(2.0 * s * math.log(2.0) + 2.0 * math.lgamma(s + 1.0) - math.lgamma(2.0 * s + 1.0)) / math.tau
+    return np.asarray(factor * np.abs(np.cos(0.5 * np.asarray(off_rad, dtype=float))) ** (2.0 * s))
+
 
 W = np.linspace(0.02, 60.0, 200_000)
 
@@ -72,3 +114,128 @@ def test_bad_states_are_refused_with_their_names() -> None:
         SeaState(-1.0, 5.0)
     with pytest.raises(ValueError, match="tp_s"):
         SeaState(1.0, 0.0)
+
+
+FINE_W = np.geomspace(0.02, 80.0, 40_000)
+SWELL, WIND = SeaState.swell_and_wind_sea(2.0)
+STATES = {"jonswap": SEA_STATES[4], "pierson_moskowitz": SeaState.fully_grown(2.0), "swell": SWELL, "wind sea": WIND}
+
+
+@pytest.mark.parametrize("shape", [1.0, 1.54, 3.0, 12.0])
+def test_moments_of_an_ochi_hubble_part_are_the_closed_ones(shape: float) -> None:
+    density = ochi_hubble_part(FINE_W, 1.7, 9.0, shape)
+    for n in (0, 1, 2):
+        assert np.trapezoid(density * FINE_W**n, FINE_W) == pytest.approx(ochi_hubble_moment(n, 1.7, 9.0, shape), rel=2e-4)
+    assert FINE_W[density.argmax()] == pytest.approx(math.tau / 9.0, rel=1e-3)
+    assert ochi_hubble_moment(4, 1.7, 9.0, 1.0) == math.inf
+
+
+def test_a_shape_of_one_is_bretschneiders_spectrum() -> None:
+    band = FINE_W[(FINE_W > 0.5) & (FINE_W < 6.0)]
+    np.testing.assert_allclose(ochi_hubble_part(band, 2.0, 8.0, 1.0), ittc(band, 2.0, 8.0), rtol=0.005, atol=1e-9)
+
+
+def test_a_fully_grown_sea_is_pierson_and_moskowitz() -> None:
+    """The spectrum by wind is S = 0.0081 g^2 w^-5 exp(-0.74 (g / V w)^4); a height of 0.209 V^2 / g belongs to the wind V."""
+    g, wind = 9.80665, 12.0
+    height = math.sqrt(16.0 * 0.0081 / (4 * 0.74)) * wind**2 / g
+    band = FINE_W[(FINE_W > 0.65) & (FINE_W < 4.0)]
+    by_wind = 0.0081 * g**2 * band**-5 * np.exp(-0.74 * (g / (wind * band)) ** 4)
+    np.testing.assert_allclose(SeaState.fully_grown(height).density(band), by_wind, rtol=0.05)
+
+
+def test_the_swell_and_the_wind_sea_hold_the_height_together() -> None:
+    for height in (0.5, 3.0, 6.0):
+        swell, wind = SeaState.swell_and_wind_sea(height)
+        assert math.hypot(swell.hs_m, wind.hs_m) == pytest.approx(height)
+        assert swell.tp_s > wind.tp_s
+        assert swell.shape is not None
+        assert wind.shape is not None
+        assert swell.shape > wind.shape
+
+
+@pytest.mark.parametrize("components", ["geometric", "equal_energy"])
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES.keys())
+def test_a_drawn_sea_has_the_height_period_and_energy_of_its_spectrum(state: SeaState, components: Components) -> None:
+    """The variance of 150 seeds, by time and by band of frequency, equals the spectrum's integral."""
+    waves = Waves.draw(state, range(150), components=components)
+    assert 4.0 * math.sqrt(float((waves.amplitude_m**2).sum(axis=1).mean()) / 2.0) == pytest.approx(state.hs_m)
+    wp = math.tau / state.tp_s
+    edges = wp * np.array([0.5, 0.8, 0.95, 1.1, 1.4, 2.0, 3.0])
+    energy, _ = np.histogram(waves.w_rad_s, edges, weights=0.5 * waves.amplitude_m**2 / waves.batch)
+    fine = np.linspace(edges[:-1], edges[1:], 400, axis=-1)
+    expected = np.trapezoid(state.density(fine), fine, axis=-1)
+    whole = np.trapezoid(state.density(np.linspace(0.5, 5.0, 4000) * wp), np.linspace(0.5, 5.0, 4000) * wp)
+    share = expected * (state.hs_m / 4.0) ** 2 / whole  # the energy beyond the sampled band is put into it
+    assert energy == pytest.approx(share, abs=0.02 * (state.hs_m / 4.0) ** 2)
+    assert whole == pytest.approx((state.hs_m / 4.0) ** 2, rel=0.015), "hardly any energy lies beyond the sampled band"
+
+
+@pytest.mark.parametrize("components", ["geometric", "equal_energy"])
+def test_the_elevation_over_time_has_the_height_and_the_peak(components: Components) -> None:
+    """The periodogram of the surface itself at one place: 20 seeds of 20 minutes at sea state 4."""
+    state = SEA_STATES[4]
+    t = np.arange(0.0, 1200.0, 0.5)
+    eta = Waves.draw(state, range(20), components=components).elevation((10.0, -4.0), t)
+    assert np.mean(4.0 * eta.std(axis=1)) == pytest.approx(state.hs_m, rel=0.02)
+    power = (np.abs(np.fft.rfft(eta * np.hanning(t.size), axis=1)) ** 2).mean(axis=0)
+    w = math.tau * np.fft.rfftfreq(t.size, 0.5)
+    smooth = np.convolve(power, np.ones(9) / 9, "same")
+    assert math.tau / w[smooth.argmax()] == pytest.approx(state.tp_s, rel=0.07)
+    m0, m1 = power.sum(), (power * w).sum()
+    fine = np.linspace(0.5, 5.0, 4000) * math.tau / state.tp_s
+    mean = np.trapezoid(fine * jonswap(fine, 1, state.tp_s), fine) / np.trapezoid(jonswap(fine, 1, state.tp_s), fine)
+    assert m1 / m0 == pytest.approx(mean, rel=0.03)
+
+
+@pytest.mark.parametrize("components", ["geometric", "equal_energy"])
+def test_no_flight_sees_the_same_sea_again(components: Components) -> None:
+    """The autocorrelation of the surface comes nowhere near 1 again: not within 120 s, nor within 20 minutes."""
+    lag = np.arange(12.0, 1200.0, 0.25)
+    for state in (SEA_STATES[4], SWELL):
+        waves = Waves.draw(state, range(8), components=components)
+        share = waves.amplitude_m**2 / (waves.amplitude_m**2).sum(axis=1, keepdims=True)
+        again = (share[..., None] * np.cos(waves.w_rad_s[..., None] * lag)).sum(axis=1)
+        assert np.abs(again[:, lag < 120]).max() < 0.85
+        assert again[:, lag > 120].max() < 0.7
+
+
+def test_directions_are_spread_by_the_density_and_it_is_one() -> None:
+    angle = np.linspace(-math.pi, math.pi, 4001)
+    for s in (2.0, 10.0, 75.0):
+        assert np.trapezoid(spread_density(angle, s), angle) == pytest.approx(1.0)
+        drawn = np.sort(Waves.draw(SEA_STATES[4], range(50), spreading=s).towards_rad.ravel())
+        cdf = np.interp(drawn, angle, np.cumsum(spread_density(angle, s)) * (angle[1] - angle[0]))
+        assert np.abs(cdf - (np.arange(drawn.size) + 0.5) / drawn.size).max() < 1.5 / math.sqrt(drawn.size), "Kolmogorov"
+
+
+def test_sea_states_lie_in_the_bands_of_the_wmo() -> None:
+    assert SEA_STATES.keys() == WMO_3700_M.keys()
+    for code, (low, high) in WMO_3700_M.items():
+        assert low <= SEA_STATES[code].hs_m <= high
+        (system,) = Sea(sea_state=code).systems()
+        assert (system.state.hs_m, system.state.tp_s) == (SEA_STATES[code].hs_m, SEA_STATES[code].tp_s)
+
+
+def test_a_crossing_swell_is_a_system_of_its_own() -> None:
+    sea = Sea(
+        spectrum="ochi_hubble", runs_to_deg=0.0, swell=WaveSystem(1.2, 12.0, runs_to_deg=90.0), wind_sea=WaveSystem(0.5, 4.0, 1.5)
+    )
+    waves = sea.waves([1, 2, 3])
+    assert waves.hs_m == pytest.approx([1.3] * 3)
+    long = waves.w_rad_s < 0.8
+    east = np.cos(waves.towards_rad - math.pi / 2)
+    energy = waves.amplitude_m**2
+    assert (energy * east)[long].sum() / energy[long].sum() > 0.95
+    assert abs((energy * east)[~long].sum() / energy[~long].sum()) < 0.25
+    assert not np.array_equal(sea.waves([1]).phase_rad[0, :60], sea.waves([1]).phase_rad[0, 60:])
+
+
+def test_a_current_carries_the_waves_and_shifts_their_frequency() -> None:
+    still, carried = Sea(runs_to_deg=20.0).waves([4]), Sea(runs_to_deg=20.0, current_m_s=1.5, current_to_deg=50.0).waves([4])
+    north, east = carried.current_ne_m_s
+    assert math.hypot(north, east) == pytest.approx(1.5)
+    p, t = np.array([3.0, -7.0]), 11.0
+    assert carried.elevation(p + t * np.array([north, east]), t) == pytest.approx(still.elevation(p, t))
+    assert (carried.seen_rad_s > carried.w_rad_s).mean() > 0.9, "waves that run with the current pass faster"
+    assert carried.longest(3).current_ne_m_s == carried.current_ne_m_s

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.mavlink.access import Access, AccessLevel, Named, NamedSenders, Source, parse_operators
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import MonoNs
+from tests.make import ns
 
 A: Source = (0, ("10.0.0.1", 14550))
 B: Source = (0, ("10.0.0.66", 14550))
@@ -14,12 +14,8 @@ CABLE: Source = (1, None)
 STATION, AUTOPILOT, SHIP = (255, 190), (1, 1), (17, 1)
 
 
-def at(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
-
-
 def level(access: Access, source: Source, ids: tuple[int, int], seconds: float = 0.0, *, signed: bool = False) -> AccessLevel:
-    return access.level(source, ids, at(seconds), asked_for=source[1] is None, signed=signed)
+    return access.level(source, ids, ns(seconds), asked_for=source[1] is None, signed=signed)
 
 
 def test_by_default_nobody_may_command() -> None:
@@ -66,10 +62,10 @@ def test_an_unknown_peer_that_stays_is_reported_once_with_the_cure(caplog: pytes
     access = Access(NamedSenders())
     with caplog.at_level(logging.WARNING):
         for n in range(100):
-            access.refuse_unknown(STATION, A[1], at(0.1 * n))
+            access.refuse_unknown(STATION, A[1], ns(0.1 * n))
         for system in range(1, 250):
             for n in range(2):
-                access.refuse_unknown((system, 200), B[1], at(20.0 + 5.0 * n))
+                access.refuse_unknown((system, 200), B[1], ns(20.0 + 5.0 * n))
     assert [r.getMessage() for r in caplog.records if "system 255" in r.getMessage() and "`operators`" in r.getMessage()]
     assert len(caplog.records) <= 64, "a flood of ids neither fills the log nor the memory"
     assert len(access._unknown_senders) <= 64

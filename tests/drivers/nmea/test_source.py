@@ -13,15 +13,11 @@ from drivers.clock import SystemClock
 from drivers.endpoint import Address, Endpoint, parse_endpoint
 from drivers.nmea.source import HELD_S, SentenceJoiner, SentenceSource, sentences_from
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.time import NS_PER_S, MonoNs
+from tests.make import ns
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
 SHIP, OTHER = (HOST, 4000), ("192.0.2.7", 4000)
-
-
-def at(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * NS_PER_S))
 
 
 def sentence(body: str) -> bytes:
@@ -47,7 +43,7 @@ def test_sentences_of_several_programs_are_put_together_wherever_they_are_cut(pr
         n = data.draw(st.sampled_from([n for n, rest in enumerate(streams) if rest]))
         size = data.draw(st.integers(1, len(streams[n])))
         piece, streams[n] = streams[n][:size], streams[n][size:]
-        found[n] += joiner.lines(piece, (HOST, 5000 + n), at(now))
+        found[n] += joiner.lines(piece, (HOST, 5000 + n), ns(now))
         now += 0.01
     assert [found[n] for n in found] == [[line.strip() for line in one] for one in programs]
     assert joiner.cut == 0
@@ -65,17 +61,17 @@ def test_sentences_of_several_programs_are_put_together_wherever_they_are_cut(pr
 )
 def test_half_a_sentence_is_counted_and_no_whole_one_is_lost(pieces: list[tuple[float, bytes]]) -> None:
     joiner = SentenceJoiner()
-    lines = [line for when, data in pieces for line in joiner.lines(data, SHIP, at(when))]
+    lines = [line for when, data in pieces for line in joiner.lines(data, SHIP, ns(when))]
     assert joiner.cut >= 1
     assert [line for line in lines if b"GPHDT" in line] == [d.strip() for _, d in pieces if b"GPHDT" in d]
-    assert joiner.lines(sentence("GPHDT,2,T"), SHIP, at(20.0)) == [sentence("GPHDT,2,T").strip()]
+    assert joiner.lines(sentence("GPHDT,2,T"), SHIP, ns(20.0)) == [sentence("GPHDT,2,T").strip()]
 
 
 @given(st.lists(st.tuples(st.binary(max_size=80), st.integers(0, 40)), max_size=40))
 def test_any_bytes_are_lines_or_counted_and_little_is_kept(pieces: list[tuple[bytes, int]]) -> None:
     joiner = SentenceJoiner()
     for data, port in pieces:
-        for line in joiner.lines(data, (HOST, port), at(0.0)):
+        for line in joiner.lines(data, (HOST, port), ns(0.0)):
             assert b"\n" not in line
     assert len(joiner._begun) <= 16
 
@@ -84,7 +80,7 @@ def taken(source_of: str, datagrams: list[tuple[float, Address, bytes]]) -> tupl
     got: list[bytes] = []
     source = SentenceSource(source_of, lambda data, when: got.append(data))
     for when, sender, data in datagrams:
-        source.take(data, at(when), sender)
+        source.take(data, ns(when), sender)
     return got, source
 
 

@@ -6,18 +6,14 @@ from hypothesis import strategies as st
 
 from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState, NavdataState
-from estimator.contracts.time import MonoNs
 from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick
+from tests.make import ns
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
 LAND = at.Ref(at.REF_BASE)
 AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
-
-
-def at_s(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
 
 
 class Pilot:
@@ -34,7 +30,7 @@ class Pilot:
         for command in commands:
             self.sequence += 1
             datagram += at.encode(self.sequence, command)
-        return list(self.drone.take(datagram, at_s(now_s), phase))
+        return list(self.drone.take(datagram, ns(now_s), phase))
 
     def word(self, phase: VehiclePhase = VehiclePhase.LANDED) -> set[NavdataState]:
         word = self.drone.word(phase, battery_low=False, ultrasound_deaf=False)
@@ -71,10 +67,10 @@ def test_smaller_sequence_numbers_are_ignored_and_one_starts_again(pilot: Pilot)
     pilot.sequence = 99
     assert pilot.say(FLY) == [RefAction.TAKE_OFF]
     for late in (50, 100):
-        assert list(drone.take(at.encode(late, FLY), at_s(0.1), VehiclePhase.LANDED)) == []
+        assert list(drone.take(at.encode(late, FLY), ns(0.1), VehiclePhase.LANDED)) == []
     assert drone.counters["at_out_of_order"] == 2
-    assert list(drone.take(at.encode(1, FLY), at_s(0.2), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
-    assert list(drone.take(at.encode(2, FLY), at_s(0.3), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(1, FLY), ns(0.2), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(2, FLY), ns(0.3), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
 
 
 def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
@@ -82,15 +78,15 @@ def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
     pilot.say(at.ComWdg(), FLY)
     assert NavdataState.COM_WATCHDOG not in pilot.word()
     pilot.say(AHEAD, phase=VehiclePhase.FLYING, now_s=1.0)
-    assert list(drone.tick(at_s(2.9), VehiclePhase.FLYING)) == []
-    assert list(drone.tick(at_s(3.0), VehiclePhase.FLYING)) == [HOVER]
+    assert list(drone.tick(ns(2.9), VehiclePhase.FLYING)) == []
+    assert list(drone.tick(ns(3.0), VehiclePhase.FLYING)) == [HOVER]
     word = pilot.word(VehiclePhase.HOVERING)
     assert NavdataState.COM_WATCHDOG in word
     assert NavdataState.COMMUNICATION_LOST in word
     assert drone.control_state(VehiclePhase.HOVERING) == ControlState.HOVERING.word | LOST_COM
-    assert list(drone.tick(at_s(4.9), VehiclePhase.HOVERING)) == []
-    assert list(drone.tick(at_s(5.0), VehiclePhase.HOVERING)) == [RefAction.LAND]
-    assert list(drone.tick(at_s(5.1), VehiclePhase.LANDING)) == []
+    assert list(drone.tick(ns(4.9), VehiclePhase.HOVERING)) == []
+    assert list(drone.tick(ns(5.0), VehiclePhase.HOVERING)) == [RefAction.LAND]
+    assert list(drone.tick(ns(5.1), VehiclePhase.LANDING)) == []
     assert (drone.counters["com_watchdog"], drone.counters["landed_for_silence"]) == (1, 1)
 
 
@@ -98,7 +94,7 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     drone = pilot.drone
     pilot.sequence = 500
     pilot.say(at.ComWdg(), AHEAD, phase=VehiclePhase.FLYING)
-    assert list(drone.tick(at_s(2.5), VehiclePhase.FLYING)) == [HOVER]
+    assert list(drone.tick(ns(2.5), VehiclePhase.FLYING)) == [HOVER]
     pilot.sequence = 6
     assert pilot.say(FLY, AHEAD, phase=VehiclePhase.HOVERING, now_s=2.6) == [Stick(0.0, -0.5, 0.0, 0.0, True)], (
         "the watchdog resets numbers"
@@ -107,7 +103,7 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     assert NavdataState.COM_WATCHDOG in pilot.word()
     pilot.say(at.ComWdg(), phase=VehiclePhase.FLYING, now_s=2.7)
     assert NavdataState.COM_WATCHDOG not in pilot.word()
-    assert list(drone.tick(at_s(4.6), VehiclePhase.FLYING)) == []
+    assert list(drone.tick(ns(4.6), VehiclePhase.FLYING)) == []
 
 
 def test_bootstrap_and_handshake(pilot: Pilot) -> None:
@@ -181,7 +177,7 @@ _FRAGMENT = st.one_of(
 @given(st.lists(_FRAGMENT, max_size=8), st.sampled_from(list(VehiclePhase)))
 def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[bytes], phase: VehiclePhase) -> None:
     drone = DroneState()
-    list(drone.take(b"".join(fragments), at_s(0.0), phase))
-    list(drone.tick(at_s(9.0), phase))
-    assert list(drone.take(at.encode(1, FLY), at_s(9.1), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
+    list(drone.take(b"".join(fragments), ns(0.0), phase))
+    list(drone.tick(ns(9.0), phase))
+    assert list(drone.take(at.encode(1, FLY), ns(9.1), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
     assert 0 <= drone.word(phase, True, True) < 2**32

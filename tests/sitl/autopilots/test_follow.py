@@ -13,10 +13,11 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from estimator.contracts.time import Stamp
 from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.scenario.scenario import load
+from tests.make import ns
 from tests.support.waiting import free_port
 
 HOST = "127.0.0.1"
@@ -25,12 +26,8 @@ EARTH_M = 6_371_000.0
 LAT, LON = 63.44, 10.40
 
 
-def at(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * NS_PER_S))
-
-
 def stamped(seconds: float) -> Stamp:
-    return Stamp(at(seconds), at(seconds), 0.0, "synced")
+    return Stamp(ns(seconds), ns(seconds), 0.0, "synced")
 
 
 def position(seconds: float, p: F64, v: F64) -> LocalPosition:
@@ -64,8 +61,8 @@ def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> N
         t = 0.02 * n
         p = v * t
         there = (position(t, p + off, v),)
-        source.on_message(truth(kind, p), at(t), there)
-        pose = source.newest(at(t), there, attitude(t))
+        source.on_message(truth(kind, p), ns(t), there)
+        pose = source.newest(ns(t), there, attitude(t))
         assert pose is not None
         assert pose.is_truth
         found.append(pose.p_ned - p)
@@ -79,25 +76,25 @@ def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> N
 def test_without_truth_it_is_the_autopilots_own_and_of_the_attitudes_instant() -> None:
     source = PoseSource()
     there = (position(5.00, np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.0, -1.0])),)
-    pose = source.newest(at(5.03), there, attitude(5.02))
+    pose = source.newest(ns(5.03), there, attitude(5.02))
     assert pose is not None
     assert not pose.is_truth
-    assert pose.at == at(5.02)
+    assert pose.at == ns(5.02)
     assert pose.p_ned == pytest.approx((1.01, 2.0, -3.02))
-    assert source.newest(at(6.0), there, attitude(6.0)) is None, "too far apart"
-    assert source.newest(at(6.0), (), attitude(6.0)) is None
-    assert source.newest(at(6.0), there, None) is None
+    assert source.newest(ns(6.0), there, attitude(6.0)) is None, "too far apart"
+    assert source.newest(ns(6.0), (), attitude(6.0)) is None
+    assert source.newest(ns(6.0), there, None) is None
 
 
 def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     scenario = load("calm")
     turned = Rotation.from_rpy(0.0, 0.0, math.radians(90.0))
-    first = AutopilotPose(at(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
+    first = AutopilotPose(ns(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
     flying = DeckUnder(scenario, 1, first, on_ground=False)
     assert flying.height_m(first) == pytest.approx(scenario.start.height_m)
     # ahead is east, to the right is south
     ahead, right = scenario.start.pad_forward_m, scenario.start.pad_right_m
-    over = AutopilotPose(at(1.0), first.p_ned + np.array([-right, ahead, 0.0]), np.zeros(3), turned, np.zeros(3), True)
+    over = AutopilotPose(ns(1.0), first.p_ned + np.array([-right, ahead, 0.0]), np.zeros(3), turned, np.zeros(3), True)
     landing = flying.landing(over, 0.4)
     assert landing.on_pad
     assert landing.lateral_m == pytest.approx(0.0, abs=1e-6)

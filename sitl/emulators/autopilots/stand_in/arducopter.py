@@ -89,7 +89,6 @@ class CopterStandIn(StandIn):
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._wanted_s = -math.inf
         self._v_shaped, self._a_shaped = np.zeros(3), np.zeros(3)
-        self._p_shaped: F64 | None = None
         self._place = np.zeros(3)
         self._take_off_to_m: float | None = None
         self._goal: F64 | None = None
@@ -155,7 +154,7 @@ class CopterStandIn(StandIn):
         self._goal = None
         if self.state is not None:
             self._place = self.state.p_ned.copy()
-            self._v_shaped, self._a_shaped, self._p_shaped = self.state.v_ned.copy(), np.zeros(3), None
+            self._v_shaped, self._a_shaped = self.state.v_ned.copy(), np.zeros(3)
         if name != "guided":
             self._take_off_to_m = None
 
