@@ -253,12 +253,3 @@ async def test_a_text_that_is_no_pipeline_is_one_clear_error(pipeline: str, word
     with pytest.raises((BadInput, ValueError), match=words):
         async with asyncio.timeout(60), open_camera(options(pipeline), (W, H), CLOCK) as camera:
             await camera.frames.get()
-
-
-@real
-async def test_another_size_than_the_camera_file_s_is_named() -> None:
-    fixed = "videotestsrc is-live=true ! video/x-raw,width=320,height=240 ! decodebin"
-    async with asyncio.timeout(60), open_camera(options(fixed), (W, H), CLOCK) as camera:
-        await until(lambda: camera.counters.restarts["failed"] >= 1)
-        assert camera.down is not None
-        assert f"{W}x{H}" in camera.down

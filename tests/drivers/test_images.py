@@ -183,19 +183,6 @@ def test_deep_images_are_scaled_by_what_they_state(suffix: str, bits: int) -> No
     assert np.abs(px[:, :, 1] - grey).max() <= 255 / ((1 << bits) - 1) / 2 + 0.5
 
 
-@pytest.mark.parametrize("white", [1.0, 255.0, 4095.0])
-def test_floats_are_from_0_to_1_or_a_camera_s_whole_numbers(white: float) -> None:
-    grey = np.tile(np.arange(256, dtype=np.float32), (48, 1))
-    px = decode(cv2.imencode(".tif", cv2.merge([grey / 255 * white] * 3))[1].tobytes(), (256, 48))
-    assert np.abs(px[:, :, 1] - grey).max() <= 1.0
-
-
-@pytest.mark.parametrize("suffix", [".jp2", ".ras"])
-def test_other_formats_of_opencv_tell_their_size(suffix: str) -> None:
-    assert claimed_size(encoded(suffix)) == (64, 48)
-    assert decode(encoded(suffix), (64, 48)).shape == (48, 64, 3)
-
-
 @settings(max_examples=60)
 @given(st.one_of(st.binary(max_size=80), st.tuples(st.sampled_from(FORMATS), st.integers(0, 60), st.binary(max_size=8))))
 def test_no_bytes_raise_anything_else(what: bytes | tuple[str, int, bytes]) -> None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, CONTROL_LAST_FRAME, FrameType, PaveFrame, PaveHeader, PaveParser
+from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader, PaveParser
 from tests.drivers.captures import CAPTURES, frames_of, needs_captures
 
 
@@ -123,9 +123,3 @@ def test_an_advertisement_has_no_payload_and_breaks_nothing() -> None:
     assert [f.header.advertisement for f in frames] == [False, True, False, False]
     assert frames[1].payload == b""
     assert not any(f.discontinuity for f in frames)
-
-
-def test_after_the_last_frame_or_another_stream_comes_a_discontinuity() -> None:
-    last = frame(1, b"x", control=CONTROL_LAST_FRAME)
-    frames = PaveParser().feed(STREAM[0] + last + STREAM[2] + frame(3, b"y", stream_id=6))
-    assert [f.discontinuity for f in frames] == [False, False, True, True]

@@ -52,30 +52,6 @@ async def test_an_absent_device_is_logged_twice_in_an_hour_and_once_when_it_is_b
     ]
 
 
-async def test_a_recovery_is_logged_while_the_body_runs(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, "drivers.reconnect")
-    up = asyncio.Event()
-    runs = 0
-
-    async def body() -> None:
-        nonlocal runs
-        runs += 1
-        if runs == 1:
-            raise Recoverable("absent")
-        asyncio.get_running_loop().call_later(0.03, up.set)
-        await up.wait()
-
-    async with asyncio.timeout(60.0):
-        await reconnect("link", body, BackOff(0.5, 4.0, healthy_after_s=0.01), SleepingClock())
-    assert caplog.messages[-1] == "link: up again after 1 failed attempts"
-
-
-async def test_reasons_that_never_repeat_do_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    clock = SleepingClock()
-    await reconnect("link", Body(clock, [Recoverable(f"silent for {i} s") for i in range(500)]), BACK_OFF, clock)
-    assert len([r for r in caplog.records if r.levelno >= logging.INFO]) == 5
-
-
 @pytest.mark.parametrize("error", [BadInput("no such size"), ValueError("a bug"), asyncio.CancelledError()])
 async def test_any_other_error_passes_through_as_it_is(error: BaseException) -> None:
     with pytest.raises(type(error)) as raised:

@@ -73,14 +73,6 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
     assert all(f.coded for f in frames), "its codec predicts frames"
 
 
-async def test_a_file_that_is_repeated_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "flight.mp4"
-    write(str(path), 5)
-    async with asyncio.timeout(60), open_camera(stream(path, repeat=True), None, CLOCK) as camera:
-        while (await camera.frames.get()).seq < 12:
-            pass
-
-
 async def test_what_is_no_video_is_reported_at_once(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("not a film")
     for name, words in (("none.mp4", "no such file"), ("text.mp4", "not a video")):
@@ -292,13 +284,6 @@ def test_jpegs_are_cut_out_whole_however_the_bytes_come(step: int, between: byte
     assert [jpeg for jpeg, _ in out] == jpegs
     begins = [len(between) * (n + 1) + sum(map(len, jpegs[:n])) for n in range(5)]
     assert all(begin - step < at <= begin + 2 for (_, at), begin in zip(out, begins, strict=True))
-
-
-def test_a_jpeg_without_its_end_ends_where_the_next_begins() -> None:
-    jpegs = parts("jpegs", 3)
-    torn = jpegs[1][:-40]
-    out = [jpeg for jpeg, _ in JpegSplitter().jpegs(jpegs[0] + torn + jpegs[2], Arrival(CLOCK.now(), 0.0, waited=True))]
-    assert out == [jpegs[0], torn, jpegs[2]]
 
 
 async def test_a_camera_that_is_not_there_is_waited_for() -> None:

@@ -83,13 +83,6 @@ def test_images_are_those_that_went_in_colours_and_all() -> None:
         assert np.abs(difference.mean(axis=(0, 1))).max() < 4, "blue, green and red in their places"
 
 
-def test_a_start_on_p_frames_waits_for_an_idr() -> None:
-    units = list(clip()[0])
-    decoder = VideoDecoder()
-    assert one_by_one(decoder, units[2:]) == list(range(3, 14))
-    assert decoder.waiting == 3
-
-
 def test_after_a_gap_everything_is_dropped_to_the_next_idr() -> None:
     units = list(clip()[0])
     del units[6]
@@ -113,14 +106,6 @@ def test_an_image_that_is_not_as_its_header_says_is_refused() -> None:
     decoder = VideoDecoder()
     assert decoder.newest([replace(unit, header=replace(unit.header, display_width=1280, display_height=720))]) is None
     assert decoder.damaged == 1
-
-
-def test_other_codecs_and_parts_of_frames_are_unsupported() -> None:
-    unit = clip()[0][0]
-    decoder = VideoDecoder()
-    assert decoder.newest([replace(unit, header=replace(unit.header, codec=3))]) is None
-    assert decoder.newest([replace(unit, header=replace(unit.header, total_slices=2))]) is None
-    assert decoder.unsupported == 2
 
 
 @settings(max_examples=40)

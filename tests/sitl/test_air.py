@@ -8,7 +8,6 @@ import pytest
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.contracts.time import MonoNs
 from sitl.core.library import SIM
 from sitl.scenario.scenario import from_mapping, load
 from sitl.vehicle.airframe import Airframe
@@ -16,7 +15,6 @@ from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel, GustOnce, WakingHull
 from sitl.vessel.contact import DeckShape, Ground, Vec
 from sitl.vessel.seakeeping import Superstructure
-from sitl.world.world import World
 
 STEP_S = 0.01
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -98,16 +96,6 @@ def test_the_hulls_windward_edge_slows_the_air_over_the_deck_alone() -> None:
     assert 0.1 < share(0.0, 1.0) < 0.9
 
 
-def test_the_mean_wind_grows_with_the_logarithm_of_height() -> None:
-    def mean(height_m: float) -> float:
-        return float(met(AirModel(8.0, 0.0, logarithmic=True), height_m, STEP_S, 1)[0, 0, 0])
-
-    assert mean(10.0) == pytest.approx(8.0)
-    assert mean(2.0) == pytest.approx(8.0 * math.log(2.0 / 0.0002) / math.log(10.0 / 0.0002))
-    assert mean(-1.0) == mean(0.5) > 0
-    assert met(AirModel(8.0, 0.0), 2.0, STEP_S, 1)[0, 0, 0] == 8.0
-
-
 def test_a_gust_rises_stays_and_goes() -> None:
     gust = GustOnce(2.0, 1.0, 3.0, (4.0, 0.0))
     blown = met(AirModel(3.0, 0.0, gusts=(gust,)), 5.0, 8.0, batch=1)[:, 0, 0]
@@ -154,19 +142,6 @@ def test_the_wake_is_that_of_the_air_past_the_ship_and_is_rough() -> None:
     model_wind = deficit(-5.0, 0.0, 3.0, ship_m_s=5.0)
     assert model_wind == pytest.approx(deficit(-5.0, 0.0, 3.0), abs=0.03)
     assert deficit(-5.0, 0.0, 3.0, turbulence=True) == pytest.approx(0.32 * deficit(-5.0, 0.0, 3.0), rel=0.25)
-
-
-WINDY = {"title": "w", "wind": {"speed_m_s": 8.0, "model": "dryden", "profile": "logarithmic"}}
-
-
-def test_a_seed_meets_the_same_air_again_and_seeds_differ() -> None:
-    scenario = from_mapping({**WINDY, "sea": {"significant_height_m": 0.0}, "vessel": {"moored": False}}, "w")
-    worlds = [World(scenario, seed) for seed in (4, 4, 5)]
-    for world in worlds:
-        world.advance(MonoNs(2_000_000_000))
-    first, again, other = (world.truth().p_body_ned for world in worlds)
-    assert np.array_equal(first, again)
-    assert abs(first - other).max() > 0.01
 
 
 @pytest.mark.parametrize(

@@ -130,11 +130,6 @@ def test_moments_of_an_ochi_hubble_part_are_the_closed_ones(shape: float) -> Non
     assert ochi_hubble_moment(4, 1.7, 9.0, 1.0) == math.inf
 
 
-def test_a_shape_of_one_is_bretschneiders_spectrum() -> None:
-    band = FINE_W[(FINE_W > 0.5) & (FINE_W < 6.0)]
-    np.testing.assert_allclose(ochi_hubble_part(band, 2.0, 8.0, 1.0), ittc(band, 2.0, 8.0), rtol=0.005, atol=1e-9)
-
-
 def test_a_fully_grown_sea_is_pierson_and_moskowitz() -> None:
     """The spectrum by wind is S = 0.0081 g^2 w^-5 exp(-0.74 (g / V w)^4); a height of 0.209 V^2 / g belongs to the wind V."""
     g, wind = 9.80665, 12.0
@@ -142,16 +137,6 @@ def test_a_fully_grown_sea_is_pierson_and_moskowitz() -> None:
     band = FINE_W[(FINE_W > 0.65) & (FINE_W < 4.0)]
     by_wind = 0.0081 * g**2 * band**-5 * np.exp(-0.74 * (g / (wind * band)) ** 4)
     np.testing.assert_allclose(SeaState.fully_grown(height).density(band), by_wind, rtol=0.05)
-
-
-def test_the_swell_and_the_wind_sea_hold_the_height_together() -> None:
-    for height in (0.5, 3.0, 6.0):
-        swell, wind = SeaState.swell_and_wind_sea(height)
-        assert math.hypot(swell.hs_m, wind.hs_m) == pytest.approx(height)
-        assert swell.tp_s > wind.tp_s
-        assert swell.shape is not None
-        assert wind.shape is not None
-        assert swell.shape > wind.shape
 
 
 @pytest.mark.parametrize("components", ["geometric", "equal_energy"])

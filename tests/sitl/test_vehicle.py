@@ -58,25 +58,6 @@ def on_pad(v: Vehicle, g: Ground) -> F64:
     return np.asarray((v.p_ned - np.array(g.p)) @ np.array(g.R))
 
 
-def test_hovers_on_its_weight() -> None:
-    v = flying()
-    run(v, 10.0)
-    assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
-    assert v.thrust_n == pytest.approx(STILL.mass_kg * G_M_S2, rel=1e-6)
-    assert v.f_body == pytest.approx([0.0, 0.0, -G_M_S2], abs=1e-6)
-    assert v.phase == VehiclePhase.HOVERING
-
-
-def test_falls_freely_without_motors_or_air() -> None:
-    v = flying(replace(STILL, drag_per_s=(0.0, 0.0, 0.0), motor_lag_s=0.0), height_m=100.0)
-    v.cut_motors()
-    run(v, 3.0)
-    assert v.p_ned[2] + 100.0 == pytest.approx(0.5 * G_M_S2 * 9.0, abs=1e-9)
-    energy = 0.5 * v.v_ned[2] ** 2 - G_M_S2 * (v.p_ned[2] + 100.0)
-    assert energy == pytest.approx(0.0, abs=1e-9)
-    assert v.f_body == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-
-
 def test_keeps_its_angular_momentum_when_tumbling() -> None:
     v = flying(replace(STILL, drag_per_s=(0.0, 0.0, 0.0), motor_lag_s=0.0), height_m=1000.0)
     v.cut_motors()
@@ -132,16 +113,6 @@ def test_hover_stops_and_stays_against_a_new_wind() -> None:
     assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / G_M_S2, rel=0.05)
 
 
-def test_hover_drifts_with_the_deck_it_sees() -> None:
-    """The optical flow measures against the deck over it, so a hover goes along; against the water it does not."""
-    for sees, speed in ((True, 1.0), (False, 0.0)):
-        v = flying(replace(STILL, avionics=replace(EXACT, flow_sees_deck=sees)), height_m=4.0)
-        v.v = (speed, 0.0, 0.0)
-        for n in range(1000):
-            v.step(Ground.of(np.array([n * DT, 0.0, -0.5]), np.array([1.0, 0.0, 0.0]), np.eye(3), np.zeros(3), 0.0))
-        assert v.v_ned[0] == pytest.approx(speed, abs=0.05)
-
-
 @pytest.mark.parametrize("arm_m", [0.0, 1.0])
 def test_flow_over_a_rolling_deck_is_by_the_point_below_and_not_by_the_height_above_it(arm_m: float) -> None:
     """A deck that rolls below a drone which stands still carries the point below it by arm times rate, mostly downwards."""
@@ -182,21 +153,6 @@ def test_lands_by_itself_and_stands() -> None:
     assert v.thrust_n < 1e-3
     assert on_pad(v, flat_deck()) == pytest.approx([0.0, 0.0, -STILL.feet.below_m], abs=0.004)
     assert v.f_body == pytest.approx([0.0, 0.0, -G_M_S2], abs=1e-6)
-
-
-def test_a_drop_does_not_bounce_or_descend() -> None:
-    v = flying(height_m=0.5 + STILL.feet.below_m + 0.1)
-    v.cut_motors()
-    v.thrust_n = 0.0
-    lowest, rebound, landed = -1.0, -1.0, False
-    for _ in range(400):
-        v.step(flat_deck())
-        z = on_pad(v, flat_deck())[2] + STILL.feet.below_m
-        landed = landed or z > 0.0
-        lowest, rebound = max(lowest, z), max(rebound, -z if landed else -1.0)
-    assert lowest < 0.03
-    assert rebound < 0.01
-    assert v.tied
 
 
 @pytest.mark.parametrize(("roll_deg", "height_m"), [(180.0, 1.0), (120.0, 2.0), (0.0, 20.0), (60.0, 8.0)])
@@ -243,18 +199,6 @@ def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
     assert at_rest is not None
     assert np.abs(on_pad(v, g) - at_rest).max() < 1e-9
     assert np.hypot(*at_rest[:2]) < 0.5
-
-
-def test_friction_stops_a_sideways_touch() -> None:
-    v = make()
-    v.place(np.array([-0.5, 0.0, -0.5 - STILL.feet.below_m]), np.array([0.6, 0.0, 0.1]), 0.0)
-    v.cut_motors()
-    v.thrust_n = 0.0
-    run(v, 2.0, flat_deck())
-    assert v.tied
-    slid = on_pad(v, flat_deck())[0] + 0.5
-    assert 0.01 < slid < 0.2
-    assert abs(on_pad(v, flat_deck())[1]) < 0.01
 
 
 def test_water_ends_the_flight() -> None:

@@ -16,7 +16,6 @@ from sitl.vessel.seakeeping import (
     FERRY,
     SUPPLY_SHIP,
     Hull,
-    ResponseTable,
     Turn,
     TurningCourse,
     encounter_rad_s,
@@ -83,22 +82,6 @@ def test_a_table_gives_back_the_responses_it_was_made_of(tmp_path: Path) -> None
     overtaken = encounter_rad_s(np.array([2.0]), np.array([0.0]), 8.0)
     assert overtaken[0] < 0
     assert np.abs(hull.table.responses(np.array([300.0]), np.array([1.0]))).max() < 1e-6, "nothing beyond the table"
-
-
-def test_the_phase_of_a_table_is_a_lead_over_the_crest() -> None:
-    """A roll that leads by 90 degrees is at its top a quarter period before the crest passes amidships."""
-    table = ResponseTable.of([0.5, 1.0], [0.0, 180.0], {"roll": ([[3.0, 3.0]] * 2, [[90.0, 90.0]] * 2)})
-    hull = Hull("t", 10, 4, 1, 0.5, 5, 0.1, 1, 0, (0, 0), table=table)
-    w = 0.8
-    waves = Waves(np.array([[1.0]]), np.array([[w]]), np.array([[0.3]]), np.array([[0.0]]))
-    t = np.linspace(0, math.tau / w, 721)
-    roll = Vessel(hull, waves).motion(t).eta[0, :, 3]
-    crest = waves.elevation((0.0, 0.0), t)[0]
-    assert math.degrees(roll.max()) == pytest.approx(3.0, rel=1e-4)
-    quarter = (t[crest[1:-1].argmax() + 1] - t[roll.argmax()]) % (math.tau / w)
-    assert crest.max() == pytest.approx(1.0)
-    assert min(quarter, math.tau / w - quarter) == pytest.approx(0.25 * math.tau / w, rel=0.02)
-    assert roll[5] < roll[0], "at the crest it is on its way down"
 
 
 def test_recorded_motion_goes_through_its_samples_with_continuous_velocity(tmp_path: Path) -> None:

@@ -11,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
-from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import load, sea_of, wind_of
-from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s, roughness_m
+from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s
 from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
@@ -44,17 +43,6 @@ def test_a_sea_grows_with_wind_and_fetch_up_to_the_fully_grown_one(wind_m_s: flo
     assert young.hs_m <= raised_sea(wind_m_s, 2.0 * fetch_km).hs_m + 1e-9
     assert raising_wind_m_s(young.hs_m, fetch_km) <= wind_m_s + 1e-6
     assert raising_wind_m_s(grown.hs_m) == pytest.approx(wind_m_s, rel=1e-6)
-
-
-def test_growth_and_roughness_are_those_of_the_sources() -> None:
-    """Pierson & Moskowitz: a peak at 0.877 g / U19.5; JONSWAP: 0.0016 sqrt(x) U^2 / g; Charnock's relation."""
-    grown = raised_sea(9.0)
-    z = roughness_m(9.0)
-    aloft = 9.0 * math.log(19.5 / z) / math.log(10.0 / z)
-    assert math.tau / grown.tp_s == pytest.approx(0.877 * G_M_S2 / aloft, rel=0.01)
-    x = G_M_S2 * 20e3 / 81.0
-    assert raised_sea(9.0, 20.0).hs_m == pytest.approx(0.0016 * math.sqrt(x) * 81.0 / G_M_S2)
-    assert z == pytest.approx(0.0144 * (0.4 * 9.0 / math.log(10.0 / z)) ** 2 / G_M_S2, rel=1e-3)
 
 
 @pytest.mark.parametrize("state", [2, 3, 4, 5, 6])

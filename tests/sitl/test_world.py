@@ -127,16 +127,6 @@ def test_truth_keeps_the_conventions() -> None:
     assert t.yaw_rad == pytest.approx(yaw, abs=0.01)
 
 
-def test_time_runs_in_whole_steps_and_never_back() -> None:
-    world = World(CALM, 1, MonoNs(1_000_000_007))
-    world.advance(MonoNs(1_000_000_007 + 4_000_000 * 3 + 1))
-    assert world.at == 1_000_000_007 + 12_000_000
-    assert world.now == 1_000_000_007 + 12_000_001
-    assert world.truth().at == world.readings().at == world.render().exposed_at == world.at
-    world.advance(MonoNs(0))
-    assert world.now == 1_000_000_007 + 12_000_001
-
-
 def same(a: Readings | Truth | RenderedFrame, b: Readings | Truth | RenderedFrame) -> bool:
     def bits(x: Any) -> Any:
         if isinstance(x, np.ndarray):
@@ -234,18 +224,6 @@ def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> 
     assert [contact["phase"] for contact in output["contacts"]] == ["flying", "landing"]
     assert output["touchdown"] == output["contacts"][-1]
     assert output["touchdown"]["on_pad"] is True
-
-
-def test_emergency_stops_the_motors_at_once() -> None:
-    world = World(CALM, 1)
-    world.emergency()
-    run(world, 0.4)
-    assert phase_of(world) == VehiclePhase.EMERGENCY
-    assert world.readings().motors_pwm < (60, 60, 60, 60)
-    assert world.truth().v_body_ned[2] > 2.0
-    run(world, 2.0)
-    world.leave_emergency()
-    assert phase_of(world) == VehiclePhase.LANDED
 
 
 def test_velocity_may_be_reported_against_the_water() -> None:

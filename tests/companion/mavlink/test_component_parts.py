@@ -212,18 +212,6 @@ def test_messages_on_request_and_at_intervals() -> None:
     assert offered.interval_us(77) == 0
 
 
-@pytest.mark.parametrize("interval_us", [-1.0, 1.0, 100_000.0, 3e6, 1e9, math.nan])
-def test_nobody_stops_or_speeds_a_heartbeat(interval_us: float) -> None:
-    beat = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
-    offered = Offered({0: lambda now: beat}, {0: 1.0})
-    assert not offered.set_interval(0, interval_us)
-    assert offered.interval_us(0) == 1_000_000
-    assert sum(len(offered.due(at(0.1 * n))) for n in range(50)) == 5
-    assert offered.set_interval(0, 500_000)
-    assert offered.set_interval(0, 0)
-    assert offered.interval_us(0) == 1_000_000
-
-
 # Parameters
 
 

@@ -112,12 +112,6 @@ def test_angles_position_and_distance_agree_wherever_the_pad_is(x, y, z, roll, p
         assert receiver.on_message(m) == pytest.approx(d, abs=2e-5 * m.distance / max(m.z, 0.02))
 
 
-def test_a_pad_that_is_not_below_is_no_target() -> None:
-    for d in ((0.0, 0.0, -1.0), (3.0, 0.0, 0.0)):
-        assert ardupilot_landing_target(1, np.array(d), Rotation.identity(), pad_radius_m=0.39) is None
-        assert px4_landing_target(1, np.array(d), Rotation.identity(), np.zeros(3), pad_radius_m=0.39) is None
-
-
 def test_the_receivers_drop_what_the_real_ones_drop() -> None:
     """The models of this test against what was measured on the programs themselves."""
     good = over_the_wire(send(CASES[0]))

@@ -189,17 +189,6 @@ def test_a_capture_of_navdata_lasts_as_long_as_it_did(times: list[int], said: st
     assert said in reported
 
 
-def test_wrong_checksums_are_counted_in_words(tmp_path: Path) -> None:
-    path = tmp_path / "navdata"
-    path.write_bytes(b"".join(made.navdata(n + 1, 5000 * n, right_sum=False) for n in range(40)))
-    with pytest.raises(BadInput, match="40 datagrams are refused: their checksum is wrong"):
-        ardrone_capture.samples(path)
-    mixed = b"".join(made.navdata(n + 1, 5000 * n, right_sum=n % 4 > 0) for n in range(40))
-    samples, reported = heard(ardrone_capture.samples, path, mixed)
-    assert samples
-    assert "10 datagrams are refused" in reported
-
-
 NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,5423.41,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(60))
 FILES = {
     FileKind.DATAFLASH: made.dataflash(made.flight(TIMES, HEIGHTS)),

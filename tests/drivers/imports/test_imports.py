@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -71,18 +70,6 @@ def test_the_dataflash_log_holds_what_its_own_tools_count() -> None:
     assert 0.5 < speed < 30.0
 
 
-def test_a_velocity_in_the_log_is_turned_into_level_by_the_heading() -> None:
-    reader = dataflash._Reader(None)
-    heading = SimpleNamespace(Roll=3.0, Pitch=-2.0, Yaw=90.0)
-    reader._attitude(heading, 0)
-    message = SimpleNamespace(VN=1.0, VE=2.0, VD=3.0, get_type=lambda: "XKF1")
-    velocity = reader._velocity(message, 1_000_000)
-    assert isinstance(velocity, BodyVelocity)
-    assert velocity.v_level == pytest.approx([2.0, -1.0, 3.0])
-    older = SimpleNamespace(VN=1.0, VE=2.0, VD=3.0, get_type=lambda: "EKF1")
-    assert reader._velocity(older, 2_000_000) is None, "one filter's velocities, not two mixed"
-
-
 @needs_data
 @pytest.mark.parametrize(("name", "images", "seconds"), [("video_56_frames", 56, 1.793), ("video_starts_on_p_frames", 17, 0.511)])
 def test_pave_captures_give_the_images_that_decode_at_the_drones_times(name: str, images: int, seconds: float) -> None:
@@ -144,25 +131,6 @@ def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
         out.mux(video_stream.encode(None))
     frames = list(video.frames(path))
     assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
-
-
-def test_a_video_of_joined_pieces_goes_on(tmp_path: Path) -> None:
-    """Each piece begins again at its own time, as the files of a camera that splits them."""
-    pieces = b""
-    for part in range(2):
-        path = tmp_path / f"{part}.ts"
-        with av.open(str(path), "w", format="mpegts") as out:
-            piece = out.add_stream("mpeg2video", rate=25)
-            piece.width, piece.height, piece.pix_fmt = 64, 48, "yuv420p"
-            for i in range(10):
-                out.mux(piece.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
-            out.mux(piece.encode(None))
-        pieces += path.read_bytes()
-    (tmp_path / "both.ts").write_bytes(pieces)
-    at = np.array([f.stamp.measured_at for f in video.frames(tmp_path / "both.ts")]) * 1e-9
-    assert len(at) >= 18
-    assert np.all(np.diff(at) > 0.0)
-    assert at[-1] < 1.5
 
 
 @pytest.mark.parametrize("size", [None, (64, 48)])

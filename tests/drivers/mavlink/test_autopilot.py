@@ -11,7 +11,7 @@ import pytest
 
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
-from drivers.mavlink.dialect import TimeSyncV2, mav
+from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.roster import Roster
 from drivers.mavlink.vehicle import Stack
@@ -99,28 +99,6 @@ async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
         host, port = fake.links.all[0].local or ("", 0)
         async with open_autopilot(AutopilotOptions(f"udpout://{host}:{port}"), SystemClock()) as autopilot:
             await until(lambda: autopilot.connected)
-
-
-async def test_a_refused_stream_is_known() -> None:
-    fake = MiniatureAutopilot(unsupported={mav.MAVLINK_MSG_ID_DISTANCE_SENSOR})
-    async with flown(fake) as autopilot:
-        await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
-        assert autopilot.streams is not None
-        assert autopilot.streams.refused == {"DISTANCE_SENSOR": 2}
-
-
-async def test_timesync_is_answered_with_our_clock() -> None:
-    fake = MiniatureAutopilot()
-    async with flown(fake):
-        for _ in range(3):
-            fake.send(fake_request(fake))
-        await until(lambda: len(fake.sync_answers) == 3)
-        for ours, _, received_at in fake.sync_answers:
-            assert 0 <= received_at - EPOCH_NS - ours < 50_000_000
-
-
-def fake_request(fake: MiniatureAutopilot) -> Any:
-    return TimeSyncV2(0, fake.boot_ns)
 
 
 async def test_silence_is_reported_and_everything_is_requested_again() -> None:

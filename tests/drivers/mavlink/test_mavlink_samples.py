@@ -8,7 +8,7 @@ import pytest
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, jerk_max_m_s3, tilt_max_deg
+from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, tilt_max_deg
 from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
@@ -93,21 +93,6 @@ def test_the_delay_of_inertial_readings_by_parameter(stack: Stack, values: dict[
 
 
 @pytest.mark.parametrize(
-    ("values", "jerk_m_s3"),
-    [
-        ({}, None),
-        ({"PSC_JERK_XY": 5.0}, 5.0),
-        ({"PSC_JERK_NE": 20.0}, 20.0),
-        ({"PSC_JERK_XY": 0.0, "INS_GYRO_FILTER": 20.0}, None),
-    ],
-)
-def test_the_limit_of_the_jerk_is_in_the_status(values: dict[str, float], jerk_m_s3: float | None) -> None:
-    s = sampler()
-    s.jerk_max_m_s3 = jerk_max_m_s3(values)
-    assert s.status(NOW, link_ok=True).jerk_max_m_s3 == jerk_m_s3
-
-
-@pytest.mark.parametrize(
     ("stack", "values", "tilt_deg"),
     [
         (Stack.ARDUPILOT, {}, None),
@@ -149,15 +134,6 @@ def test_range() -> None:
     (sample,) = sampler().samples(distance(345, covariance=255), NOW)
     assert isinstance(sample, Range)
     assert sample.sigma_m == pytest.approx(0.03)
-
-
-@pytest.mark.parametrize(
-    "message",
-    [distance(345, orientation=0), distance(10), distance(5000), distance(345, signal_quality=1)],
-    ids=["looks forward", "too near", "too far", "invalid"],
-)
-def test_a_range_that_is_none(message: Any) -> None:
-    assert sampler().samples(message, NOW) == []
 
 
 def status(s: MavlinkSampler, message: Any, at: int = NOW) -> VehicleStatus | None:

@@ -227,13 +227,6 @@ def test_the_last_word_on_deck_is_to_stop_the_motors_that_still_turn(armed: bool
     assert stops(standing(armed).streamer.leave(ms(t))) == last
 
 
-@pytest.mark.parametrize(("armed", "hand"), [(True, Hand.TAKING), (None, Hand.TAKING), (False, Hand.STANDING)])
-def test_a_hover_on_deck_takes_back_a_vehicle_whose_motors_turn(armed: bool | None, hand: Hand) -> None:
-    flight = standing(armed)
-    flight.take(Hover(), 1100)
-    assert flight.streamer.hand is hand
-
-
 def test_a_cut_waits_for_no_other_request_and_is_repeated_until_it_is_reported() -> None:
     for before, t in ((Land(), 100), (Land(on_deck=True), 101)):
         flight = ours()

@@ -159,15 +159,6 @@ def test_a_wrong_name_is_reported_before_the_flight(tmp_path: Path) -> None:
         SigningTimes(tmp_path / "file/times")
 
 
-def test_streams_are_bounded(tmp_path: Path) -> None:
-    now_s = EPOCH_S + 5000.0
-    times = SigningTimes(None, lambda: now_s)
-    for n in range(300):
-        sender = Codec(1 + n % 250, 1 + n // 250, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: now_s), 7))
-        assert crossing(times, [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))]) == 1
-    assert len(times.streams) == 256
-
-
 def test_a_right_signature_with_a_time_that_is_refused_is_counted_apart() -> None:
     """An autopilot without a fix signs by a clock that is days behind: that is no wrong key."""
     now_s = EPOCH_S + 4e8

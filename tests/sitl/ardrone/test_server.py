@@ -163,33 +163,6 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     assert landed.state & NavdataState.COMMUNICATION_LOST
 
 
-async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: ExitStack) -> None:
-    first, watcher = Peer(HOST, server.ports), Watcher(HOST, server.ports)
-    first.ask()
-    await first.configure("general:navdata_demo", "FALSE")
-    await first.configure("general:com_watchdog", "60")  # how long it is alone is not the question here
-    first.sequence = 5000
-    first.say(FLY)
-    await first.until(lambda n: n.control_state is ControlState.HOVERING)
-    await watcher.frame()
-    last = (await first.on_message()).sequence
-    watcher.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-    watcher.close()
-    first.close()
-    await asyncio.sleep(0.2)
-    second = Peer(HOST, server.ports)
-    stack.callback(second.close)
-    again = Watcher(HOST, server.ports)
-    stack.callback(again.close)
-    second.ask(b"\x01")
-    back = await second.until(lambda n: n.sequence > last)
-    assert back.state & NavdataState.FLYING
-    second.say(at.ComWdg())
-    second.say(LAND)
-    await second.until(lambda n: n.control_state is ControlState.LANDED)
-    assert (await again.frame()).payload
-
-
 async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
     await until(lambda: server.drone.state.config["video:video_channel"] == "1")

@@ -169,18 +169,6 @@ def test_px4_does_not_see_that_it_stands_on_a_deck_that_heaves() -> None:
     assert late is None or late > quick + 1.5
 
 
-def test_px4_sets_the_speed_of_its_land_detector_back_and_a_higher_one_makes_our_landing_no_descent() -> None:
-    default, high = (
-        Deck("calm", Stack.PX4, QUICK | {"LNDMC_Z_VEL_MAX": 1.0}),
-        Deck("calm", Stack.PX4, QUICK | {"LNDMC_Z_VEL_MAX": 1.0, "MPC_LAND_CRWL": 1.2, "MPC_LAND_SPEED": 1.2}),
-    )
-    for deck in (default, high):
-        deck.up(1.0)
-    assert (default.pilot.parameter("LNDMC_Z_VEL_MAX"), high.pilot.parameter("LNDMC_Z_VEL_MAX")) == (0.25, 1.0)
-    assert landed(default, 12.0) is not None
-    assert landed(high, 12.0) is None
-
-
 def test_px4_fails_safe_when_the_setpoints_of_an_armed_vehicle_end() -> None:
     deck = Deck("calm", Stack.PX4, QUICK)
     deck.up()
