@@ -129,7 +129,7 @@ class ClockMap:
         A `received_at` before that of the last message counts as equal to it.
         """
         now = self._received_at = max(received_at, self._received_at)
-        remote = self._unwrapped(remote_ns, now)
+        remote = self._unwrap(remote_ns, now)
         if self._newest_remote is not None and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
             self.restarts += 1
             self.reset()
@@ -168,7 +168,7 @@ class ClockMap:
             self._measured_at = measured_at = max(measured_at, self._measured_at)
         return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced" if known else "arrival")
 
-    def _unwrapped(self, remote_ns: int, now: int) -> int:
+    def _unwrap(self, remote_ns: int, now: int) -> int:
         """Return the counter without its wraps: the value nearest to the one expected from the time since the last message."""
         wrap = self._o.wrap_ns
         if wrap is None or self._newest_remote is None:

@@ -12,8 +12,7 @@ from pathlib import Path
 from companion.settings.gamepad import mapping_of
 from companion.settings.load import shipped
 from drivers.clock import SystemClock
-from drivers.gamepad.device import FOLDER, EventDevice, gamepads
-from drivers.gamepad.events import AXES, EV_ABS, EV_KEY, events_in
+from drivers.gamepad.device import AXES, EV_ABS, EV_KEY, FOLDER, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, gamepad_step, positions, start
 from estimator.contracts.errors import BadInput, Recoverable
 

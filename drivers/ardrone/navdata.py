@@ -269,10 +269,10 @@ def decode(datagram: bytes) -> Navdata | Refusal:
             if checksum != _sum_before_checksum(datagram):
                 return Refusal.BAD_CHECKSUM
             return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline), outline.skipped)
-    return _walked(datagram, end)
+    return _walk(datagram, end)
 
 
-def _walked(datagram: bytes, end: int) -> Navdata | Refusal:
+def _walk(datagram: bytes, end: int) -> Navdata | Refusal:
     """Decode a datagram of any outline, option by option."""
     if end < _HEADER.size + _CHECKSUM.size:
         return Refusal.TOO_SHORT

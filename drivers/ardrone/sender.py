@@ -180,7 +180,7 @@ class Sender:
             parts.append(numbered(self._sequence, name, rest))
         try:
             if self._at is None:
-                self._at = _connected(self._o.host, self._o.at_port)
+                self._at = _connect(self._o.host, self._o.at_port)
             self._at.send(b"".join(parts))
             self._datagrams += 1
         except ConnectionRefusedError:
@@ -233,7 +233,7 @@ class Sender:
         """Receive navdata in this process, and request it again if it does not arrive."""
         try:
             if self._navdata is None:
-                self._navdata = _connected(self._o.host, self._o.navdata_port)
+                self._navdata = _connect(self._o.host, self._o.navdata_port)
                 self._asked = 0
             if now - self._asked > _ASK_AGAIN_S * _NS:
                 self._asked = now
@@ -255,7 +255,7 @@ class Sender:
             self._arbiter.on_report(DroneReport.of(navdata), MonoNs(self._asked))
 
 
-def _connected(host: str, port: int) -> socket.socket:
+def _connect(host: str, port: int) -> socket.socket:
     """Open a UDP socket that talks to one peer only and never blocks."""
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     end = socket.socket(family, kind, protocol)

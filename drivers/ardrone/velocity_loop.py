@@ -93,7 +93,7 @@ def step(
     feed_forward = options.velocity_gain_1_s * error + options.velocity_drag_1_s * wanted.v_level[:2]
     if float(np.hypot(*(feed_forward + pushed))) <= most_m_s2 or float(error @ (feed_forward + integral)) <= 0.0:
         integral = pushed
-    accelerate = _added(integral, feed_forward, most_m_s2)
+    accelerate = _add(integral, feed_forward, most_m_s2)
     if a_level is not None:
         accelerate = _within(accelerate + options.velocity_lead * (accelerate - a_level), most_m_s2)
     state = LoopState(float(integral[0]), float(integral[1]), state.heading_rad)
@@ -176,7 +176,7 @@ def _within(v: F64, length: float) -> F64:
     return v * (length / size) if size > length else v
 
 
-def _added(base: F64, more: F64, length: float) -> F64:
+def _add(base: F64, more: F64, length: float) -> F64:
     """Return the sum, with less of the second where it would be longer: what holds against the wind is not cut."""
     a, b, c = float(more @ more), float(base @ more), length * length - float(base @ base)
     if a == 0.0 or a + 2.0 * b <= c:

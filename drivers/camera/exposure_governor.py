@@ -38,7 +38,7 @@ def meter_whole(px: NDArray[np.uint8]) -> tuple[Metered, Metered]:
     h, w = px.shape[:2]
     every = max(1, round((h * w / _PIXELS) ** 0.5))
     pixels = px[::every, ::every].reshape(-1, 3)
-    return _metered(pixels, _BRIGHTEST, TARGET), _metered(pixels, _DARKEST, _SHADOWS)
+    return _meter(pixels, _BRIGHTEST, TARGET), _meter(pixels, _DARKEST, _SHADOWS)
 
 
 def meter_inside(px: NDArray[np.uint8], outline_px: NDArray[np.float64]) -> Metered | None:
@@ -63,10 +63,10 @@ def meter_inside(px: NDArray[np.uint8], outline_px: NDArray[np.float64]) -> Mete
     if len(chosen) < _FEWEST:
         return None
     whole = cv2.contourArea(outline_px.astype(np.float32))
-    return _metered(chosen, _BRIGHT, TARGET, cut=len(chosen) * every**2 < _CUT * whole)
+    return _meter(chosen, _BRIGHT, TARGET, cut=len(chosen) * every**2 < _CUT * whole)
 
 
-def _metered(pixels: NDArray[np.uint8], share: float, target: float, *, cut: bool = False) -> Metered:
+def _meter(pixels: NDArray[np.uint8], share: float, target: float, *, cut: bool = False) -> Metered:
     # The brightest channel: once it is clipped the colour is wrong, whatever the sum of the three is.
     counts = np.bincount(pixels.max(axis=1), minlength=256)
     below = np.cumsum(counts) / len(pixels)

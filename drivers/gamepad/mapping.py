@@ -12,8 +12,7 @@ from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
 
-from drivers.gamepad.device import AxisRange
-from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, SYN_REPORT, InputEvent
+from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, SYN_REPORT, AxisRange, InputEvent
 from estimator.contracts.keys import check_ranges, choice, number, text
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -131,7 +130,7 @@ def gamepad_step(
             memory = replace(memory, deflections={**memory.deflections, stick: deflection}, live=live)
         elif event.kind == EV_KEY and event.value == 1 and event.code in buttons:
             most_hz = math.inf if buttons[event.code] == "emergency" else mapping.orders_max_hz
-            memory, given = _pressed(memory, event.code, now, most_hz)
+            memory, given = _press(memory, event.code, now, most_hz)
             orders += [buttons[event.code]] if given else []
     return memory, tuple(orders)
 
@@ -141,7 +140,7 @@ def positions(mapping: GamepadMapping, memory: GamepadMemory) -> dict[str, float
     return {stick: _curve(mapping, memory.deflections[stick]) if stick in memory.live else 0.0 for stick in STICKS}
 
 
-def _pressed(memory: GamepadMemory, code: int, now: MonoNs, most_hz: float) -> tuple[GamepadMemory, bool]:
+def _press(memory: GamepadMemory, code: int, now: MonoNs, most_hz: float) -> tuple[GamepadMemory, bool]:
     before = memory.pressed_at.get(code)
     given_at = tuple(at for at in memory.given_at if seconds_between(at, now) < 1.0)
     left_out = (before is not None and seconds_between(before, now) < _BOUNCE_S) or len(given_at) >= most_hz

@@ -67,13 +67,13 @@ def samples(path: Path, tell: Tell = quiet) -> list[Sample]:
     if refused:
         tell(output)
     sampler, out = NavdataSampler(AS_REPORTED), list[Sample]()
-    for navdata, at_ns in zip(whole, timeline(_unwrapped(whole), tell), strict=True):
+    for navdata, at_ns in zip(whole, timeline(_unwrap(whole), tell), strict=True):
         if at_ns is not None:
             out += sampler.samples(navdata, stamp(at_ns))
     return sorted(out, key=lambda s: s.stamp.received_at)
 
 
-def _unwrapped(navdata: Sequence[Navdata]) -> list[int]:
+def _unwrap(navdata: Sequence[Navdata]) -> list[int]:
     """Return the drone's time of each datagram without its wraps, us; one without a time follows the one before."""
     out: list[int] = []
     newest_us: int | None = None

@@ -54,10 +54,10 @@ def frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet
     if unnamed := [path for path in paths if path.name not in times]:
         tell(f"{len(unnamed)} of {len(paths)} images have no time and are left out, {unnamed[0].name} first")
     ordered = sorted((path for path in paths if path.name in times), key=lambda path: (times[path.name], path.name))
-    yield from _decoded(folder, ordered, [times[path.name] for path in ordered], size, tell)
+    yield from _decode(folder, ordered, [times[path.name] for path in ordered], size, tell)
 
 
-def _decoded(
+def _decode(
     folder: Path, paths: Sequence[Path], times_us: list[int], size: tuple[int, int] | None, tell: Tell
 ) -> Iterator[Frame]:
     if twice := sum(a == b for a, b in pairwise(times_us)):

@@ -13,7 +13,6 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.custody import LEFT_ALONE, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
-from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
@@ -33,6 +32,7 @@ from drivers.mavlink.vehicle import (
     VELOCITY_MODE,
     Condition,
     Identity,
+    JoinedTexts,
     Stack,
     Version,
     is_autopilot,

@@ -69,11 +69,11 @@ class _Origin:
         return seconds_between(self.at, now) <= (ALIVE_S if self.messages >= _BELIEVED else _HELD_S)
 
     def fits(self, boot: int, at: MonoNs) -> bool:
-        boot = self._unwrapped(boot)
+        boot = self._unwrap(boot)
         return self.newest - _ROOM_NS <= boot <= at - self._least_at(at) + _ROOM_NS
 
     def add(self, boot: int, at: MonoNs, sequence: int) -> None:
-        boot = self._unwrapped(boot)
+        boot = self._unwrap(boot)
         self.least = min(self._least_at(at), at - boot)
         self.newest = max(self.newest, boot)
         self.at, self.sequence = at, sequence
@@ -90,7 +90,7 @@ class _Origin:
     def _least_at(self, at: MonoNs) -> int:
         return self.least + (at - self.at) * _DRIFT_PPM // 1_000_000
 
-    def _unwrapped(self, boot: int) -> int:
+    def _unwrap(self, boot: int) -> int:
         return boot + MS_WRAP_NS * round((self.newest - boot) / MS_WRAP_NS)
 
 
@@ -143,7 +143,7 @@ class Origins:
             return [message]
         if main.fits(boot, at):
             main.add(boot, at, sequence)
-            return [*self._decided(sequence, at), message]
+            return [*self._decide(sequence, at), message]
         return self._of_another(message, boot, at, sequence)
 
     def due(self, now: MonoNs) -> list[Message]:
@@ -207,7 +207,7 @@ class Origins:
             self._held.append((at, message))
         return []
 
-    def _decided(self, sequence: int, at: MonoNs) -> list[Message]:
+    def _decide(self, sequence: int, at: MonoNs) -> list[Message]:
         """Return the waiting messages that are the autopilot's, now that one of its own has come: its count is near theirs."""
         held, self._held = self._held, deque()
         others, out = self._alive(at), []

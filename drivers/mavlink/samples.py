@@ -259,14 +259,14 @@ class MavlinkSampler:
 
     def _attitude(self, m: Message, received_at: MonoNs) -> list[Sample]:
         self._quaternions = True
-        return self._turned(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), received_at)
+        return self._to_level(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), received_at)
 
     def _attitude_angles(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if self._quaternions:
             return []  # the same once more
-        return self._turned(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
+        return self._to_level(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
 
-    def _turned(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
+    def _to_level(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
         cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
         self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), rotation, cov)
         return [self.attitude]

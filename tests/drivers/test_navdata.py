@@ -158,7 +158,7 @@ def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(bodies, da
     for place, bits in damage:
         damaged[place % len(damaged)] ^= bits
     summed = bytes(damaged[:-8]) + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(damaged[:-8]))
-    expected = [outcome(nd._walked(one, len(one))) for one in (bytes(damaged), summed)]
+    expected = [outcome(nd._walk(one, len(one))) for one in (bytes(damaged), summed)]
     nd._outlines.clear()
     first = outcome(nd.decode(good))
     assert list(nd._outlines) == [len(good)]

@@ -18,8 +18,7 @@ import numpy as np
 from companion.base.observer import NullObserver
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera
-from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered
-from companion.parts.mavlink.refusals import Refusals, link_counters
+from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
 from companion.settings.mavlink import BridgeOptions
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message, mav

@@ -21,12 +21,11 @@ from importlib import metadata
 from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.parts.mavlink.commands import CommandServer, Offered
+from companion.parts.mavlink.commands import CommandServer, Offered, Refusals
 from companion.parts.mavlink.computer import ComputerReader, computer_status
 from companion.parts.mavlink.operator import Operator
 from companion.parts.mavlink.outputs import MavSeverity, Outputs, StatusTexts
 from companion.parts.mavlink.parameters import ParameterServer, Store
-from companion.parts.mavlink.refusals import Refusals
 from companion.parts.mavlink.target_track import TargetTrack
 from companion.settings.mavlink import OutputOptions
 from drivers.mavlink.access import AccessLevel

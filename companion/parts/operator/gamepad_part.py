@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
-from drivers.gamepad.device import AxisRange, InputDevice, gamepads
-from drivers.gamepad.events import AXES, events_in
+from drivers.gamepad.device import AXES, AxisRange, InputDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.ports import Clock

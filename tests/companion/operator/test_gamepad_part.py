@@ -16,8 +16,7 @@ from companion.guidance.make_pilot import make_pilot
 from companion.parts.operator.gamepad_part import GamepadPart
 from companion.settings.gamepad import mapping_of
 from companion.settings.load import load
-from drivers.gamepad.device import AxisRange, InputDevice, gamepads
-from drivers.gamepad.events import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED
+from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, InputDevice, gamepads
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp

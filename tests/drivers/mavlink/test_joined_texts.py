@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.joined_texts import CHUNK, LOST, JoinedTexts
+from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts
 
 PX4, COPTER = (1, 1), (2, 1)
 REFUSAL = "Arming denied: Resolve system health failures first"

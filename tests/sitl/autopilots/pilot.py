@@ -7,16 +7,8 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.stand_in.cascade import command_of
 from sitl.vehicle.airframe import Airframe
-
-
-def command_of(share: float, curve: float) -> float:
-    """Return the command that gives this share of the largest thrust."""
-    s = min(max(share, 0.0), 1.0)
-    if curve == 0.0:
-        return s
-    b = 1.0 - curve
-    return (-b + math.sqrt(b * b + 4.0 * curve * s)) / (2.0 * curve)
 
 
 @dataclass

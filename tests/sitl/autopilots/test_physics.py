@@ -20,10 +20,11 @@ from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode,
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.motors import thrust_fraction, wrench
 from sitl.emulators.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
+from sitl.emulators.autopilots.stand_in.cascade import command_of
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.gnss import ORIGIN
 from sitl.vehicle.airframe import Airframe
-from tests.sitl.autopilots.pilot import Cascade, command_of
+from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
 REST = (0.0, 0.0, 0.0, 0.0)
