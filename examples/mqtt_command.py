@@ -14,7 +14,7 @@ from pathlib import Path
 import paho.mqtt.client as mqtt
 
 host, port, ca, user, password, drone, key, command = sys.argv[1:]
-tree = f"decklander/v1/{drone}"
+tree = f"decklander/v2/{drone}"
 reply = f"{tree}/reply/{uuid.uuid4().hex[:8]}"
 received, answered = {}, threading.Event()
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import paho.mqtt.client as mqtt
 
 host, port, ca, user, password, drone, *key = sys.argv[1:]
-tree = f"decklander/v1/{drone}"
+tree = f"decklander/v2/{drone}"
 known, ready = {}, threading.Event()
 
 

@@ -21,11 +21,11 @@ import pytest
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.cli.main import main
+from companion.facts.records import TruthRecord
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
-from companion.recording.records import TruthRecord
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.estimates import PathName

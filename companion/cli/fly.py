@@ -18,7 +18,7 @@ import msgspec
 
 from companion.base import event_loop
 from companion.base.orders import CENTRED, OperatorOrder, StickPositions
-from companion.base.wire import FlightState
+from companion.facts.wire import FlightState
 from companion.parts.operator.client import OperatorClient, connected, line_of_state, running
 from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable

@@ -16,9 +16,9 @@ from companion.base.health import Health
 from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.cli import report_option
+from companion.facts.records import ContactRecord, TruthRecord
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
-from companion.recording.records import ContactRecord, TruthRecord
 from companion.settings import whole_file
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings

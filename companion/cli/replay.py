@@ -18,13 +18,13 @@ from companion.base import event_loop
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.cli import report_option
 from companion.cli.progress import ProgressObserver
+from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink import operator
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
-from companion.recording.records import TruthRecord
 from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
 from companion.tools.replay.engine import Replay, pilot_of, settings_of

@@ -2,7 +2,7 @@
 
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import OrderSender
-from companion.base.wire import FlightState
+from companion.facts.wire import FlightState
 from companion.guidance.pilot import Pilot
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Range, Sample

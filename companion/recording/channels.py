@@ -4,8 +4,8 @@ from typing import get_args
 
 import msgspec
 
+from companion.facts import records as rec
 from companion.recording import foxglove as fox
-from companion.recording import records as rec
 from companion.recording.scene import SceneUpdate
 from estimator.contracts.estimates import PathName
 from estimator.contracts.fusion import Source

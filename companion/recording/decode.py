@@ -1,4 +1,4 @@
-"""Decode the messages of a recording to the service's inputs: the inverse of `companion.recording.encode`."""
+"""Decode the messages of a recording to the service's inputs: the inverse of `companion.facts.encode`."""
 
 import math
 from types import MappingProxyType
@@ -11,8 +11,8 @@ from companion.base.observer import DeckOutlook, FrameTimes
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
-from companion.recording import records as rec
-from companion.recording.encode import COMMANDS
+from companion.facts import records as rec
+from companion.facts.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.recording import channels, decode, encode
+from companion.facts import encode
+from companion.facts import records as rec
+from companion.recording import channels, decode
 from companion.recording import foxglove as fox
-from companion.recording import records as rec
 from companion.recording.frame_encoder import FrameEncoder
 from companion.recording.frame_video import RECORDED
 from companion.recording.scene import error_ellipsoid, fixed_scene

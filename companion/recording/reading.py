@@ -14,9 +14,9 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from numpy.typing import NDArray
 
 from companion.base.observer import Decision, FrameTimes
+from companion.facts import records as rec
 from companion.recording import channels, decode
 from companion.recording import foxglove as fox
-from companion.recording import records as rec
 from companion.recording.container import records
 from companion.recording.frame_video import FrameSequence, VideoImage
 from companion.settings.load import Settings, from_mapping

@@ -12,7 +12,9 @@ import msgspec
 from mcap.records import Channel, Message
 
 from companion.base.observer import Decision
-from companion.recording import channels, encode
+from companion.facts import encode
+from companion.facts.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
+from companion.recording import channels
 from companion.recording import foxglove as fox
 from companion.recording.container import records
 from companion.recording.frame_encoder import FrameEncoder
@@ -20,7 +22,6 @@ from companion.recording.frame_video import RECORDED, VideoImage
 from companion.recording.mcap_file import About, Attachment, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
-from companion.recording.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus

@@ -24,7 +24,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["5", "3.1.1"],
         choice("MQTT version; 3.1.1 brokers cannot say that they refuse a message: events may be lost there"),
     ] = "5"
-    drone: Annotated[str, name("name of this drone: its topics are decklander/v1/<drone>/...", 64, public=True)] = "drone"
+    drone: Annotated[str, name("name of this drone: its topics are decklander/v2/<drone>/...", 64, public=True)] = "drone"
     user: Annotated[str, text("user name; empty for none", 256, shortest=0, public=True)] = ""
     password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0, public=True)] = ""
     ca_file: Annotated[

@@ -88,7 +88,7 @@ def main(work: Path, config: Path) -> None:
         start("broker", broker, broker.entry, [f"{folders['broker']}:/var/lib/mosquitto:rw", f"{keys}:rw", f"{scrape}:rw"])
         sub = ["mosquitto_sub", "-h", "localhost", "-p", "8883", "--cafile", "/keys/ca.crt"]
         ground = ["-u", "ground", "-P", '"$(cat /keys/ground.password)"']
-        alive = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v1/#", "-E", "-W", "2"])]
+        alive = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v2/#", "-E", "-W", "2"])]
         _until("the broker answers in TLS", lambda: ask(broker, alive, [keys]).returncode == 0, 60, children)
         wrong = ["sh", "-c", " ".join([*sub, "-u", "ground", "-P", "guess", "-t", "'#'", "-E", "-W", "2"])]
         assert ask(broker, wrong, [keys]).returncode != 0, "the broker lets in whoever guesses"
@@ -108,7 +108,7 @@ def main(work: Path, config: Path) -> None:
         _until("the health check says yes", lambda: ask(service, service.health, []).returncode == 0, 60, children)
         print(f"image runs as: {ask(service, ['id'], []).stdout.strip()}", flush=True)
         assert ask(service, ["touch", "/usr/x"], []).returncode != 0, "the root can be written to"
-        on_message = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v1/sea/state", "-C", "1", "-W", "20"])]
+        on_message = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v2/sea/state", "-C", "1", "-W", "20"])]
         received_at = ask(broker, on_message, [keys])
         assert "belief" in json.loads(received_at.stdout), received_at.stderr
         _until("it stands on the pad", lambda: '"on_pad":true' in (work / "sim.log").read_text(), LANDED_S, children)

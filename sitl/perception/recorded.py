@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from companion.base.observer import Decision
+from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.recording.records import TruthRecord
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting

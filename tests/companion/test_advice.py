@@ -5,9 +5,10 @@ import pytest
 from companion.base.mission import Event, State, StateChange
 from companion.base.observer import Decision
 from companion.base.reason import Reason, ReasonCause
+from companion.facts import encode
 from companion.guidance.advice import advice
 from companion.parts.mqtt.encode import Changes
-from companion.recording import decode, encode
+from companion.recording import decode
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from companion.base.observer import Decision
-from companion.recording import decode, encode
+from companion.facts import encode
+from companion.recording import decode
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.time import MonoNs
 

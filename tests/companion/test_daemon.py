@@ -10,8 +10,8 @@ import pytest
 
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.facts import encode
 from companion.guidance.pilot import Pilot
-from companion.recording import encode
 from companion.recording.decode import frame_times
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.guidance import GuidanceOptions

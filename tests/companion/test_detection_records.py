@@ -5,7 +5,8 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.observer import ProcessedFrame
-from companion.recording import decode, encode
+from companion.facts import encode
+from companion.recording import decode
 from companion.recording.rewriting import _without_methods
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.time import MonoNs

@@ -9,9 +9,9 @@ from msgspec import structs
 
 from companion.base.health import Health
 from companion.base.observer import ProcessedFrame
+from companion.facts import encode
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.recording import encode
 from companion.recording.reading import RecordedFrame
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts

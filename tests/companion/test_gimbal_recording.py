@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.recording import channels, decode, encode
+from companion.facts import encode
+from companion.recording import channels, decode
 from companion.recording.foxglove import FrameTransforms
 from companion.recording.message_encoder import MessageEncoder
 from estimator.contracts.geometry import Rotation, Transform

@@ -8,8 +8,8 @@ import pytest
 
 from companion.base.observer import Decision
 from companion.cli import main as cli
+from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.recording.records import TruthRecord
 from estimator.contracts.samples import Attitude, Imu
 from tests.fly import record_to
 

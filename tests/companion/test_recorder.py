@@ -15,12 +15,12 @@ import pytest
 from mcap.reader import make_reader
 
 from companion.base.observer import Decision
+from companion.facts.records import TruthRecord
 from companion.parts.recorder.recorder import Recorder, RecorderState
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording import channels
 from companion.recording.channels import TOPICS
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.recording.records import TruthRecord
 from companion.settings.recorder import RecorderOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS

@@ -8,11 +8,12 @@ import pytest
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
+from companion.facts import encode, records
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.outputs import MavSeverity
 from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt.encode import Changes
-from companion.recording import decode, encode, records
+from companion.recording import decode
 from estimator.contracts.time import MonoNs
 from tests.companion.metrics.test_metrics import Clock, value
 

@@ -156,7 +156,7 @@ def test_topics_in_the_pages_are_those_of_the_link() -> None:
     named = {
         (page.name, leaf)
         for page in PAGES
-        for leaf in re.findall(r"(?:decklander/v1/[^/\s`\"]+|`\.\.\.)/([a-z]+)", page.read_text())
+        for leaf in re.findall(r"(?:decklander/v2/[^/\s`\"]+|`\.\.\.)/([a-z]+)", page.read_text())
     }
     assert sorted((page, leaf) for page, leaf in named if leaf not in leaves) == []
     assert {leaf for page, leaf in named if page == "mqtt.md"} == leaves

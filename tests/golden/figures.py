@@ -12,8 +12,8 @@ from pathlib import Path
 
 import msgspec
 
+from companion.facts.records import TruthRecord
 from companion.recording.reading import open_recording
-from companion.recording.records import TruthRecord
 from companion.settings.load import load
 from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.replay.recorded_log import BeliefLogObserver

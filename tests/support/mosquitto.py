@@ -22,19 +22,19 @@ CONFIGS = Path(__file__).parents[2] / "configs/broker"
 
 ACL = """
 user drone
-topic write decklander/v1/deck/#
-topic read decklander/v1/deck/command
-topic read decklander/v1/deck/vessel
+topic write decklander/v2/deck/#
+topic read decklander/v2/deck/command
+topic read decklander/v2/deck/vessel
 user ship
-topic read decklander/v1/+/operator
-topic read decklander/v1/+/health
-topic write decklander/v1/+/vessel
+topic read decklander/v2/+/operator
+topic read decklander/v2/+/health
+topic write decklander/v2/+/vessel
 user ground
-topic read decklander/v1/#
-topic write decklander/v1/+/command
+topic read decklander/v2/#
+topic write decklander/v2/+/command
 user mute
-topic read decklander/v1/#
-topic write decklander/v1/deck/status
+topic read decklander/v2/#
+topic write decklander/v2/deck/status
 """
 
 

@@ -41,7 +41,7 @@ class Consumer:
             settings.host, settings.port, username="ground", password=endpoint.password, tls_context=endpoint.tls,
             identifier="consumer", protocol=aiomqtt.ProtocolVersion.V5, clean_start=False, properties=properties, timeout=2.0,
         ) as client:  # fmt: skip
-            await client.subscribe("decklander/v1/deck/event", qos=1)
+            await client.subscribe("decklander/v2/deck/event", qos=1)
             self.listening.set()
             async for message in client.messages:
                 assert isinstance(message.payload, bytes)

@@ -18,8 +18,9 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.worker import Worker
+from companion.facts import encode
 from companion.guidance.pilot import Pilot
-from companion.recording import channels, encode
+from companion.recording import channels
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
 from companion.recording.message_encoder import MessageEncoder

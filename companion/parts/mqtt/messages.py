@@ -1,7 +1,7 @@
 """The messages on MQTT: one immutable struct for each, JSON on the wire (UTF-8, SI units and radians).
 
-Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within one `session` (one run of the service). Unknown
-values are null. The JSON Schema in docs/mqtt.md is generated from this module.
+Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within one `session` (one run of the service).
+What a flight reports has the fields that recordings have (`companion.facts`); unknown values are null or left out.
 """
 
 import json
@@ -10,10 +10,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.base.things import ThingReport
+from companion.facts.records import BeliefRecord, DecisionRecord, DetectionRecord, FusionRecord, HealthRecord, StatusRecord
 from estimator.contracts.estimates import PathName
 
-Vector3 = tuple[float, float, float]
 CommandId = Annotated[str, Meta(min_length=1, max_length=64)]
 
 
@@ -37,97 +36,27 @@ class StatusMessage(Message, frozen=True, kw_only=True):
     started_ns: int
 
 
-class BeliefReport(Struct, frozen=True, kw_only=True):
-    """The estimated pose of the pad; axes forward, right, down of the body without roll and pitch."""
-
-    path: str
-    d_body_pad_level_m: Vector3
-    v_pad_level_m_s: Vector3
-    yaw_rad: float | None
-    sigma_d_m: Vector3
-    sigma_v_m_s: Vector3
-    sigma_yaw_rad: float
-    sighted_age_s: float
-    """Time since the exposure of the newest fused sighting, s."""
-    consistent: bool
-    lost: tuple[str, ...] = ()
-    """Sensors that the estimate does without, and what each does."""
-
-
-class CommandReport(Struct, frozen=True, kw_only=True):
-    """The command that was sent to the vehicle, of guidance or of a person."""
-
-    kind: Literal["velocity", "lean", "hover", "takeoff", "land", "cut_motors", "leave_emergency"]
-    v_level_m_s: Vector3 | None = None
-    yaw_rate_rad_s: float | None = None
-    lean_level_m_s2: tuple[float, float] | None = None
-    """Commanded tilt as an acceleration forward and right, m/s^2."""
-
-
-class VehicleState(Struct, frozen=True, kw_only=True):
-    """The vehicle's own report of its state."""
-
-    mode: str
-    flying: bool | None
-    battery_fraction: float | None
-    emergency: bool
-    link_ok: bool
-    age_s: float
-
-
 class StateMessage(Message, frozen=True, kw_only=True):
     """The newest guidance cycle."""
 
-    phase: str
-    belief: BeliefReport | None
-    shadows: tuple[BeliefReport, ...]
+    decision: DecisionRecord
+    belief: BeliefRecord | None
+    """The estimate that steered."""
+    shadows: tuple[BeliefRecord, ...]
     """Estimates of the paths that do not steer."""
-    order: CommandReport | None
-    """The command; null while guidance sends none."""
-    vehicle: VehicleState | None
-
-
-class MethodReport(Struct, frozen=True, kw_only=True):
-    """The result of one detection method for one frame."""
-
-    d_body_pad_level_m: Vector3
-    yaw_rad: float | None
-    yaw_ambiguous: bool
-    cov: tuple[float, ...]
-    """4x4 covariance, row-major, of [forward, right, down, yaw] in m and rad."""
-    confidence: float
+    vehicle: StatusRecord | None
 
 
 class SightingMessage(Message, frozen=True, kw_only=True):
     """The newest frame and its result. `at_ns` is the instant when vision finished the frame."""
 
-    measured_at_ns: int
-    """Instant of mid-exposure, ns."""
-    sequence: int
-    verdict: str
-    chosen: str | None
-    """The detection method that was selected for the frame."""
-    selected: MethodReport | None
-    methods: dict[str, MethodReport | None]
-    things: tuple[ThingReport, ...] = ()
-    """Objects on the pad and about it."""
+    detection: DetectionRecord
 
 
 class SourceReport(Struct, frozen=True, kw_only=True):
-    """The estimator's results for one source of measurements: the newest result and the counts so far."""
+    """The estimator's newest result for one source of measurements on one path, and the counts so far."""
 
-    measured_at_ns: int
-    verdict: str
-    components: tuple[str, ...]
-    """Names of the innovation's components, each with its unit."""
-    innovation: tuple[float, ...] | None
-    """Measured minus predicted value of each component; null if nothing was compared."""
-    innovation_var: tuple[float, ...] | None
-    """Variance of each component of the innovation, as the estimator claims it."""
-    nis: float | None
-    """Normalised innovation squared."""
-    test_ratio: float | None
-    """NIS divided by the gate's limit; the gate refuses a value above 1."""
+    newest: FusionRecord
     nis_mean: float | None
     """Recent mean of NIS divided by the number of components; it is 1 when the covariance is consistent."""
     verdicts: dict[str, int]
@@ -137,48 +66,13 @@ class SourceReport(Struct, frozen=True, kw_only=True):
 class FusionMessage(Message, frozen=True, kw_only=True):
     """The estimator's results for each path and source of measurements."""
 
-    paths: dict[str, dict[str, SourceReport]]
-    """Reports by path, then by source."""
+    sources: tuple[SourceReport, ...]
 
 
-class PartReport(Struct, frozen=True, kw_only=True):
-    """State of one part of the service."""
-
-    up: bool
-    age_s: float
-    restarts: int
-    last_error: str
-
-
-class FlowReport(Struct, frozen=True, kw_only=True):
-    """Count, age of the newest item in seconds, and rate in Hz, of one flow."""
-
-    count: int
-    age_s: float | None
-    rate_hz: float | None
-
-
-class StageReport(Struct, frozen=True, kw_only=True):
-    """Median and 99th percentile of the time of one stage, seconds."""
-
-    count: int
-    p50_s: float | None
-    p99_s: float | None
-
-
-class HealthReport(Message, frozen=True, kw_only=True):
+class HealthMessage(Message, frozen=True, kw_only=True):
     """Health of the service."""
 
-    all_up: bool
-    """True if every part of the service is up."""
-    flight_up: bool = True
-    """True if the parts that the flight needs are up; drones that did not distinguish them leave it out."""
-    parts: dict[str, PartReport]
-    flows: dict[str, FlowReport]
-    frames: dict[str, int]
-    inputs: dict[str, dict[str, int]]
-    stages: dict[str, StageReport]
-    counters: dict[str, dict[str, float]]
+    health: HealthRecord
 
 
 class EventMessage(Message, frozen=True, kw_only=True):
@@ -216,7 +110,7 @@ class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", fo
     expires_ns: int
     """Expiry on the drone's clock, ns: the newest `at_ns` received plus the time that the command may take to arrive."""
     reply_to: str | None = None
-    """Topic of the reply: `decklander/v1/<drone>/reply` (the default) or a topic one level below it."""
+    """Topic of the reply: `decklander/v2/<drone>/reply` (the default) or a topic one level below it."""
 
 
 class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
@@ -304,7 +198,7 @@ PUBLISHED: dict[str, type[Message]] = {
     "state": StateMessage,
     "sighting": SightingMessage,
     "fusion": FusionMessage,
-    "health": HealthReport,
+    "health": HealthMessage,
     "event": EventMessage,
     "operator": OperatorNotice,
     "reply": CommandReply,

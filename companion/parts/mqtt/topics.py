@@ -1,9 +1,9 @@
-"""The names of the topics: `decklander/v1/<drone>/...`. A fleet shares a broker; the version changes when a meaning does."""
+"""The names of the topics: `decklander/v2/<drone>/...`. A fleet shares a broker; the version changes when a meaning does."""
 
 import re
 from dataclasses import dataclass
 
-ROOT = "decklander/v1"
+ROOT = "decklander/v2"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from companion.parts.mqtt.messages import (
     PUBLISHED,
     EventMessage,
-    HealthReport,
+    HealthMessage,
     SightingMessage,
     StateMessage,
     StatusMessage,
@@ -69,7 +69,7 @@ class DroneModel:
     status: StatusMessage | None = None
     state: StateMessage | None = None
     sighting: SightingMessage | None = None
-    health: HealthReport | None = None
+    health: HealthMessage | None = None
     events: deque[EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
     traffic: Traffic = field(default_factory=Traffic)
@@ -98,7 +98,7 @@ class DroneModel:
                 self.state = message
             case SightingMessage():
                 self.sighting = message
-            case HealthReport():
+            case HealthMessage():
                 self.health = message
             case EventMessage():
                 return self._event(message)

@@ -3,13 +3,17 @@
 import math
 import unicodedata
 from collections.abc import Callable
+from typing import get_args
 
-from companion.parts.mqtt.messages import EventMessage, StageReport
+from companion.facts.records import StageRecord
+from companion.parts.mqtt.messages import EventMessage
 from companion.parts.mqtt.watch_model import DroneModel, WatchModel
+from estimator.contracts.estimates import Method
 from estimator.contracts.motion import G_M_S2
 
 STALE_S = 3.0
 _RED, _GREEN, _YELLOW, _BOLD, _DIM = "31", "32", "33", "1", "2"
+_METHODS = tuple(method for method in get_args(Method) if method != "selected")
 Paint = Callable[[str, str], str]
 
 
@@ -41,7 +45,7 @@ def line(drone: DroneModel, event: EventMessage | None) -> str:
         return f"{drone.name} {_online(drone)}"
     vehicle = drone.state.vehicle
     battery = "" if vehicle is None or vehicle.battery_fraction is None else f" battery {100 * vehicle.battery_fraction:.0f} %"
-    return f"{drone.name} {_online(drone)} {_clean(drone.state.phase)}: {_where(drone)}{battery}"
+    return f"{drone.name} {_online(drone)} {_clean(drone.state.decision.phase)}: {_where(drone)}{battery}"
 
 
 def _head(model: WatchModel, paint: Paint) -> str:
@@ -58,7 +62,7 @@ def _fleet(model: WatchModel, now_s: float, paint: Paint) -> list[str]:
         state = drone.state
         vehicle = None if state is None else state.vehicle
         battery = "--" if vehicle is None or vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
-        phase = "--" if state is None else _clean(state.phase)
+        phase = "--" if state is None else _clean(state.decision.phase)
         messages, size = drone.traffic.each_second(now_s)
         online = _pad_to(_coloured_online(drone, now_s, paint), 8)
         lines.append(f"{name[:16]:<16} {online} {phase[:24]:<24} {battery:<8} {messages:>10.1f} {size / 1e3:>6.1f}")
@@ -72,11 +76,11 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
     if state is not None:
         age = drone.arrivals["state"].age_s(now_s)
         old = paint(f"   {age:.0f} s old", _RED) if age is not None and age > STALE_S else ""
-        lines.append(f"phase    {paint(_clean(state.phase), _BOLD)}{old}")
+        lines.append(f"phase    {paint(_clean(state.decision.phase), _BOLD)}{old}")
         lines.append(f"pad      {_where(drone)}")
         if state.belief is not None:
-            path, sigma, v = state.belief.path, state.belief.sigma_d_m, state.belief.v_pad_level_m_s
-            beside_cm, height_cm = 100 * max(sigma[0], sigma[1]), 100 * sigma[2]
+            path, cov, v = _clean(state.belief.path), state.belief.cov, state.belief.v_pad_level
+            beside_cm, height_cm = (100 * math.sqrt(max(0.0, var)) for var in (max(cov[0], cov[8]), cov[16]))
             yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
             alert = "" if state.belief.consistent else paint("   inconsistent", _RED)
             lines.append(
@@ -86,8 +90,9 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
         lines.append(f"order    {_order(drone)}")
         lines.append(f"vehicle  {_vehicle(drone, paint)}")
     if drone.sighting is not None:
-        seen = ", ".join(name for name, found in drone.sighting.methods.items() if found is not None) or "nothing"
-        lines.append(f"frame    {drone.sighting.sequence}: {_clean(drone.sighting.verdict)}; seen by {_clean(seen)}")
+        frame = drone.sighting.detection
+        seen = ", ".join(name for name in _METHODS if getattr(frame, name) is not None) or "nothing"
+        lines.append(f"frame    {frame.seq}: {_clean(frame.verdict)}; seen by {seen}")
     rates = "   ".join(f"{kind} {_rate(a.rate_hz(now_s))}" for kind, a in sorted(drone.arrivals.items()) if kind != "status")
     lines.append(f"rates    {rates}")
     if drone.missing or drone.copies or drone.malformed:
@@ -96,21 +101,22 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
 
 
 def _health(drone: DroneModel, width: int, paint: Paint) -> list[str]:
-    health = drone.health
-    if health is None:
+    if drone.health is None:
         return []
+    health = drone.health.health
     lines = ["", paint(f"{'PART':<12} {'':<6} {'SINCE':>8}  FAILURES", _BOLD)]
-    for name, part in health.parts.items():
+    for part in health.parts:
         word = paint("up", _GREEN) if part.up else paint("down", _RED)
         error = f"  {_clean(part.last_error)}" if part.last_error and not part.up else ""
-        lines.append(f"{_clean(name):<12} {_pad_to(word, 6)} {_seconds(part.age_s):>8}  {part.restarts}{error}")
+        lines.append(f"{_clean(part.name):<12} {_pad_to(word, 6)} {_seconds(part.age_s):>8}  {part.restarts}{error}")
+    frames = [tally for tally in health.tallies if tally.kind == "Frame"]
     lines += [
         "",
-        *_wrapped("flows", [f"{_clean(n)} {_rate(f.rate_hz)}" for n, f in sorted(health.flows.items())], width),
-        *_wrapped("stages", [f"{_clean(n).replace('_', ' ')} {_stage(s)}" for n, s in sorted(health.stages.items())], width),
-        *_wrapped("frames", [f"{_clean(n).replace('_', ' ')} {c}" for n, c in sorted(health.frames.items())], width),
+        *_wrapped("flows", sorted(f"{_clean(f.name)} {_rate(f.rate_hz)}" for f in health.flows), width),
+        *_wrapped("stages", sorted(f"{_clean(s.name).replace('_', ' ')} {_stage(s)}" for s in health.stages), width),
+        *_wrapped("frames", sorted(f"{_clean(t.verdict).replace('_', ' ')} {t.count}" for t in frames), width),
     ]
-    mqtt = health.counters.get("mqtt", {})
+    mqtt = {c.name: c.value for c in health.counters if c.part == "mqtt"}
     if mqtt:
         lines.append(
             f"mqtt     events delivered {mqtt.get('events_delivered', 0):.0f}, waiting {mqtt.get('events_waiting', 0):.0f}, "
@@ -138,37 +144,39 @@ def _where(drone: DroneModel) -> str:
     belief = None if drone.state is None else drone.state.belief
     if belief is None:
         return "not seen yet"
-    forward, right, down = belief.d_body_pad_level_m
+    forward, right, down = belief.d_body_pad_level
     return (
         f"height {down:5.2f} m   beside {math.hypot(forward, right):5.2f} m   forward {forward:+.2f} right {right:+.2f}"
-        f"   seen {belief.sighted_age_s:.1f} s ago"
+        f"   seen {1e-9 * (belief.at_ns - belief.sighted_ns):.1f} s ago"
     )
 
 
 def _order(drone: DroneModel) -> str:
-    order = None if drone.state is None else drone.state.order
-    if order is None:
+    decision = None if drone.state is None else drone.state.decision
+    if decision is None or decision.command is None:
         return "none"
-    if order.v_level_m_s is None or order.yaw_rate_rad_s is None:
-        return order.kind
-    forward, right, down = order.v_level_m_s
-    turn = f"turn {math.degrees(order.yaw_rate_rad_s):+.0f} deg/s"
-    if order.lean_level_m_s2 is not None:
-        ahead, beside = (math.degrees(math.atan(a / G_M_S2)) for a in order.lean_level_m_s2)
+    if decision.v_level is None or decision.yaw_rate_rad_s is None:
+        return _clean(decision.command)
+    forward, right, down = decision.v_level
+    turn = f"turn {math.degrees(decision.yaw_rate_rad_s):+.0f} deg/s"
+    if decision.a_level is not None:
+        trim = decision.trim_level or [0.0, 0.0]
+        ahead, beside = (math.degrees(math.atan((a + t) / G_M_S2)) for a, t in zip(decision.a_level, trim, strict=True))
         return f"lean forward {ahead:+.1f} right {beside:+.1f} deg   down {down:+.2f} m/s   {turn}"
     return f"forward {forward:+.2f} right {right:+.2f} down {down:+.2f} m/s   {turn}"
 
 
 def _vehicle(drone: DroneModel, paint: Paint) -> str:
-    vehicle = None if drone.state is None else drone.state.vehicle
-    if vehicle is None:
+    state = drone.state
+    if state is None or (vehicle := state.vehicle) is None:
         return "has sent nothing yet"
     battery = "--" if vehicle.battery_fraction is None else f"{100 * vehicle.battery_fraction:.0f} %"
     if vehicle.battery_fraction is not None and vehicle.battery_fraction < 0.2:
         battery = paint(battery, _RED)
     trouble = paint("   EMERGENCY", _RED) if vehicle.emergency else ""
     trouble += "" if vehicle.link_ok else paint("   link lost", _RED)
-    return f"{_clean(vehicle.mode)}   battery {battery}   received {vehicle.age_s:.1f} s ago{trouble}"
+    age_s = 1e-9 * (state.at_ns - vehicle.stamp.received_at_ns)
+    return f"{_clean(vehicle.mode)}   battery {battery}   received {age_s:.1f} s ago{trouble}"
 
 
 def _online(drone: DroneModel) -> str:
@@ -189,7 +197,7 @@ def _rate(rate_hz: float | None) -> str:
     return "--" if rate_hz is None else f"{rate_hz:.1f}/s"
 
 
-def _stage(stage: StageReport) -> str:
+def _stage(stage: StageRecord) -> str:
     if stage.p50_s is None or stage.p99_s is None:
         return "--"
     return f"{1e3 * stage.p50_s:.1f} ms (p99 {1e3 * stage.p99_s:.1f})"

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from companion.base.orders import OperatorOrder, StickPositions
-from companion.base.wire import (
+from companion.facts.wire import (
     LINE_MAX,
     FlightState,
     OrderAnswer,

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
-from companion.base.wire import (
+from companion.facts.wire import (
     LINE_MAX,
     OrderAnswer,
     OrderRequest,

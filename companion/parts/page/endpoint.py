@@ -23,8 +23,8 @@ from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.things import ThingReport, things_of
-from companion.base.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
 from companion.base.worker import Worker
+from companion.facts.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot

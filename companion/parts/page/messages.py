@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.base.things import ThingReport
-from companion.base.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
+from companion.facts.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
 from companion.parts.page.tool_messages import SaveSettingsRequest, ToolAnswer, ToolRequest
 
 TEXT_MAX = 1024

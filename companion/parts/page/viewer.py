@@ -11,7 +11,7 @@ from collections.abc import Callable
 from aiohttp import WSMsgType, web
 
 from companion.base.orders import OrderSender
-from companion.base.wire import RequestRefused
+from companion.facts.wire import RequestRefused
 from companion.parts.page.messages import PageRequest, PageState, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
 from drivers.mailbox import Latest, Line

@@ -22,9 +22,9 @@ from typing import Literal, ParamSpec
 from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
+from companion.facts import encode
+from companion.facts import records as rec
 from companion.parts.recorder.storage_policy import StoragePolicy, in_words
-from companion.recording import encode
-from companion.recording import records as rec
 from companion.recording.mcap_file import About, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.settings.recorder import RecorderOptions

@@ -18,11 +18,12 @@ from msgspec.structs import replace
 from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder
+from companion.facts import encode
+from companion.facts.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.recording import decode, encode
+from companion.recording import decode
 from companion.recording.reading import CAMERA, PAD, Event, RecordedFrame, Recording, instant
-from companion.recording.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator import pipeline

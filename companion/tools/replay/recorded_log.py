@@ -10,10 +10,10 @@ from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
+from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.recording.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.tools.report.expected_place import expected_in_body, held_rotation, less_innovation
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (

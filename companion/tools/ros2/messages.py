@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from companion.base.observer import Decision
-from companion.recording import records as rec
+from companion.facts import records as rec
 from companion.recording.decode import held_rotation
 from companion.recording.frame_video import VideoImage
 from companion.recording.message_encoder import packed

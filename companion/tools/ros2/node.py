@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from companion.facts import records as rec
 from companion.recording import channels
-from companion.recording import records as rec
 from companion.recording.reading import FOR_VIEWERS, NOT_UNDERSTOOD, EventAssembly, instant
 from companion.tools.ros2.live_client import LiveClient
 from companion.tools.ros2.messages import RosMessages

@@ -13,8 +13,8 @@ import av
 import numpy as np
 import pytest
 
+from companion.facts.records import LinkRecord
 from companion.recording.reading import open_recording
-from companion.recording.records import LinkRecord
 from drivers.mavlink.dialect import mav
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.waiting import free_port, until

@@ -28,7 +28,7 @@ from tests.support.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, 
 from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
-TREE = "decklander/v1/deck/"
+TREE = "decklander/v2/deck/"
 KEY = bytes(range(32))
 NOW = MonoNs(5_000_000_000)
 
@@ -49,7 +49,7 @@ def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
         (b"", "unsigned"),
         (b"0" * 64 + b" " + body(), "bad_signature"),
         (signed(bytes(32), TREE + "command", body()), "bad_signature"),
-        (signed(KEY, "decklander/v1/other/command", body()), "bad_signature"),
+        (signed(KEY, "decklander/v2/other/command", body()), "bad_signature"),
         (good[:-1] + b" }", "bad_signature"),
         (signed(KEY, TREE + "command", body(run=SESSION)), "other_run"),
         (signed(KEY, TREE + "command", body(run="\ud800")), "malformed"),
@@ -158,7 +158,7 @@ async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothin
     """The shipped access list lets the display read, and the ground command."""
     acl = (ROOT / "configs/broker/decklander.acl").read_text().replace("user display", "user mute")
     broker.stop()
-    drone = "\nuser drone\ntopic write decklander/v1/deck/#\ntopic read decklander/v1/deck/command\n"
+    drone = "\nuser drone\ntopic write decklander/v2/deck/#\ntopic read decklander/v2/deck/command\n"
     (broker.folder / "acl").write_text(acl + drone)
     broker.start()
     async with (
@@ -166,7 +166,7 @@ async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothin
         listening(broker, tmp_path, state_hz=20.0, health_hz=10.0) as (rig, ground),
         asyncio.timeout(60),
     ):
-        await display.subscribe([("decklander/#", 1), ("decklander/v1/deck/operator", 1)])
+        await display.subscribe([("decklander/#", 1), ("decklander/v2/deck/operator", 1)])
         command = body(expires_ns=rig.clock.now() + 30 * 10**9)
         await display.publish_message(TREE + "command", command, qos=1)
         await ground.publish_message(TREE + "command", command.replace(b"start", b"pause"), qos=1)
@@ -201,5 +201,5 @@ def test_openssl_in_the_docs_makes_the_same_signature(tmp_path: Path, key_file: 
     assert match is not None
     (tmp_path / "body.json").write_bytes(body())
     done = subprocess.run(["sh", "-c", match[1]], cwd=tmp_path, capture_output=True, check=True)
-    assert done.stdout == signed(KEY, "decklander/v1/alpha/command", body())
-    assert done.stdout[:64] == hmac.new(KEY, b"decklander/v1/alpha/command\n" + body(), hashlib.sha256).hexdigest().encode()
+    assert done.stdout == signed(KEY, "decklander/v2/alpha/command", body())
+    assert done.stdout[:64] == hmac.new(KEY, b"decklander/v2/alpha/command\n" + body(), hashlib.sha256).hexdigest().encode()

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection
-from companion.parts.mqtt.messages import CommandReply, FusionMessage, HealthReport, StateMessage, StatusMessage, decode
+from companion.parts.mqtt.messages import CommandReply, FusionMessage, HealthMessage, StateMessage, StatusMessage, decode
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from tests.support.mosquitto import Broker, on_message
@@ -20,7 +20,7 @@ from tests.support.mqtt_service import RUN, decision, running, status
 from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
-TREE = "decklander/v1/deck/"
+TREE = "decklander/v2/deck/"
 
 
 async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
@@ -45,20 +45,20 @@ async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(
             assert rig.count("fusion_sent") <= reported, "what is not new is not said again"
     fusion = received_at["fusion"]
     assert isinstance(fusion, FusionMessage)
-    assert fusion.paths["ekf"]["sighting"].verdict == "no_attitude"
+    assert [(s.newest.path, s.newest.source, s.newest.verdict) for s in fusion.sources] == [("ekf", "sighting", "no_attitude")]
     assert isinstance(received_at["status"], StatusMessage)
     assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
     state = received_at["state"]
     assert isinstance(state, StateMessage)
     assert state.belief is not None
-    assert state.belief.d_body_pad_level_m == (0.3, -0.2, 2.0)
-    assert state.belief.sigma_v_m_s == pytest.approx((0.4, 0.5, 0.6))
-    assert state.order is not None
-    assert (state.order.kind, state.order.v_level_m_s, state.order.yaw_rate_rad_s) == ("velocity", (0.4, 0.5, 0.6), 0.7)
+    assert state.belief.d_body_pad_level == [0.3, -0.2, 2.0]
+    assert state.belief.cov[24::8] == pytest.approx([0.16, 0.25, 0.36, 0.49])
+    sent = state.decision
+    assert (sent.command, sent.v_level, sent.yaw_rate_rad_s) == ("velocity", [0.4, 0.5, 0.6], 0.7)
     assert state.vehicle is not None
     assert state.vehicle.mode == "flying"
-    assert isinstance(received_at["health"], HealthReport)
-    assert received_at["health"].parts["broker"].up
+    assert isinstance(received_at["health"], HealthMessage)
+    assert any(part.name == "broker" and part.up for part in received_at["health"].health.parts)
 
 
 async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
     async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
         await until(lambda: rig.count("events_delivered") >= 1)
         command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
-        await ground.publish_message("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
+        await ground.publish_message("decklander/v2/drone/command", json.dumps(command).encode(), qos=1)
         await until(lambda: rig.operator.done == ["pause"])
     async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
         await until(lambda: rig.count("connection_failures") + rig.count("events_refused") >= 1)

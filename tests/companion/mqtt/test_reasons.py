@@ -17,7 +17,7 @@ from companion.settings.mqtt import MqttSettings
 from tests.support.mqtt_service import SESSION, running
 from tests.support.waiting import until
 
-STATUS = "decklander/v1/drone/status"
+STATUS = "decklander/v2/drone/status"
 DAYS_200_S = 200 * 86400.0
 
 

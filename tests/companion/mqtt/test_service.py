@@ -8,11 +8,19 @@ from pathlib import Path
 from typing import TypeVar
 
 from companion.parts.mqtt.commands import signed
-from companion.parts.mqtt.messages import CommandReply, EventMessage, HealthReport, Message, OperatorNotice, StatusMessage, decode
+from companion.parts.mqtt.messages import (
+    CommandReply,
+    EventMessage,
+    HealthMessage,
+    Message,
+    OperatorNotice,
+    StatusMessage,
+    decode,
+)
 from tests.support.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]
-TREE = "decklander/v1/deck/"
+TREE = "decklander/v2/deck/"
 RIG = """
 [vehicle]
 kind = "ardrone"
@@ -74,7 +82,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
             raise AssertionError
 
         async def ask(**fields: object) -> CommandReply:
-            health = await wait(HealthReport)
+            health = await wait(HealthMessage)
             command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 30 * 10**9, **fields}
             await ground.publish_message(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
             return await wait(CommandReply)

@@ -34,7 +34,7 @@ async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_wit
         assert "no place from the ship yet" in service.missing()
         await until(lambda: service.counted("mqtt").get("connections", 0) == 1)
         forged = {"run": "0" * 32, "at_ns": 1, "latitude_deg": 54.4, "longitude_deg": 10.2}
-        await without_key.publish_message("decklander/v1/deck/vessel", json.dumps(forged).encode(), qos=1)
+        await without_key.publish_message("decklander/v2/deck/vessel", json.dumps(forged).encode(), qos=1)
         child = await asyncio.create_subprocess_exec(
             *(sys.executable, str(ROOT / "examples/ship_reports.py"), *words, "deck", str(key_file)),
             stdin=asyncio.subprocess.PIPE,

@@ -187,7 +187,7 @@ async def test_a_flood_of_commands_is_cut_off(broker: Broker, tmp_path: Path) ->
             flying = group.create_task(flight.fly())
             for k in range(3000):
                 command = {"command": "pause", "id": f"f{k}", "run": RUN, "expires_ns": rig.clock.now() + 10**10}
-                await ground.publish_message("decklander/v1/deck/command", json.dumps(command).encode())
+                await ground.publish_message("decklander/v2/deck/command", json.dumps(command).encode())
             await until(lambda: rig.count("floods") >= 1)
             await until(lambda: rig.count("connections") >= 2)
             flying.cancel()
@@ -228,9 +228,9 @@ async def test_a_client_certificate_where_one_is_required(broker: Broker, tmp_pa
 async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> None:
     async with running(broker.settings(protocol="3.1.1"), tmp_path / "spool") as rig, broker.ground() as ground:
         await until(lambda: rig.count("connections") == 1)
-        await ground.subscribe("decklander/v1/deck/reply", qos=1)
+        await ground.subscribe("decklander/v2/deck/reply", qos=1)
         command = {"command": "start", "id": "a", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
-        await ground.publish_message("decklander/v1/deck/command", json.dumps(command).encode(), qos=1)
+        await ground.publish_message("decklander/v2/deck/command", json.dumps(command).encode(), qos=1)
         async with asyncio.timeout(60):
             assert b'"accepted":true' in (await anext(ground.publications())).payload
         assert rig.operator.done == ["start"]

@@ -18,9 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
-from companion.base.wire import FlightState, answer_of, request_of
 from companion.cli.fly import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
+from companion.facts.wire import FlightState, answer_of, request_of
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.parts.operator.client import answers, connected, running, socket_path

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from companion.base.observer import Decision
 from companion.cli import main as cli
+from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.recording.records import TruthRecord
 from companion.tools.ros2 import bag
 from companion.tools.ros2.messages import RosMessages
 from companion.tools.ros2.typestore import typestore

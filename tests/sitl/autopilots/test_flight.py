@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
+from companion.facts.records import TruthRecord
 from companion.recording.reading import open_recording
-from companion.recording.records import TruthRecord
 from tests.fly import NEAR
 from tests.support.processes import gone, started
 from tests.support.waiting import wait_until

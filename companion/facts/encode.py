@@ -1,4 +1,4 @@
-"""Encode the events that the service passes to its observers as the messages of a recording."""
+"""Encode what the service passes to its observers as records."""
 
 import math
 
@@ -10,7 +10,7 @@ from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseInUse
-from companion.recording import records as rec
+from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
@@ -69,10 +69,15 @@ def sample(of: Sample) -> rec.SampleRecord:
                 None if of.v_ned is None else of.v_ned.tolist(),
             )
         case VehicleStatus():
-            return rec.StatusRecord(
-                stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3,
-                of.tilt_max_deg,
-            )  # fmt: skip
+            return status(of)
+
+
+def status(of: VehicleStatus) -> rec.StatusRecord:
+    """Return the record of a vehicle's status."""
+    return rec.StatusRecord(
+        stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3,
+        of.tilt_max_deg,
+    )  # fmt: skip
 
 
 def stamp(of: Stamp) -> rec.StampRecord:
@@ -234,10 +239,17 @@ def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
     return rec.HealthRecord(
         int(at),
         [rec.PartRecord(name, p.up, p.age_s, p.restarts, p.last_error) for name, p in of.parts.items()],
-        [rec.FlowRecord(name, f.count, f.rate_hz) for name, f in of.flows.items()],
+        [rec.FlowRecord(name, f.count, f.rate_hz, f.age_s) for name, f in of.flows.items()],
         tallies,
         [rec.StageRecord(name, s.count, s.p50_s, s.p99_s) for name, s in of.stages.items()],
-        [rec.CounterRecord(part, name, float(n)) for part, counts in of.counters.items() for name, n in counts.items()],
+        [
+            rec.CounterRecord(part, name, float(n))
+            for part, counts in of.counters.items()
+            for name, n in counts.items()
+            if math.isfinite(n)
+        ],
+        of.all_up,
+        of.flight_up,
     )
 
 

@@ -1,4 +1,4 @@
-"""The project's own message types in a recording. They can be plotted directly and replayed bit for bit.
+"""What is reported of a flight: one type for each fact. A recording of them can be plotted directly and replayed bit for bit.
 
 Vectors and matrices (row by row) are lists of numbers in SI units and radians, named as in `estimator.contracts`; instants are
 whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
@@ -12,6 +12,8 @@ _FARTHEST_NS = 1 << 62
 Instant = Annotated[int, Meta(ge=-_FARTHEST_NS, le=_FARTHEST_NS)]
 """An instant, ns. Half the range of 64 bits is allowed, so that the sum or difference of two instants fits as well."""
 Count = Annotated[int, Meta(ge=0, le=_FARTHEST_NS)]
+Vector2 = Annotated[list[float], Meta(min_length=2, max_length=2)]
+Vector3 = Annotated[list[float], Meta(min_length=3, max_length=3)]
 Pixels = Annotated[int, Meta(ge=1, le=65_535)]
 
 
@@ -209,9 +211,10 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
 
     at_ns: Instant
     path: str
-    d_body_pad_level: list[float]
-    v_pad_level: list[float]
-    cov: list[float]
+    d_body_pad_level: Vector3
+    v_pad_level: Vector3
+    cov: Annotated[list[float], Meta(min_length=49, max_length=49)]
+    """Covariance (7, 7) row by row, of the two vectors and the yaw."""
     sighted_ns: Instant
     consistent: bool
     height_m: float
@@ -300,13 +303,13 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """Path of the estimate that steered; left out if there was none."""
     command: str | None = None
     """velocity, tilt, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
-    v_level: list[float] | None = None
+    v_level: Vector3 | None = None
     yaw_rate_rad_s: float | None = None
     reason: str = ""
     """Reason for anything other than a plain descent."""
-    a_level: list[float] | None = None
+    a_level: Vector2 | None = None
     """Acceleration of a tilt, m/s^2 forward and right."""
-    trim_level: list[float] | None = None
+    trim_level: Vector2 | None = None
     """Acceleration that a tilt adds against wind and drag, m/s^2 forward and right."""
     transitions: list[TransitionRecord] = []
     """State changes since the previous decision, in order."""
@@ -381,11 +384,12 @@ class PartRecord(Struct, frozen=True):
 
 
 class FlowRecord(Struct, frozen=True, omit_defaults=True):
-    """Count and rate of one flow."""
+    """Count, rate and age of the newest item of one flow."""
 
     name: str
     count: Count
     rate_hz: float | None = None
+    age_s: float | None = None
 
 
 class TallyRecord(Struct, frozen=True):
@@ -422,6 +426,10 @@ class HealthRecord(Struct, frozen=True):
     tallies: list[TallyRecord]
     stages: list[StageRecord]
     counters: list[CounterRecord]
+    all_up: bool = True
+    """True if every part of the service is up."""
+    flight_up: bool = True
+    """True if the parts that the flight needs are up; older recordings do not have it."""
 
 
 SampleRecord = (
