@@ -1,1 +1,1 @@
-"""What is reported of a flight, each fact in one schema. Recorder, MQTT, page, live data and bags choose rate and framing."""
+"""The facts that are reported of a flight, each in one schema. Recorder, MQTT, page, live data and bags choose rate and framing."""
