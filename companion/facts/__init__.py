@@ -1,1 +1,1 @@
-"""The facts that are reported of a flight, each in one schema. Recorder, MQTT, page, live data and bags choose rate and framing."""
+"""The facts that are reported of a flight, each in one schema. Recorder, MQTT, page and live data choose rate and framing."""

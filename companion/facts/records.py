@@ -1,4 +1,4 @@
-"""The facts that are reported of a flight: one type for each. A recording of them can be plotted directly and replayed bit for bit.
+"""The facts that are reported of a flight, one type each. A recording of them can be plotted, and replayed bit for bit.
 
 Vectors and matrices (row by row) are lists of numbers in SI units and radians, named as in `estimator.contracts`; instants are
 whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
