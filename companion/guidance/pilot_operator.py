@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
+from companion.facts.wire import OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName
@@ -32,6 +33,15 @@ class PilotOperator:
     def order(self, order: OperatorOrder) -> str | None:
         """Give an order to the arbiter."""
         return self.arbiter.take(order, self._sender, self._clock.now()).refusal
+
+    def answer(self, request: OrderRequest) -> OrderAnswer:
+        """Give the order of a screen to the arbiter, and return the answer; a path and recording are not ordered there."""
+        if request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+            refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
+        else:
+            refusal = self.order(request.order)
+        text = "accepted" if refusal is None else f"refused: {refusal}"
+        return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
 
     def start(self) -> str | None:
         """Begin the approach, or resume it."""

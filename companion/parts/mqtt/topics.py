@@ -29,22 +29,6 @@ class Topics:
         return self.of("status")
 
     @property
-    def state(self) -> str:
-        return self.of("state")
-
-    @property
-    def sighting(self) -> str:
-        return self.of("sighting")
-
-    @property
-    def fusion(self) -> str:
-        return self.of("fusion")
-
-    @property
-    def health(self) -> str:
-        return self.of("health")
-
-    @property
     def event(self) -> str:
         return self.of("event")
 

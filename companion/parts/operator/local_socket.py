@@ -15,10 +15,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from companion.base.observer import Decision, NullObserver
-from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.base.orders import OrderSender, OrderSource
 from companion.facts.wire import (
     LINE_MAX,
-    OrderAnswer,
     OrderRequest,
     RequestRefused,
     SticksRequest,
@@ -168,9 +167,8 @@ class _Connection(asyncio.Protocol):
         request = request_of(line) if len(line) <= LINE_MAX else f"a line has at most {LINE_MAX} bytes"
         match request:
             case OrderRequest():
-                refusal = self._order(request.order)
-                text = "accepted" if refusal is None else f"refused: {refusal}"
-                self._send(line_of(OrderAnswer(number=request.number, accepted=refusal is None, text=text)))
+                operator = PilotOperator(self._served.pilot, self._sender, self._served.clock)
+                self._send(line_of(operator.answer(request)))
             case SticksRequest():
                 self._served.pilot.operator.move(self._sender, request.positions, now)
             case WatchRequest():
@@ -178,11 +176,6 @@ class _Connection(asyncio.Protocol):
                 self.send_state()
             case str():
                 self._refuse(request)
-
-    def _order(self, order: OperatorOrder) -> str | None:
-        if order in (OperatorOrder.PATH, OperatorOrder.RECORD):
-            return f"{order.value} is an order of MQTT and MAVLink"
-        return PilotOperator(self._served.pilot, self._sender, self._served.clock).order(order)
 
     def _send(self, data: bytes) -> None:
         if self._transport is not None and not self._transport.is_closing():

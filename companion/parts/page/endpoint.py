@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from aiohttp import WSMsgType, web
@@ -24,7 +25,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.things import ThingReport, things_of
 from companion.base.worker import Worker
-from companion.facts.wire import OrderAnswer, OrderRequest, RequestRefused, SticksRequest
+from companion.facts.wire import OrderRequest, RequestRefused, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
@@ -54,7 +55,7 @@ from companion.parts.page.messages import (
 )
 from companion.parts.page.recordings import Recordings, ReportMaker
 from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, place, video_quality
-from companion.parts.page.tool import Tool, flying
+from companion.parts.page.tool_messages import ToolRequest
 from companion.parts.page.viewer import PageViewer
 from companion.recording.frame_encoder import FrameEncoder, codec_name
 from companion.tools.report.expected_place import camera_lean
@@ -81,6 +82,28 @@ _THINGS_S = 1.0
 _LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60
 """Events that are kept for a browser that comes later."""
+
+
+class Tool(Protocol):
+    """Something that the page offers beside the flight: work that takes time or the link is done only on the ground."""
+
+    kinds: tuple[type, ...]
+    """The requests that it answers."""
+
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        """Take a request and return at once; the answer goes to the viewer, now or later."""
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        """Look at a frame; it must be quick."""
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+
+
+def flying(pilot: Pilot) -> bool:
+    """Return whether the vehicle reports that it flies."""
+    status = pilot.vehicle
+    return status is not None and bool(status.flying)
 
 
 class PageEndpoint(NullObserver):
@@ -177,7 +200,7 @@ class PageEndpoint(NullObserver):
         """Carry a browser's request out; return why it is refused, which ends the connection."""
         match request:
             case OrderRequest():
-                self._order(viewer, request)
+                viewer.tell(PilotOperator(self._pilot, viewer.sender, self._clock).answer(request))
             case SticksRequest():
                 self._pilot.operator.move(viewer.sender, request.positions, self._clock.now())
             case DrawnNotice():
@@ -199,14 +222,6 @@ class PageEndpoint(NullObserver):
                     if isinstance(request, tool.kinds):
                         tool.ask(viewer, request)
         return None
-
-    def _order(self, viewer: PageViewer, request: OrderRequest) -> None:
-        if request.order not in ORDERS:
-            refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
-        else:
-            refusal = PilotOperator(self._pilot, viewer.sender, self._clock).order(request.order)
-        text = "accepted" if refusal is None else f"refused: {refusal}"
-        viewer.tell(OrderAnswer(number=request.number, accepted=refusal is None, text=text))
 
     async def _recording(self, request: web.Request) -> web.StreamResponse:
         name = self._recordings.redeem(request.match_info["ticket"])

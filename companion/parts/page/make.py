@@ -18,9 +18,8 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
-from companion.parts.page.endpoint import PageEndpoint
+from companion.parts.page.endpoint import PageEndpoint, Tool, flying
 from companion.parts.page.settings_tool import ARMED, NO_FILE, SettingsTool
-from companion.parts.page.tool import Tool, flying
 from companion.parts.page.tool_messages import (
     CalibrationReport,
     CalibrationRequest,

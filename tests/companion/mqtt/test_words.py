@@ -190,7 +190,7 @@ def test_the_pad_is_lost_after_a_second_without_it_not_after_one_frame() -> None
 def test_topics_are_one_subtree_a_drone() -> None:
     topics = Topics("deck")
     assert topics.event == "decklander/v2/deck/event"
-    assert split(topics.state) == ("deck", "state")
+    assert split(topics.of("state")) == ("deck", "state")
     assert split("decklander/v2/deck/reply/x") == ("deck", "reply/x")
     for other in ("decklander/v3/deck/state", "decklander/v2/deck", "a/b/c/d", "decklander/v2/ü/state"):
         assert split(other) is None

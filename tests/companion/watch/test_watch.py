@@ -96,7 +96,7 @@ def test_commands_of_others_are_not_the_drones_words() -> None:
     model = full()
     model.on_message(Topics("deck").command, b"{}", 0.0)
     assert model.drones["deck"].malformed == 0
-    model.on_message(Topics("deck").state, b"{}", 0.0)
+    model.on_message(Topics("deck").of("state"), b"{}", 0.0)
     assert model.drones["deck"].malformed == 1
 
 
