@@ -20,25 +20,12 @@ from companion.tools.report.drawing import require_drawing
 from estimator import pipeline
 from estimator.contracts.errors import BadInput, unusable
 from sitl.campaign.code import code_version
-from sitl.campaign.design import (
-    SAMPLED,
-    Falsified,
-    Search,
-    described,
-    factorial,
-    parse_axis,
-    refuse_repeated,
-    refuse_search,
-    sampled,
-)
-from sitl.campaign.figures import VariedPoint, varied_point
-from sitl.campaign.lab import missing_from_lab, require_lab
-from sitl.campaign.overrides import Overridable
+from sitl.campaign.figures import VariedPoint, as_json, by_scenario, by_value, in_columns, in_rows, varied_point
+from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis, refuse_repeated
 from sitl.campaign.plan import (
     AnyPlan,
     CampaignPlan,
     Job,
-    Point,
     SetPlan,
     is_set,
     load_set,
@@ -50,13 +37,11 @@ from sitl.campaign.plan import (
     unpacked,
 )
 from sitl.campaign.random_faults import WORST, Cases, FaultTally, fly_with_random_faults
-from sitl.campaign.report import REPORT, fly_again, render_report
+from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import SoakOptions, soak
 from sitl.campaign.store import (
     FLIGHTS,
     FolderStore,
-    ObjectStore,
-    ResultStore,
     Session,
     flights_in,
     manifest_of,
@@ -65,9 +50,7 @@ from sitl.campaign.store import (
     write_whole,
 )
 from sitl.campaign.summary import CampaignTally, in_words
-from sitl.campaign.tables import PARQUET, as_json, by_scenario, by_value, in_columns, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
-from sitl.campaign.weather_map import AXES, MAP, render_map
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
@@ -122,27 +105,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     where.add_argument(
         "--out",
         metavar="DIR",
-        help="keep the results in this folder, or under a URL that fsspec knows, as s3://bucket/name (default: "
-        "campaigns/NAME-DIGEST, by what is flown)",
+        help="keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)",
     )
-    more = parser.add_argument_group("vary and search")
+    more = parser.add_argument_group("vary")
     more.add_argument(
         "--vary",
         action="append",
         default=[],
         metavar="KEY=SPAN",
         help="fly all seeds at each value of a key: LOW:HIGH:STEP or A,B,C; repeated, at all combinations",
-    )
-    more.add_argument(
-        "--design", choices=SAMPLED, help="fill the ranges LOW:HIGH of --vary with points instead of combining them"
-    )
-    more.add_argument("--points", type=int, metavar="N", help="number of points of --design")
-    more.add_argument(
-        "--search",
-        action="append",
-        default=[],
-        metavar="KEY=LOW:HIGH",
-        help="search the smallest disturbance, from LOW (none) to HIGH, with which the flight of seed FIRST fails, in N flights",
     )
     more.add_argument(
         "--faults",
@@ -188,14 +159,12 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--against goes with --report")
     if args.report:
         require_drawing("--report")
-    plan, points, search = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
+    plan, points = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
     _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
                 session = Session(workforce, store)
-                if search is not None:
-                    return _searched(args, plan, store, session, search)
                 jobs = [Job(seed, point, name) for name in _names(plan) for seed in seeds for point in points]
                 _fly_left(args, plan, store, session, jobs, _by(args, min(workers, len(jobs))))
         except Stopped:
@@ -209,9 +178,9 @@ def _names(plan: AnyPlan) -> Sequence[str]:
     return list(plan.members) if isinstance(plan, SetPlan) else [""]
 
 
-def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
-    if args.vary or args.search or args.design:
-        raise BadInput("--vary, --design and --search go with one scenario, not with several")
+def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point]]:
+    if args.vary:
+        raise BadInput("--vary goes with one scenario, not with several")
     if args.more:
         args.scenario, args.perception = ", ".join(names := [args.scenario, *args.more]), args.perception or "pixels"
         chosen, scenarios = set_of(names), {name: load_scenario(name) for name in names}
@@ -232,7 +201,7 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
     args.perception = None  # each flight says its own when it is to be flown again
     found = {} if args.more else {name: place_of(args.scenario, name) for name in members}
     places = {name: place for name, place in found.items() if place != name}
-    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()], None
+    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()]
 
 
 def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
@@ -274,38 +243,20 @@ def _options(args: argparse.Namespace) -> Iterator[str]:
         yield from ("--faults", args.faults)
 
 
-def _design(
-    args: argparse.Namespace, plan: CampaignPlan, given: Overridable
-) -> tuple[CampaignPlan, list[Point], list[Any] | None]:
-    """Return the plan with its design, the points at which all seeds are flown, and the axes of a search."""
-    if args.vary and args.search:
-        raise BadInput("--vary and --search do not go together")
+def _design(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -> tuple[CampaignPlan, list[Point]]:
+    """Return the plan with its design, and the points at which all seeds are flown."""
     if args.faults is not None:
-        if args.vary or args.search:
-            raise BadInput("--faults does not go with --vary or --search")
-        return _with_random_faults(args, plan, given.scenario), [()], None
-    if (args.design is None) != (args.points is None) or (args.design is not None and not args.vary):
-        raise BadInput("--design, --points and --vary go together")
+        if args.vary:
+            raise BadInput("--faults does not go with --vary")
+        return _with_random_faults(args, plan, given.scenario), [()]
     axes = [parse_axis(text, given, "--vary") for text in args.vary]
     refuse_repeated(axes, "--vary")
-    if args.search:
-        require_lab("--search", "cma")
-        searched = [parse_axis(text, given, "--search") for text in args.search]
-        refuse_repeated(searched, "--search")
-        refuse_search(searched, args.runs)
-        for share in (0.0, 1.0):
-            given.with_values([(axis.key, axis.at(share)) for axis in searched], "--search")
-        return plan.with_design(described("search", searched, runs=args.runs)), [()], searched
     if not axes:
-        return plan, [()], None
-    if args.design is None:
-        points, design = factorial(axes), described("factorial", axes)
-    else:
-        points = sampled(axes, args.design, args.points, args.seed)
-        design = described(args.design, axes, points=args.points, seed=args.seed)
+        return plan, [()]
+    points = factorial(axes)
     for point in points:
         given.with_values(point, "--vary")
-    return plan.with_design(design), points, None
+    return plan.with_design(described("factorial", axes)), points
 
 
 def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: Scenario) -> CampaignPlan:
@@ -314,9 +265,7 @@ def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: 
     return plan.with_design(described("random faults", []))
 
 
-def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> ResultStore:
-    if args.out is not None and "://" in args.out:
-        return ObjectStore(args.out, plan, seeds)
+def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> FolderStore:
     folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plan.digest()}"
     return FolderStore(folder, plan, seeds)
 
@@ -338,7 +287,7 @@ def _by(args: argparse.Namespace, workers: int) -> str:
 
 
 def _fly_left(
-    args: argparse.Namespace, plan: AnyPlan, store: ResultStore, session: Session, jobs: Sequence[Job], by: str
+    args: argparse.Namespace, plan: AnyPlan, store: FolderStore, session: Session, jobs: Sequence[Job], by: str
 ) -> None:
     asked = {job.key for job in jobs}
     left = len(asked - store.keys())
@@ -358,51 +307,7 @@ def _fly_left(
         session.fly(jobs, on_flight)
 
 
-def _searched(args: argparse.Namespace, plan: AnyPlan, store: ResultStore, session: Session, axes: Sequence[Any]) -> int:
-    """Search the smallest disturbance that makes the flight fail; return 0 if nothing in the ranges does, else 1."""
-    kept = {job_of(flight).key: flight for flight in store.flights()}
-    if not args.json:
-        sys.stderr.write(f"searching over {', '.join(a.key for a in axes)} in {args.runs} flights; results in {store.place}\n")
-    with CampaignProgress(args.runs, 0, quiet=args.json) as progress:
-
-        def fly(jobs: Sequence[Job]) -> list[Flight]:
-            def on_flight(flight: Flight) -> None:
-                kept[job_of(flight).key] = flight
-
-            session.fly(dict.fromkeys(jobs), on_flight)
-            flights = [kept[job.key] for job in jobs]
-            for flight in flights:
-                if args.json:
-                    _say(flight)
-                progress.take(flight["grade"] == "failed")
-            return flights
-
-        found = Search(axes, args.seed, args.runs, fly).run()
-    more = {"smallest": None if found is None else _smallest(found, plan)}
-    code = _conclude(args, plan, store, store.keys(), more)
-    if not args.json:
-        output = "nothing in these ranges makes it fail" if found is None else _in_words(found, plan)
-        sys.stdout.write(f"{output}\n")
-    return code
-
-
-def _smallest(found: Falsified, plan: AnyPlan) -> dict[str, Any]:
-    flight = found.flight
-    own = {"size": round(found.size, 4), "varied": flight["varied"], "because": flight["because"]}
-    return {**own, "command": fly_again(flight, plan.options)}
-
-
-def _in_words(found: Falsified, plan: AnyPlan) -> str:
-    values = ", ".join(f"{key} = {value:g}" for key, value in found.flight["varied"].items())
-    return (
-        f"smallest disturbance that makes it fail, {100 * found.size:.0f} % of the ranges: {values}\n"
-        f"because: {found.flight['because']}\nagain: {fly_again(found.flight, plan.options)}"
-    )
-
-
-def _conclude(
-    args: argparse.Namespace, plan: AnyPlan, store: ResultStore, asked: set[str], more: dict[str, Any] | None = None
-) -> int:
+def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked: set[str]) -> int:
     counted = CampaignTally()
     points: list[VariedPoint] = []
     shared: dict[tuple[Any, ...], dict[str, Any]] = {}  # of a million flights at nine points nine values are kept
@@ -411,8 +316,8 @@ def _conclude(
         if "varied" in flight:
             varied, good, error_m = varied_point(flight)
             points.append((shared.setdefault(tuple(varied.values()), varied), good, error_m))
-    effects = [] if more else by_value(points)  # a search looks for one flight, and not for shares
-    summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place, **(more or {})}
+    effects = by_value(points)
+    summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
     each = by_scenario(plan.identity()["members"], _asked(store, asked)) if isinstance(plan, SetPlan) else []
     if each:
         summary["scenarios"] = [one.as_json() for one in each]
@@ -426,10 +331,6 @@ def _conclude(
             tally.take(flight)
         summary["random_faults"] = tally.as_json()
         files += _cases(plan, store, tally)
-    if missing := missing_from_lab("pyarrow"):
-        sys.stderr.write(f"{PARQUET} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
-    else:
-        files.append(store.put(PARQUET, parquet_bytes(_asked(store, asked), points[-1][0] if points else {})))
     if args.map:
         files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report:
@@ -446,7 +347,7 @@ def _conclude(
     return 0 if counted.failed == 0 else 1
 
 
-def _cases(plan: AnyPlan, store: ResultStore, tally: FaultTally) -> list[str]:
+def _cases(plan: AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:
     """Write a scenario file for each of the first failing flights of each scenario, and return where they are."""
     written = []
     for one in plan.members.values() if isinstance(plan, SetPlan) else (plan,):
@@ -457,7 +358,7 @@ def _cases(plan: AnyPlan, store: ResultStore, tally: FaultTally) -> list[str]:
     return written
 
 
-def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
+def _asked(store: FolderStore, asked: set[str]) -> Iterator[Flight]:
     """Return the kept flights that this command requested: the place may hold more of the same campaign."""
     return (flight for flight in store.flights() if job_of(flight).key in asked)
 
@@ -502,8 +403,8 @@ def _compared_with(against: str | None) -> tuple[str, list[Flight]] | None:
     return against, flights
 
 
-_OURS = ("hours", "virtual", "no_faults", "fault", "no_cpu", "failed_max", "plot", "readings")
-_OTHERS = ("workers", "scheduler", "out", "vary", "design", "points", "search", "report", "against", "faults")
+_OURS = ("hours", "virtual", "no_faults", "fault", "failed_max", "plot", "readings")
+_OTHERS = ("workers", "scheduler", "out", "vary", "report", "against", "faults")
 """Options that go with `--soak` alone, and that do not go with it."""
 
 
@@ -528,7 +429,6 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
     faults = group.add_mutually_exclusive_group()
     faults.add_argument("--no-faults", action="store_true", help="fly without faults")
     faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
-    group.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
     group.add_argument("--failed-max", type=int, metavar="N", help="allow this many failed flights (default: 0)")
     group.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
     group.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
@@ -575,8 +475,6 @@ def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -
         faults=not args.no_faults,
         fault=args.fault,
         failed_max=failed_max,
-        config=args.config or "sim",
-        cost=not args.no_cpu,
         plot=args.plot,
         readings=args.readings,
         json=args.json,

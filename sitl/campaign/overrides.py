@@ -1,19 +1,24 @@
-"""Overrides: single keys of a scenario or of the settings that get another value, as in `wind.speed_m_s=4`."""
+"""Overrides: single keys of a scenario or of the settings that get another value, as in `wind.speed_m_s=4`, or several."""
 
 import copy
+import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.model import Settings
-from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
+from companion.settings.overrides import NOTHING, Value, finite, key_and_text, leaf, leaves, nearest, plain, put, value_like
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import following
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
 
 Override = tuple[str, Value]
+Point = tuple[Override, ...]
+"""The varied keys of a flight with their values; empty where nothing is varied."""
 _FORCED = "settings."
 """Prefix that reaches a key of the settings which the scenario has too."""
 _SHARED = ("camera.file", "pad.file")
@@ -108,3 +113,81 @@ class Overridable:
             hint = nearest(key.removeprefix(_FORCED), known) or "keys are written as in wind.speed_m_s or guidance.rate_hz"
             raise BadInput(f"{where}: neither scenario nor settings have a key {key!r}; {hint}")
         return found
+
+
+POINTS_MAX = 1_000_000
+_DIGITS = 9
+"""Significant digits of a value: enough for any key, and short enough to read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One varied key with its values."""
+
+    key: str
+    text: str
+    """Text as the person wrote it."""
+    values: tuple[Value, ...]
+
+
+def rounded(value: float) -> float:
+    """Return the value with the significant digits that a command line shows."""
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def parse_axis(text: str, given: Overridable, where: str) -> Axis:
+    """Return the axis that `KEY=LOW:HIGH:STEP` or `KEY=A,B,C` means.
+
+    Raises:
+        BadInput: it has another form, or the key is unknown.
+    """
+    key, equals, span = text.partition("=")
+    if not equals or not span:
+        raise BadInput(f"{where} {text!r}: write KEY=LOW:HIGH:STEP or KEY=A,B,C, as in wind.speed_m_s=0:10:2")
+    if ":" not in span:
+        return Axis(key, text, tuple(given.value(key, item, where) for item in span.split(",")))
+    parts = span.split(":")
+    if len(parts) != 3:
+        raise BadInput(f"{where} {text!r}: a range is LOW:HIGH:STEP")
+    present = given.value(key, parts[0], where)
+    if isinstance(present, bool | str):
+        raise BadInput(f"{where} {text!r}: {key} holds no number; list its values, as in {key}=A,B")
+    low, high, step = (finite(part, f"{where}: {key}") for part in parts)
+    if step == 0.0 or (high - low) / step < 0.0:
+        raise BadInput(f"{where} {text!r}: steps of {step:g} do not lead from {low:g} to {high:g}")
+    count = math.floor((high - low) / step * (1.0 + 1e-9)) + 1
+    if count > POINTS_MAX:
+        raise BadInput(f"{where} {text!r}: {count} values are more than {POINTS_MAX}")
+    whole, steps = given.holds_whole_number(key, where), [rounded(low + n * step) for n in range(count)]
+    return Axis(key, text, tuple(int(v) if whole and v == int(v) else v for v in steps))
+
+
+def refuse_repeated(axes: Sequence[Axis], where: str) -> None:
+    """Refuse a key that is varied twice.
+
+    Raises:
+        BadInput: there is one.
+    """
+    keys = [axis.key for axis in axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise BadInput(f"{where}: {key} is given twice")
+
+
+def factorial(axes: Sequence[Axis]) -> list[Point]:
+    """Return all combinations of the axes' values; a single empty point without axes.
+
+    Raises:
+        BadInput: there are too many combinations.
+    """
+    if (count := math.prod(len(axis.values) for axis in axes)) > POINTS_MAX:
+        raise BadInput(f"--vary: {count} combinations are more than {POINTS_MAX}")
+    return [
+        tuple((axis.key, value) for axis, value in zip(axes, values, strict=True))
+        for values in itertools.product(*(axis.values for axis in axes))
+    ]
+
+
+def described(kind: str, axes: Sequence[Axis], **more: Any) -> dict[str, Any]:
+    """Return a design as plain values, for the manifest."""
+    return {"kind": kind, "axes": [axis.text for axis in axes], "keys": [axis.key for axis in axes], **more}

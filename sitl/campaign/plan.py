@@ -26,7 +26,7 @@ from companion.settings.refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, text
 from sitl.campaign.code import code_version
-from sitl.campaign.overrides import Overridable, Override
+from sitl.campaign.overrides import Overridable, Point
 from sitl.flight.one_flight import Perception, perception_level
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
@@ -122,8 +122,6 @@ def _path_of(name_or_path: str) -> Path:
     return SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)
 
 
-Point = tuple[Override, ...]
-"""The varied keys of a flight with their values; empty where nothing is varied."""
 FORMAT = 1
 """Version of the campaign folder."""
 

@@ -164,7 +164,7 @@ class Outcomes:
         failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
         if failed is not None:
             words = ["decklander", "campaign", scenario, "--soak", "--virtual", "--runs", "1", "--seed", str(failed.seed)]
-            again = shlex.join([*words, "--fault", fault_of(failed.title), "--no-cpu", *options])
+            again = shlex.join([*words, "--fault", fault_of(failed.title), *options])
             lines.append(f"  to fly the first failed one again: {again}")
         return lines
 

@@ -16,13 +16,13 @@ import uuid
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from importlib.util import find_spec
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait as wait_for_connections
 from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, in_words
 from sitl.campaign.code import code_version, differences
-from sitl.campaign.lab import require_lab
 from sitl.campaign.plan import AnyPlan, Job
 from sitl.campaign.task import Flight, Flyer, Order, OtherCode, base_of, failed, finished, fly_flight, fly_order
 
@@ -170,7 +170,11 @@ class ClusterWorkers:
     """
 
     def __init__(self, plan: AnyPlan, code: dict[str, str], address: str, flyer: Flyer = fly_flight) -> None:
-        require_lab(f"--scheduler {address}", "dask", "distributed")
+        if missing := [package for package in ("dask", "distributed") if find_spec(package) is None]:
+            raise BadInput(
+                f"--scheduler {address} needs {' and '.join(missing)}, which is not installed: install requirements/lab.txt, "
+                "or the extra decklander[lab]"
+            )
         distributed: Any = importlib.import_module("distributed")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its report is printed here, in one line
         self._plan, self._bases = plan, dict[str, bytes]()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.campaign.weather_map import SEA, VEHICLE, WIND, cells_of, render_map
+from sitl.campaign.report import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee

@@ -1,28 +1,32 @@
-"""Designs, causes, comparison, table, report, search and object stores of campaigns, on flights that cost nothing."""
+"""Varied keys, causes, comparison, tables and report of campaigns, on flights that cost nothing."""
 
-import io
-import json
 import math
-import uuid
 from contextlib import closing
 from html import escape
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.design import Search, described, factorial, parse_axis, sampled
-from sitl.campaign.figures import bootstrap_interval, differences_of, effect_of, figures_of, map_of, varied_point
-from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import Job, Point
+from sitl.campaign.figures import (
+    as_json,
+    bootstrap_interval,
+    by_value,
+    differences_of,
+    effect_of,
+    figures_of,
+    in_rows,
+    map_of,
+    varied_point,
+)
+from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
+from sitl.campaign.plan import Job
 from sitl.campaign.report import REPORT, fly_again, render_report
-from sitl.campaign.store import FolderStore, ObjectStore, flights_in, manifest_of, manifest_of_plan
+from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.summary import RULES, cause_of, in_words, severity, tally
-from sitl.campaign.tables import as_json, by_value, in_rows, parquet_bytes
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.flight.one_flight import settings_for
 from tests.fly import near
@@ -53,18 +57,6 @@ def test_a_factorial_design_combines_all_values() -> None:
     assert all(isinstance(v, int) for v in whole.values)
 
 
-@pytest.mark.parametrize("kind", ["sobol", "lhs"])
-def test_sampled_designs_fill_every_range_evenly(kind: str) -> None:
-    given = overridable()
-    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:10", "sea.peak_period_s=4:12")]
-    points = sampled(axes, kind, 64, seed=3)
-    assert points == sampled(axes, kind, 64, seed=3)
-    assert points != sampled(axes, kind, 64, seed=4)
-    for n, (low, high) in enumerate(((0.0, 10.0), (4.0, 12.0))):
-        counts, _ = np.histogram([point[n][1] for point in points], bins=16, range=(low, high))
-        assert counts.tolist() == [4] * 16, "both designs are stratified in each dimension"
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -72,10 +64,9 @@ def test_sampled_designs_fill_every_range_evenly(kind: str) -> None:
         ("wind.speed_m_s", "write KEY=LOW:HIGH:STEP or KEY=A,B,C"),
         ("wind.speed_m_s=0:1:0", "steps of 0 do not lead from 0 to 1"),
         ("wind.speed_m_s=0:1:-1", "steps of -1 do not lead from 0 to 1"),
-        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH or LOW:HIGH:STEP"),
+        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH:STEP"),
         ("wind.speed_m_s=0:9999999:1", "are more than 1000000"),
-        ("wind.speed_m_s=2:2", "the range is empty"),
-        ("wind.speed_m_s=a:2", "needs a number, found 'a'"),
+        ("wind.speed_m_s=a:2:1", "needs a number, found 'a'"),
         ("vessel.moored=1,2", "is true or false, found '1'"),
     ],
 )
@@ -89,15 +80,8 @@ def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
     ("args", "said"),
     [
         (["--vary", "wind.speed_m_s=0:30:10"], "--vary: wind.speed_m_s must be a number from 0 to 25 m/s, found 30"),
-        (["--vary", "wind.speed_m_s=0:3"], "a range needs a step"),
+        (["--vary", "wind.speed_m_s=0:3"], "a range is LOW:HIGH:STEP"),
         (["--vary", "wind.speed_m_s=0:3:1", "--vary", "wind.speed_m_s=4,5"], "wind.speed_m_s is given twice"),
-        (["--vary", "wind.speed_m_s=0:3", "--design", "lhs"], "--design, --points and --vary go together"),
-        (["--vary", "wind.speed_m_s=1,2", "--design", "lhs", "--points", "4"], "--design lhs needs a range, LOW:HIGH"),
-        (["--search", "wind.speed_m_s=1,2"], "write KEY=LOW:HIGH"),
-        (["--search", "wind.speed_m_s=0:9", "--runs", "3"], "--search needs --runs of 10 or more, got 3"),
-        (["--search", "wind.speed_m_s=0:9", "--vary", "wind.from_deg=1,2"], "--vary and --search do not go together"),
-        (["--search", "wind.speed_m_s=0:90"], "wind.speed_m_s must be a number from 0 to 25 m/s, found 90"),
-        (["--out", "nowhere://x"], "Protocol not known: nowhere"),
         (["--against", "x"], "--against goes with --report"),
         (["--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
         (["calm"], "scenario 'calm' is listed twice"),
@@ -207,17 +191,6 @@ def test_campaigns_are_compared_seed_by_seed() -> None:
     assert (low, high) == pytest.approx((noise.mean() - 1.96 * 0.05, noise.mean() + 1.96 * 0.05), abs=0.012)
 
 
-def test_the_table_has_a_row_for_each_flight_and_a_column_for_each_varied_key() -> None:
-    flights = [flown(seed, (("wind.speed_m_s", speed),)) for seed in range(4) for speed in (0.0, 7.0)] + [flown(RAISES)]
-    table = pq.read_table(io.BytesIO(parquet_bytes(flights, {"wind.speed_m_s": 7.0})))
-    assert table.num_rows == 9
-    assert table["varied_wind.speed_m_s"].to_pylist()[:3] == [0.0, 7.0, 0.0]
-    assert table["landed_on_pad"].to_pylist()[:3] == [True, False, True]
-    assert table["touchdown_forward_m"].to_pylist()[8] is None
-    assert json.loads(table["contacts"].to_pylist()[1])[0]["surface"] == "deck"
-    assert table["hash"].to_pylist() == [flight["hash"] for flight in flights]
-
-
 def test_success_against_one_and_two_keys() -> None:
     points = [({"a": a, "b": b}, a + b < 3, 0.1 * a if a + b < 3 else math.nan) for a in range(3) for b in range(3)]
     one = effect_of(points, "a")
@@ -279,58 +252,3 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with pytest.raises(BadInput, match="no flights yet"):
         render_report(manifest_of(tmp_path / "now"), [], 0.0)
     assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
-
-
-@pytest.mark.parametrize("keys", [1, 2])
-def test_the_search_finds_the_smallest_disturbance(keys: int) -> None:
-    """The fake flight leaves the pad at 0.39 m: 0.01 m and 0.06 m for each m/s of wind, so at 6.33 m/s."""
-    given = overridable()
-    texts = ["wind.speed_m_s=0:10", "sea.peak_period_s=4:8"][:keys]
-    axes = [parse_axis(text, given, "--search") for text in texts]
-    search = Search(axes, 0, 80, lambda jobs: [flown(job.seed, job.point) for job in jobs])
-    found = search.run()
-    assert found is not None
-    assert search.flown <= 80
-    assert dict(found.flight["varied"])["wind.speed_m_s"] == pytest.approx(6.333, abs=0.15)
-    assert found.size == pytest.approx(0.633 / math.sqrt(keys), abs=0.04)
-    again = Search(axes, 0, 80, lambda jobs: [flown(job.seed, job.point) for job in jobs])
-    repeated = again.run()
-    assert repeated is not None
-    assert repeated.flight["hash"] == found.flight["hash"], "the search is a function of its seed"
-
-
-def test_a_search_without_a_failure_and_one_that_fails_undisturbed() -> None:
-    given = overridable()
-    calm = Search(
-        [parse_axis("wind.speed_m_s=0:3", given, "--search")], 0, 20, lambda jobs: [flown(0, job.point) for job in jobs]
-    )
-    assert calm.run() is None
-    wild = Search(
-        [parse_axis("wind.speed_m_s=9:3", given, "--search")], 0, 20, lambda jobs: [flown(0, job.point) for job in jobs]
-    )
-    found = wild.run()
-    assert found is not None
-    assert (found.size, wild.flown) == (0.0, 2)
-
-
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_results_under_a_url(kind: str, tmp_path: Path) -> None:
-    url = f"memory://{uuid.uuid4().hex}" if kind == "memory" else f"file://{tmp_path}/c"
-    with closing(ObjectStore(url, plan(), range(3))) as store:
-        store.keep([flown(0)], 1.0)
-        store.keep([flown(1)], 2.0)
-        assert [flight["seed"] for flight in store.flights()] == [0, 1]
-    with closing(ObjectStore(url, plan(), range(3))) as store:
-        assert store.keys() == {"0", "1"}
-        store.keep([flown(2)], 0.5)
-    with closing(ObjectStore(url, plan(), range(3))) as store:
-        assert sorted(flight["seed"] for flight in store.flights()) == [0, 1, 2]
-        assert store.wall_s() == 2.5
-        assert store.put("x.html", b"hello") == f"{url}/x.html"
-    with pytest.raises(BadInput, match="holds another campaign: it was flown with another scenario"):
-        ObjectStore(url, plan(duration_limit_s=8.0), range(3))
-    if kind == "file":
-        (tmp_path / "other").mkdir()
-        (tmp_path / "other" / "mine.txt").write_text("x")
-        with pytest.raises(BadInput, match="holds something and no campaign"):
-            ObjectStore(f"file://{tmp_path}/other", plan(), range(3))

@@ -11,9 +11,9 @@ import pytest
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
+from sitl.campaign.figures import by_scenario, in_columns
 from sitl.campaign.plan import Job, SetPlan, is_set, load_set, shipped_sets
 from sitl.campaign.report import REPORT
-from sitl.campaign.tables import by_scenario, in_columns
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load as load_scenario
@@ -160,6 +160,6 @@ def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str)
 
 def test_wrong_use_of_a_set_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["campaign", "thirty_faults", "--vary", "wind.speed_m_s=0:4:2"]) == 2
-    assert "--vary, --design and --search go with one scenario" in capsys.readouterr().err
+    assert "--vary goes with one scenario" in capsys.readouterr().err
     assert cli.main(["campaign", "thirty_faults", "--perception", "truth"]) == 2
     assert "thirty_faults: faults/camera_freezes: the fault frames_frozen acts on vision" in capsys.readouterr().err

@@ -122,7 +122,7 @@ def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixtur
 
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
-    assert cli.main(["campaign", "calm", "--soak", "--hours", "0.001", "--no-cpu", "--json"]) == 1
+    assert cli.main(["campaign", "calm", "--soak", "--hours", "0.001", "--json"]) == 1
     output = json.loads(capsys.readouterr().out)
     assert output["findings"] is None, "too short to measure growth"
     assert output["flown_s"] >= 3.0
@@ -132,7 +132,7 @@ def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.Capt
 def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--hours", "1", "--no-faults", "--no-cpu", "--json", "--readings", str(readings)]
+    words = ["--virtual", "--hours", "1", "--no-faults", "--json", "--readings", str(readings)]
     command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--soak", *words]
     with started(command) as soak:
         wait_until(lambda: readings.exists() and readings.read_text())
@@ -154,7 +154,7 @@ def test_a_file_that_cannot_be_written_is_reported_before_the_first_flight(capsy
 def test_a_full_disk_is_reported_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--runs", "2", "--no-faults", "--no-cpu", "--json", "--readings", "/dev/full"]
+    words = ["--virtual", "--runs", "2", "--no-faults", "--json", "--readings", "/dev/full"]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     output = capsys.readouterr()
     assert json.loads(output.out)["flights"] == 2
@@ -164,7 +164,7 @@ def test_a_full_disk_is_reported_and_flown_through(tmp_path: Path, capsys: pytes
 def test_flights_without_pictures_are_flown_and_graded_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--runs", "1", "--no-faults", "--no-cpu", "--json", "--perception", "model"]
+    words = ["--virtual", "--runs", "1", "--no-faults", "--json", "--perception", "model"]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     output = json.loads(capsys.readouterr().out)
     assert output["classes"]["failed"] == output["flights"] == 1, "its time ends before it comes down"

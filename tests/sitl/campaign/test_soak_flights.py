@@ -108,7 +108,7 @@ def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixtur
 def test_a_flight_that_failed_is_flown_again_by_its_fault_and_seed(capsys: pytest.CaptureFixture[str]) -> None:
     """WHY: a seed selects another fault as soon as fault scenarios are added, so the seed alone does not tell the flight."""
     outcomes = Outcomes([flown(Class.ON_PAD, 6), flown(Class.FAILED, 7, "a ferry; faults/link_lost_4_s")])
-    again = "decklander campaign demo --soak --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s --no-cpu"
+    again = "decklander campaign demo --soak --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s"
     assert outcomes.in_words("demo")[-1].endswith(again)
     assert outcomes.in_words("demo", ("--config", "my rig.toml"))[-1].endswith(f"{again} --config 'my rig.toml'")
     named = faulty(load("demo"), 7, possible=lambda _: True, name="faults/link_lost_4_s")
@@ -134,7 +134,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypat
         raise KeyError(int(np.array(7)))
 
     monkeypatch.setattr(Pilot, "detect", broken)
-    words = ["--virtual", "--runs", "2", "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
+    words = ["--virtual", "--runs", "2", "--no-faults", "--plot", str(tmp_path / "p.png")]
     assert cli.main(["campaign", str(near), "--soak", *words]) == 1
     output = capsys.readouterr().out
     assert "FAULT: 2 of 2 flights failed" in output
