@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from companion.settings.load import response_model
 from sitl.flight.one_flight import fly, settings_for
-from sitl.gym.imitation import AS_HANDED_OVER, Imitation
-from sitl.gym.training import TrainingWorlds
 from sitl.scenario.scenario import load
+from study.gym.imitation import AS_HANDED_OVER, Imitation
+from study.gym.training import TrainingWorlds
 
 
 def main(minutes: float, file: Path) -> bool:

@@ -14,8 +14,8 @@ from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, lags
-from sitl.experiments.photographs import read_photographs
+from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, lags
+from study.experiments.photographs import read_photographs
 
 PAGE = "experiments.md"
 
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     require_drawing("experiments")
-    from sitl.experiments.page import draw, page
+    from study.experiments.page import draw, page
 
     settings = load(args.config)
     try:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from estimator.contracts.errors import BadInput, unusable
 from sitl.perception.draw import symmetric
-from sitl.perception.fit import fit
 from sitl.perception.parameters import PerceptionModel, dump
-from sitl.perception.recorded import read
+from study.perception.fit import fit
+from study.perception.recorded import read
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

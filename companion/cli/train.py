@@ -17,9 +17,9 @@ from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import settings_for
-from sitl.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
-from sitl.gym.training import TrainingWorlds
 from sitl.scenario.scenario import load
+from study.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
+from study.gym.training import TrainingWorlds
 
 _FRESH = 1_000_000
 """Seeds of the flights that examine a policy begin here; training counts on from its own seed, far below."""

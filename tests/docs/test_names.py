@@ -22,7 +22,7 @@ PAGES = [
     *sorted(ROOT.glob("docs/**/*.md")),
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CHANGELOG")),
 ]
-PACKAGES = "companion|drivers|estimator|sitl|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
+PACKAGES = "companion|drivers|estimator|sitl|study|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
 FOREIGN_OPTIONS = {"--scale", "--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
 """Options of systemctl, systemd-analyze, docker, pip, v4l2-ctl and mosquitto_pub."""
 ENDINGS = {"toml", "py", "md", "txt", "json", "csv", "png", "svg", "html"}
@@ -175,7 +175,7 @@ def test_named_values_and_parameters_in_the_pages_are_sent_or_types_of_the_core(
 
 
 def test_modules_and_names_in_the_pages_exist() -> None:
-    first = "companion|drivers|estimator|sitl|tests|benches|fuzz|mutants|supply|qualification"
+    first = "companion|drivers|estimator|sitl|study|tests|benches|fuzz|mutants|supply|qualification"
     named = {(p, text.split("(")[0]) for p, text in in_backticks() if re.match(rf"({first})(\.[A-Za-z_]\w*)+(\(|$)", text)}
     named |= {
         (str(page.relative_to(ROOT)), name)

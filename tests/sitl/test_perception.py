@@ -27,15 +27,15 @@ from sitl.flight.flight import Flight
 from sitl.flight.grader import FlightResult
 from sitl.flight.one_flight import settings_for
 from sitl.perception import parameters
-from sitl.perception import recorded as samples_module
 from sitl.perception.draw import Chance, DetectionTable, View, Viewer, root_of, symmetric
-from sitl.perception.fit import Errors, Source, fit_detections, fit_estimates
 from sitl.perception.levels import REPRESENTED, perceive, represents
 from sitl.perception.model import KEPT_SCENES, Scenes, _turned
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.world import World
+from study.perception import recorded as samples_module
+from study.perception.fit import Errors, Source, fit_detections, fit_estimates
 
 SIM = load("sim")
 CALM = load_scenario("calm")

@@ -1,6 +1,6 @@
 """The controller `policy`: a small trained network leans the vehicle, and the law does the rest.
 
-`decklander train` makes the network's file in the training worlds (`sitl.gym`), and the controller flies it, both by numpy alone.
+`decklander train` makes the network's file in training worlds (`study.gym`), and the controller flies it, both by numpy alone.
 The mission orders each descent, so heights, climbs and heading stay the law's, and so does all where the estimator path knows no
 motion of body or deck. The network's lean is cut as the law's is: by the view, by the vehicle's tilt, and by the target.
 """

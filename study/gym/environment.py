@@ -1,6 +1,6 @@
 """The training worlds as Gymnasium environments; this module registers `Decklander/Land-v0` when it is imported.
 
-`sitl.gym.register()` imports it, and `gymnasium.make("sitl.gym.environment:Decklander/Land-v0")` does.
+`study.gym.register()` imports it, and `gymnasium.make("study.gym.environment:Decklander/Land-v0")` does.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from companion.guidance.law.policy import STEP_S
 from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
 from sitl.core.abi import DL_ACTION_NUMBERS, DL_VIEW_NUMBERS
-from sitl.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import Scenario, camera_model, load
 from sitl.world.stage import renderer, sea_and_vessel
+from study.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 
 Reward = Callable[[F32], F32]
 """Takes the terms (N, 8) of N worlds, in the order of `TERMS`, to their rewards (N,)."""

@@ -13,9 +13,9 @@ from companion.settings.load import load as settings
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import settings_for
-from sitl.gym.imitation import Imitation, ImitationOptions, Teacher, _backward, _network, fly_policy, tally
-from sitl.gym.training import TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import load
+from study.gym.imitation import Imitation, ImitationOptions, Teacher, _backward, _network, fly_policy, tally
+from study.gym.training import TrainingOptions, TrainingWorlds
 
 SCENARIO = load("weather_3")
 RESPONSE = response_model(settings_for(SCENARIO, None))

@@ -11,10 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.settings.load import load
-from sitl.experiments.chapter5 import HEIGHTS_M, QUANTITIES, error_of, printed, spread
-from sitl.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
-from sitl.experiments.hand import HeldPose, around_the_ship, full_turn, hold, level_axes, thesis_axes, thesis_yaw_rad, up_and_down
 from sitl.world.world import World
+from study.experiments.chapter5 import HEIGHTS_M, QUANTITIES, error_of, printed, spread
+from study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
+from study.experiments.hand import (
+    HeldPose,
+    around_the_ship,
+    full_turn,
+    hold,
+    level_axes,
+    thesis_axes,
+    thesis_yaw_rad,
+    up_and_down,
+)
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))

@@ -14,11 +14,11 @@ from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 from sitl.flight.flight import Flight, Timing
 from sitl.flight.grader import FlightResult
 from sitl.scenario.scenario import Scenario, load
 from sitl.world.truth import Truth
+from study.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 
 METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""

@@ -13,4 +13,4 @@ def register() -> None:
     """
     if find_spec("gymnasium") is None:
         raise BadInput("the training worlds need Gymnasium, which is not installed: install the extra decklander[rl]")
-    import sitl.gym.environment  # noqa: F401
+    import study.gym.environment  # noqa: F401

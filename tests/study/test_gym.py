@@ -9,11 +9,11 @@ from gymnasium.utils.env_checker import check_env
 
 from companion.guidance.law.policy import STEP_S
 from estimator.contracts.errors import BadInput
-from sitl.gym import register
-from sitl.gym.environment import LandEnv, LandVectorEnv, weighted
-from sitl.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 from sitl.scenario.scenario import load
 from sitl.world.stage import sea_and_vessel
+from study.gym import register
+from study.gym.environment import LandEnv, LandVectorEnv, weighted
+from study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 
 
 def towards_pad(seen: np.ndarray, full_m_s2: float) -> np.ndarray:

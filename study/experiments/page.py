@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from companion.recording.palette import MARKERS, OTHER, colour
 from estimator.contracts.geometry import wrap_pi
-from sitl.experiments.chapter5 import (
+from study.experiments.chapter5 import (
     HEIGHTS_M,
     QUANTITIES,
     Chapter5,
@@ -28,8 +28,8 @@ from sitl.experiments.chapter5 import (
     printed,
     spread,
 )
-from sitl.experiments.flown import METHODS, ExperimentFlight
-from sitl.experiments.photographs import Photographs
+from study.experiments.flown import METHODS, ExperimentFlight
+from study.experiments.photographs import Photographs
 
 _TITLES = {
     "x": "Table 5.1, error of x, mm",

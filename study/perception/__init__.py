@@ -1,0 +1,1 @@
+"""Fit the error models of simulated perception to recorded flights."""
