@@ -1,1 +1,1 @@
-"""What few users need beside the simulator: the experiments of the thesis, training grounds, and fits of error models."""
+"""The experiments of the thesis, training grounds and fits of error models, for those who study the simulator."""
