@@ -8,9 +8,9 @@ import sys
 from companion.guidance.mission.page import page
 from companion.parts.mqtt import messages
 from companion.settings import whole_file
+from companion.settings.effect import not_checked, remarks
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
-from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput
 
 

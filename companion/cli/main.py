@@ -18,10 +18,9 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from companion.base import signals
-from companion.base.colour import style
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
@@ -97,9 +96,9 @@ class _MainParser(Parser):
         width = max(map(len, COMMANDS))
         lines = [f"usage: {self.prog} COMMAND ...", "", str(self.description)]
         for title, group in GROUPS.items():
-            lines += ["", style(title, "1"), *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())]
+            lines += ["", _style(title, "1"), *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())]
         wide = max(len(command) for command, _ in _EXAMPLES)
-        lines += ["", style("examples", "1"), *(f"  {command:<{wide}}  {what}" for command, what in _EXAMPLES)]
+        lines += ["", _style("examples", "1"), *(f"  {command:<{wide}}  {what}" for command, what in _EXAMPLES)]
         return "\n".join(
             [*lines, "", "decklander COMMAND --help has the options of a command; --version prints the version.", ""]
         )
@@ -242,13 +241,64 @@ def _load_for_good(name: str) -> ModuleType:
 
 
 def _refuse(why: DecklanderError) -> int:
-    from companion.cli.refusal_place import pointed
-
     printed = _one_line(str(why))
-    sys.stderr.write(f"{style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
+    sys.stderr.write(f"{_style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
         sys.stderr.write(pointed(printed))
     return WRONG if isinstance(why, BadInput) else FAILED
+
+
+_SYNTAX = re.compile(r"\(at line (\d+), column (\d+)\)")
+_KEY = re.compile(r'([\w-]+(?:\.(?:[\w-]+|"[^"]*"))*)[ :]')
+_PAGE = "docs/configuration.md, or: decklander config reference"
+
+
+def pointed(message: str) -> str:
+    """Return some lines with the place in the TOML file that the message names; empty if it names none.
+
+    Args:
+        message: "FILE: KEY ..." as settings are refused.
+    """
+    from companion.settings.plain_file import LARGEST_BYTES
+
+    found = re.match(r"(?P<file>[^:]+\.toml): (?P<what>.*)", message)
+    path = Path(found["file"]) if found else None
+    if found is None or path is None or not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+        return ""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    if syntax := _SYNTAX.search(found["what"]):
+        row, column, width = int(syntax[1]), int(syntax[2]), 1
+    else:
+        key = _KEY.match(found["what"])
+        place = _of_key(key[1], lines) if key else None
+        if place is None:
+            return ""
+        row, column, width = place
+    if not 1 <= row <= len(lines):
+        return ""
+    margin = len(str(row))
+    return (
+        f"  --> {path}:{row}:{column}\n"
+        f"  {row} | {lines[row - 1]}\n"
+        f"  {'':{margin}} | {' ' * (column - 1)}{'^' * width}\n"
+        f"  {'':{margin}} = page: {_PAGE}\n"
+    )
+
+
+def _of_key(key: str, lines: list[str]) -> tuple[int, int, int] | None:
+    """Return the row, column and width of a dotted key, or of its table's header where the key is missing; None without both."""
+    table = ""
+    best: tuple[int, int, int] | None = None
+    for number, line in enumerate(lines, 1):
+        if header := re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line):
+            table = header[1]
+            if key == table or (best is None and key.startswith(f"{table}.")):
+                best = (number, header.start(1) + 1, len(header[1]))
+            continue
+        assigned = re.match(r"\s*([\w.\"-]+)\s*=", line)
+        if assigned and ".".join(filter(None, (table, assigned[1]))) == key:
+            return number, assigned.start(1) + 1, len(assigned[1])
+    return best
 
 
 def _cure(why: DecklanderError) -> str:
@@ -262,6 +312,16 @@ def _cure(why: DecklanderError) -> str:
         return f"; there is no folder {absent[-1]}: make it, or correct the path"
     near = difflib.get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _coloured(out: TextIO) -> bool:
+    """Return whether the stream is a terminal with colours, which NO_COLOR does not switch off (no-color.org)."""
+    return out.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb"
+
+
+def _style(text: str, code: str, out: TextIO | None = None) -> str:
+    """Return the text in a style of ANSI (ECMA-48, SGR), or as it is where the stream has no colours."""
+    return f"\x1b[{code}m{text}\x1b[0m" if _coloured(out or sys.stdout) else text
 
 
 def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:

@@ -1,7 +1,7 @@
-"""Find keys without effect, because another key switches their part off."""
+"""Say of settings that are good what their author may want to know, such as keys that another key leaves without effect."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from typing import NamedTuple
 
@@ -9,7 +9,8 @@ from msgspec import NODEFAULT, Struct
 
 from companion.settings.expert import in_file
 from companion.settings.model import Settings
-from companion.settings.ship_place import sources
+from companion.settings.ship_place import contradiction, sources
+from drivers.mavlink.options import AutopilotOptions
 
 
 class _Rule(NamedTuple):
@@ -87,6 +88,26 @@ _RULES = (
     _Rule("recorder.frames_each", 'recorder.frames is "none"'),
 )
 """The first rule that holds explains a key."""
+
+
+def remarks(settings: Settings) -> tuple[str, ...]:
+    """Return a line for each thing in good settings that is hardly what their author meant."""
+    found = contradiction(settings)
+    return (*without_effect(settings), *(() if found is None else (f"{found.what}: {found.fix}",)), *_empty_battery(settings))
+
+
+def _empty_battery(settings: Settings) -> tuple[str, ...]:
+    """Return that a drone which refuses hovers until its battery is empty, where the settings say so."""
+    o = settings.guidance
+    leaves = o.refused != "hold" and isinstance(settings.vehicle, AutopilotOptions)
+    return (
+        () if leaves or o.last_charge > 0.0 else ("expert.guidance.last_charge is 0: a drone that refused hovers until it falls",)
+    )
+
+
+def not_checked(keys: Sequence[str]) -> str:
+    """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
+    return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""
 
 
 def without_effect(settings: Settings) -> tuple[str, ...]:

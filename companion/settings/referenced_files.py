@@ -7,10 +7,11 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 
 from companion.settings import secret_files
-from companion.settings.installed import check_installed
 from companion.settings.model import Settings
 from companion.settings.secret_files import CREDENTIAL
+from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 
 
@@ -82,3 +83,24 @@ def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callab
             raise BadInput(f"{section}.signing_key_file: {why}") from why
 
     return f"{section}.signing_key_file", (reference,), read
+
+
+def check_installed(settings: Settings) -> None:
+    """Check that what the settings switch on can run with the packages that are installed.
+
+    Raises:
+        BadInput: a package is missing; the message names the setting and how to install it.
+    """
+    vehicle, camera = settings.vehicle, settings.camera
+    wanting = {
+        f'vehicle.model = "{getattr(vehicle, "model", "")}"': isinstance(vehicle, ArDroneOptions)
+        and camera.source == "vehicle"
+        and vehicle.model != "1.0",
+        'camera.source = "stream"': camera.source == "stream",
+        'camera.format = "H264"': camera.source == "v4l2" and camera.format == "H264",
+        'recorder.frames = "h264"': settings.recorder.enabled and settings.recorder.frames == "h264",
+        "video_stream.to": bool(settings.video_stream.to),
+    }
+    for setting, wants in wanting.items():
+        if wants:
+            require_pyav(setting)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from companion.cli import start
-from companion.cli.main import COMMANDS, main
+from companion.cli.main import COMMANDS, main, pointed
 from companion.cli.progress import ProgressObserver
-from companion.cli.refusal_place import pointed
 from companion.settings.load import load
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav

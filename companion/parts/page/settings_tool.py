@@ -18,11 +18,11 @@ from companion.base.worker import Worker
 from companion.parts.page.tool_messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
 from companion.parts.page.viewer import PageViewer
 from companion.settings import whole_file
+from companion.settings.effect import remarks
 from companion.settings.expert import in_file
 from companion.settings.load import complete, from_file
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_files
-from companion.settings.remarks import remarks
 from companion.settings.settings_file import BEFORE, SettingsFile
 from drivers.mailbox import Line
 from estimator.contracts.errors import BadInput, DecklanderError
