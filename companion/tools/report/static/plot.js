@@ -4,18 +4,49 @@ const LEFT = 52;
 const RIGHT = 8;
 const TOP = 8;
 const BOTTOM = 20;
+
 const FONT = '11px system-ui, -apple-system, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 
-class TimePlot {
+// A canvas of the page that is drawn when it is in sight.
+class Canvas {
   constructor(figure, data, page) {
-    this.figure = figure;
     this.data = data;
     this.page = page;
     this.canvas = figure.querySelector("canvas");
-    this.line = figure.querySelector(".cursor");
-    this.value = figure.querySelector(".value");
     this.inSight = false;
     this.stale = true;
+  }
+
+  get shown() {
+    return this.layers.filter((layer) => !this.page.hidden.has(layer.name));
+  }
+
+  draw() {
+    this.stale = !this.inSight;
+    if (this.stale) return;
+    const [width, height, ratio] = [this.canvas.clientWidth, this.canvas.clientHeight, Math.min(3, devicePixelRatio || 1)];
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    const pen = this.canvas.getContext("2d");
+    pen.scale(ratio, ratio);
+    pen.font = FONT;
+    this.paint(pen, width, height);
+    this.cursor();
+  }
+}
+
+function stroke(pen, points) {
+  pen.beginPath();
+  for (const [x, y] of points) pen.lineTo(x, y);
+  pen.stroke();
+}
+
+class TimePlot extends Canvas {
+  constructor(figure, data, page) {
+    super(figure, data, page);
+    this.figure = figure;
+    this.line = figure.querySelector(".cursor");
+    this.value = figure.querySelector(".value");
     this.layers = data.layers.map((layer) => ({
       ...layer,
       t: page.columns[layer.t],
@@ -38,22 +69,7 @@ class TimePlot {
     return low + ((x - LEFT) / (this.width - LEFT - RIGHT)) * (high - low);
   }
 
-  get shown() {
-    return this.layers.filter((layer) => !this.page.hidden.has(layer.name));
-  }
-
-  draw() {
-    if (!this.inSight) {
-      this.stale = true;
-      return;
-    }
-    this.stale = false;
-    const [width, height, ratio] = [this.width, this.canvas.clientHeight, Math.min(3, devicePixelRatio || 1)];
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    const pen = this.canvas.getContext("2d");
-    pen.scale(ratio, ratio);
-    pen.font = FONT;
+  paint(pen, width, height) {
     this.left = LEFT;
     const layers = this.shown;
     const [low, high] = this.limits(layers);
@@ -71,7 +87,6 @@ class TimePlot {
       }
     }
     pen.restore();
-    this.cursor();
   }
 
   // The values in sight decide: a wild one of a layer that does not fit is left outside.
@@ -131,10 +146,7 @@ class TimePlot {
     }
     for (const [value, text] of marks) {
       const y = Math.round(this.scale(value)) + 0.5;
-      pen.beginPath();
-      pen.moveTo(LEFT, y);
-      pen.lineTo(width - RIGHT, y);
-      pen.stroke();
+      stroke(pen, [[LEFT, y], [width - RIGHT, y]]);
       pen.fillText(text, LEFT - 6, y, LEFT - 8);
     }
     pen.textAlign = "center";
@@ -142,10 +154,7 @@ class TimePlot {
     const [found, step] = ticks(...this.page.clock.view, Math.floor((width - LEFT - RIGHT) / 64));
     for (const value of found) {
       const x = Math.round(this.x(value)) + 0.5;
-      pen.beginPath();
-      pen.moveTo(x, TOP);
-      pen.lineTo(x, height - BOTTOM);
-      pen.stroke();
+      stroke(pen, [[x, TOP], [x, height - BOTTOM]]);
       const text = `${written(value, step)} s`;
       const half = pen.measureText(text).width / 2;
       pen.fillText(text, clamp(x, half, width - half), height - 5);
@@ -157,12 +166,7 @@ class TimePlot {
     pen.setLineDash([2, 3]);
     for (const flight of this.page.data.flights) {
       if (this.page.data.flights.length > 1) pen.strokeStyle = flight.colour;
-      for (const [t] of flight.phases) {
-        pen.beginPath();
-        pen.moveTo(this.x(t), TOP);
-        pen.lineTo(this.x(t), height - BOTTOM);
-        pen.stroke();
-      }
+      for (const [t] of flight.phases) stroke(pen, [[this.x(t), TOP], [this.x(t), height - BOTTOM]]);
     }
     pen.setLineDash([]);
   }

@@ -1,19 +1,11 @@
 // The way over the pad from one side, to scale: the pad's own regions, the tracks, the contacts, and the drone at the cursor.
 
-class PadView {
+class PadView extends Canvas {
   constructor(figure, data, page) {
-    this.data = data;
-    this.page = page;
-    this.canvas = figure.querySelector("canvas");
-    this.inSight = false;
-    this.stale = true;
+    super(figure, data, page);
     this.layers = data.layers.map((layer) => ({
       ...layer, t: page.columns[layer.t], x: page.columns[layer.x], y: page.columns[layer.y],
     }));
-  }
-
-  get shown() {
-    return this.layers.filter((layer) => !this.page.hidden.has(layer.name));
   }
 
   // Equal scales in both directions, the pad always in sight.
@@ -38,17 +30,7 @@ class PadView {
     return { left, top, right, bottom, x: [cx - halves[0], cx + halves[0]], y: [cy - halves[1], cy + halves[1]] };
   }
 
-  draw() {
-    if (!this.inSight) {
-      this.stale = true;
-      return;
-    }
-    this.stale = false;
-    const [width, height, ratio] = [this.canvas.clientWidth, this.canvas.clientHeight, Math.min(3, devicePixelRatio || 1)];
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    const pen = this.canvas.getContext("2d");
-    pen.scale(ratio, ratio);
+  paint(pen, width, height) {
     const frame = this.frame(width, height);
     this.axes(pen, frame, height);
     pen.save();
@@ -60,11 +42,9 @@ class PadView {
     for (const mark of this.data.marks) this.mark(pen, mark);
     pen.restore();
     this.whole = pen.getImageData(0, 0, this.canvas.width, this.canvas.height);
-    this.cursor();
   }
 
   axes(pen, frame, height) {
-    pen.font = FONT;
     pen.lineWidth = 1;
     pen.strokeStyle = style("--grid");
     pen.fillStyle = style("--soft");
@@ -173,10 +153,4 @@ class PadView {
       pen.stroke();
     }
   }
-}
-
-function stroke(pen, points) {
-  pen.beginPath();
-  for (const [x, y] of points) pen.lineTo(x, y);
-  pen.stroke();
 }
