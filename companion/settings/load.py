@@ -192,7 +192,7 @@ def read_camera(path: Path) -> Camera:
         BadInput: it cannot be read, is none of them, or has a fault.
     """
     text = read_text(path)
-    foreign = foreign_camera(text, path)
+    foreign = foreign_camera(text, str(path))
     return Camera.from_mapping(toml_of(text, path) if foreign is None else foreign, str(path))
 
 

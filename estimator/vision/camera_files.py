@@ -8,7 +8,6 @@ Source: ROS REP-104 and camera_calibration_parsers; OpenCV, calib3d; Kalibr wiki
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "M1", "mt
 _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "d", "D1", "dist", "distortion_coeffs")
 
 
-def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
+def foreign_camera(text: str, path: str) -> dict[str, Any] | None:
     """Return the keys of our own camera file for a text of one of these kinds, by its content; None for another text.
 
     Raises:
@@ -38,7 +37,7 @@ def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
         raise BadInput(f"{path}: the INI form of ROS is not read: give the YAML file, which its calibrator writes beside it")
     if begin.startswith(("<", "{")):
         return _mapping(_stored(path, begin), path)
-    if path.suffix.lower() in (".yaml", ".yml") or begin.startswith("%YAML"):
+    if path.lower().endswith((".yaml", ".yml")) or begin.startswith("%YAML"):
         document = re.split(r"^---\s*$", begin, maxsplit=2, flags=re.MULTILINE)
         # A message that was printed ends with this line, and the next one may follow.
         text = next((part for part in document if part.strip() and not part.startswith("%YAML")), "")
@@ -46,7 +45,7 @@ def foreign_camera(text: str, path: Path) -> dict[str, Any] | None:
     return None
 
 
-def _stored(path: Path, text: str) -> dict[str, Any]:
+def _stored(path: str, text: str) -> dict[str, Any]:
     """Return what OpenCV's parser finds: maps, lists, numbers and texts; a matrix is its numbers row by row."""
     import cv2  # a tenth of the service's start, which our own files do not need
 
@@ -73,7 +72,7 @@ def _value(node: Any) -> Any:
     return node.string() if node.isString() else None
 
 
-def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def _mapping(found: Mapping[str, Any], path: str) -> dict[str, Any]:
     """Return the keys of our own camera file."""
     cameras = [key for key, value in found.items() if isinstance(value, dict) and "intrinsics" in value]
     if len(cameras) > 1:
@@ -101,7 +100,7 @@ def _mapping(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _size(data: Mapping[str, Any], path: Path) -> tuple[int, int]:
+def _size(data: Mapping[str, Any], path: str) -> tuple[int, int]:
     sizes: list[list[Any]] = [_numbers(data.get("resolution")), *([data.get(w), data.get(h)] for w, h in _SIZE)]
     size = next((s for s in sizes if len(s) == 2 and all(isinstance(v, float) and v.is_integer() for v in s)), None)
     if size is None:
@@ -120,7 +119,7 @@ def _numbers(value: Any) -> list[float]:
     return flat
 
 
-def _fisheye(matrix: F64, size: tuple[int, int], coefficients: list[float], path: Path) -> list[float]:
+def _fisheye(matrix: F64, size: tuple[int, int], coefficients: list[float], path: str) -> list[float]:
     """Return the four coefficients of a fisheye whose image grows with the angle over the whole frame."""
     k = [*coefficients, *[0.0] * (4 - len(coefficients))]
     if len(k) > 4 and not any(k[4:]):
@@ -138,7 +137,7 @@ def _fisheye(matrix: F64, size: tuple[int, int], coefficients: list[float], path
     return k
 
 
-def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: Path) -> list[float]:
+def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: str) -> list[float]:
     """Return our five coefficients for a lens of another kind."""
     import cv2
 
