@@ -22,7 +22,7 @@ from estimator.contracts.estimates import Feature, Method, RelativeState, Sighti
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.beside_pad import AroundMemory, around
+from estimator.vision.about_pad import AroundMemory, PassMemory, around, passed
 from estimator.vision.camera import Camera
 from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect import verification
@@ -38,7 +38,6 @@ from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, proba
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.passing import PassMemory, passed
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.fit_verification import calibrated

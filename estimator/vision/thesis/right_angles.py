@@ -4,20 +4,33 @@ Around a corner a small circle crosses between paint and ground twice, with the 
 the circle on paint the corner is a tip; with three quarters it is an inner corner. The crossings on circles of several radii lie
 on the two arms; lines fitted to them meet in the corner. This needs no neighbourhood averages, which depend on the range, and no
 rounding or drawing into the frame that is measured.
+
+The arrow method: the centre of the white H and the tip of the orange arrowhead give position and heading.
+
+The corners method: the right angles of the H, for the range where neither disc nor arrow fits into the frame.
+
+Two inner corners of the cross-bar start it. Their arms identify them: arms that point at each other lie along the bar, so the
+pair is on a long side; arms that point away from each other lie along one leg, so the pair is on a short side. The drawing
+aligned with the pair predicts all twelve corners, and the corners found there join the fit. The H is symmetric, so the heading is
+known up to 180 degrees.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.contracts.estimates import Feature
 from estimator.contracts.geometry import F64
-from estimator.vision.thesis.blob import U8
-from estimator.vision.thesis.segmentation import F32
+from estimator.vision.pad import Pad
+from estimator.vision.pose import Marks, OrientedCamera, point_modes
+from estimator.vision.thesis.segmentation import F32, U8, Segmentation
 
 _RADII = 7
 _MIN_RADIUS_PX = 1.6
@@ -184,3 +197,394 @@ def _distinct(fits: _Fits, apart_px: float) -> list[RightAngle]:
             measured_at.append((u, v))
             out.append(RightAngle(fits.uv[i], fits.arms[i], bool(fits.inner[i]), float(fits.sigma[i])))
     return out
+
+
+_SIGMA_CENTROID_PX = 0.03
+_SIGMA_CENTROID = 0.0015
+"""Error of the centroid from worn paint and edges of shadows, as a fraction of the H's length; it does not fall with more
+pixels.
+"""
+_SIGMA_TIP_PX = 0.06
+"""Remaining error of the tip. Blur moves a corner along its bisector; the fit of the arms avoids the blurred part except for
+this.
+"""
+_TIP_CANDIDATES = 6
+_MIN_REACH_PX = 3.2
+"""Arms shorter than this are only blur: the tip comes out up to 2 % of the arrow's length too far."""
+_SECTORS = 24
+_MIN_PAINT = 0.25
+"""Smallest coverage that counts as orange, as a fraction of the brightest orange: in deep shadow."""
+_MAX_REACH_PX = 24.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrow:
+    """The result of the arrow method."""
+
+    marks: Marks
+    confidence: float
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Centroid:
+    uv_px: F64
+    """Image of the H's centre, (2,) px."""
+    area_plane: float
+    perimeter_px: float
+
+
+def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Arrow | None:
+    """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another.
+
+    Args:
+        orangeness: the result of `Segmentation.orangeness()`.
+    """
+    if seg.h_touches_border or seg.whiteness is None or orangeness is None:
+        return None
+    centre = _centroid(seg, seg.whiteness, view)
+    if centre is None:
+        return None
+    origin = np.array(seg.origin_px, dtype=float)
+    h_area_m2 = 2.0 * pad.markings.h_length_m * pad.markings.leg_width_m + pad.markings.bar_length_m * pad.markings.bar_width_m
+    scale = math.sqrt(centre.area_plane / h_area_m2)
+    centre_plane = view.plane(centre.uv_px[None, :])
+    px_per_m = _local_px(view, centre_plane[0]) * scale
+    # Between the arms of the arrowhead there is nothing else within three quarters of their length.
+    reach_px = 0.75 * math.hypot(pad.markings.arrow_depth_m, pad.markings.arrow_half_base_m) * px_per_m
+    if reach_px < _MIN_REACH_PX:
+        return None
+    starts = _farthest(seg.orange, centre.uv_px - origin, pad, px_per_m)
+    if len(starts) == 0:
+        return None
+    paint = _paint_behind(starts, centre.uv_px - origin - starts, orangeness, pad, px_per_m)
+    starts, paint = starts[paint > _MIN_PAINT], paint[paint > _MIN_PAINT]
+    reach_px = min(reach_px, _MAX_REACH_PX)
+    tips = [t for t in refine(orangeness, starts, reach_px, paint) if not t.inner]
+    best: tuple[float, RightAngle] | None = None
+    for tip in tips:
+        misfit = _score(tip, origin, centre_plane[0], view, pad, scale)
+        if misfit is not None and (best is None or misfit < best[0]):
+            best = (misfit, tip)
+    if best is None:
+        return None
+    misfit, rough = best
+    # Refine once more with the tip's own paint: the ring, thin from afar, is paler, and a shadow may lie on the tip.
+    inwards = rough.arms.sum(axis=0)[None, :]
+    paint = _paint_behind(rough.uv_px[None, :], inwards, orangeness, pad, px_per_m)
+    again = refine(orangeness, rough.uv_px[None, :], reach_px, paint, settled=True) if paint[0] > _MIN_PAINT else []
+    if len(again) != 1 or again[0].inner:
+        return None
+    exact = again[0]
+    tip_uv = exact.uv_px + origin
+    uv = np.stack([centre.uv_px, tip_uv])
+    n_edge = max(4.0, centre.perimeter_px / 4.0)
+    sigma = np.array(
+        [
+            math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * pad.markings.h_length_m * px_per_m),
+            math.hypot(exact.sigma_px, _SIGMA_TIP_PX),
+        ]
+    )
+    modes = np.zeros((4, 2, 2))
+    modes[0, 0, 0] = modes[1, 0, 1] = sigma[0]
+    modes[2, 1, 0] = modes[3, 1, 1] = sigma[1]
+    confidence = math.exp(-0.5 * misfit) * (0.5 + 0.5 * seg.plausibility)
+    features = (
+        Feature("line", "arrow", uv),
+        Feature("point", "tip", tip_uv[None, :]),
+        Feature("point", "centre", centre.uv_px[None, :]),
+    )
+    return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.markings.arrow_tip_m, 0.0]]), modes), confidence, features)
+
+
+def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
+    """Return the centroid of the H's paint in the level plane; in the frame itself the nearer half would count more."""
+    near = cv2.dilate(seg.h, np.ones((3, 3), np.uint8), iterations=2)
+    u0, v0, w, h = cv2.boundingRect(near)
+    box = np.s_[v0 : v0 + h, u0 : u0 + w]
+    # The weight is steeper than the coverage, so that uneven paint inside counts alike and only the edge keeps its fractions.
+    weight = np.where(near[box] > 0, np.clip(2.0 * whiteness[box] - 0.5, 0.0, 1.0), np.float32(0.0))
+    m = cv2.moments(weight)
+    if m["m00"] < 6.0:
+        return None
+    uv = np.array([m["m10"] / m["m00"] + u0 + seg.origin_px[0], m["m01"] / m["m00"] + v0 + seg.origin_px[1]])
+    C = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+    # Map the moments to the level plane by a second-order expansion of the map about the centroid.
+    step = 0.5 * math.sqrt(max(float(np.trace(C)), 4.0))
+    grid = np.array([(i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)])
+    q = view.plane(uv + step * grid).reshape(3, 3, 2)
+    if not np.all(np.isfinite(q)):
+        return None
+    du, dv = (q[2, 1] - q[0, 1]) / (2 * step), (q[1, 2] - q[1, 0]) / (2 * step)
+    duu, dvv = (q[2, 1] - 2 * q[1, 1] + q[0, 1]) / step**2, (q[1, 2] - 2 * q[1, 1] + q[1, 0]) / step**2
+    duv = (q[2, 2] - q[2, 0] - q[0, 2] + q[0, 0]) / (4 * step**2)
+    J = np.stack([du, dv], axis=1)
+    det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
+    grow_u = (duu[0] * dv[1] + du[0] * duv[1] - duv[0] * du[1] - dv[0] * duu[1]) / det
+    grow_v = (duv[0] * dv[1] + du[0] * dvv[1] - dvv[0] * du[1] - dv[0] * duv[1]) / det
+    bend = 0.5 * (C[0, 0] * duu + 2.0 * C[0, 1] * duv + C[1, 1] * dvv)
+    centre = q[1, 1] + bend + J @ C @ np.array([grow_u, grow_v])
+    uv_centre = view.pixels(centre[None, :])[0]
+    contours, _ = cv2.findContours(seg.h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    perimeter = sum(cv2.arcLength(c, True) for c in contours)
+    return _Centroid(uv_centre, float(m["m00"] * abs(det)), perimeter)
+
+
+def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
+    """Return (N, 2) orange pixels that extend farthest from the ring, one for each direction; the tip is among them."""
+    if not orange.any():
+        return np.zeros((0, 2))
+    d = cv2.findNonZero(orange)[:, 0, :] - centre
+    r = np.sqrt(d[:, 0] ** 2 + d[:, 1] ** 2)
+    # The area of the H gives the scale to a few percent; the tip extends beyond the ring by 15 %.
+    near = (r > 1.03 * pad.markings.ring_outer_m * px_per_m) & (r < 1.25 * pad.markings.arrow_tip_m * px_per_m)
+    d, r = d[near], r[near]
+    if len(r) == 0:
+        return np.zeros((0, 2))
+    order = np.argsort(-r)
+    sector = np.floor(np.arctan2(d[order, 1], d[order, 0]) * (_SECTORS / math.tau)).astype(int)
+    _, first = np.unique(sector, return_index=True)
+    return np.asarray(d[order][np.sort(first)[:_TIP_CANDIDATES]] + centre)
+
+
+def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: float) -> F64:
+    """Return (N,) coverage by orange in the middle of the arrowheads with these tips, (N, 2), and directions."""
+    incentre_m = math.sqrt(2.0) * (pad.markings.arrow_depth_m + pad.markings.arrow_half_base_m) * 0.5 * (math.sqrt(2.0) - 1.0)
+    at = tips + inwards / np.linalg.norm(inwards, axis=1, keepdims=True) * incentre_m * px_per_m
+    spread = 0.25 * incentre_m * px_per_m
+    grid = at[:, None, :] + spread * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    u, v = grid[:, :, 0].astype(np.float32), grid[:, :, 1].astype(np.float32)
+    return np.asarray(np.median(cv2.remap(orangeness, u, v, cv2.INTER_LINEAR), axis=1), float)
+
+
+def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera, pad: Pad, scale: float) -> float | None:
+    """Return the misfit of tip and H: length against the H's area, bisector against the centre, arms' angle against 90 degrees.
+
+    Return None if any of them is out of range. The H's long axis is of no use: its moments are equal along and across.
+    """
+    uv = tip.uv_px + origin
+    q = view.plane(np.stack([uv, uv + 2.0 * tip.arms[0], uv + 2.0 * tip.arms[1]]))
+    if not np.all(np.isfinite(q)):
+        return None
+    v = q[0] - centre_plane
+    length = float(np.linalg.norm(v))
+    off_length = math.log(length / (pad.markings.arrow_tip_m * scale)) / 0.12
+    arms = (q[1:] - q[0]) / np.linalg.norm(q[1:] - q[0], axis=1, keepdims=True)
+    inward = -(arms[0] + arms[1])
+    off_bisector = math.acos(float(np.clip(inward @ v / (np.linalg.norm(inward) * length), -1.0, 1.0))) / math.radians(10.0)
+    off_right = abs(math.acos(float(np.clip(arms[0] @ arms[1], -1.0, 1.0))) - math.pi / 2) / math.radians(10.0)
+    parts = np.array([off_length, off_bisector, off_right])
+    return float(np.mean(parts**2)) if np.all(np.abs(parts) <= 3.0) else None
+
+
+def _local_px(view: OrientedCamera, plane: F64) -> float:
+    """Return the number of pixels per unit of the level plane at this position."""
+    h = 1e-3
+    uv = view.pixels(plane + h * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]))
+    a, b = (uv[0] - uv[1]) / (2 * h), (uv[2] - uv[3]) / (2 * h)
+    return math.sqrt(abs(float(a[0] * b[1] - a[1] * b[0])))
+
+
+_MIN_STROKE_PX = 4.5
+_SIGMA_CORNER_PX = 0.06
+_SIGMA_CORNER = 0.004
+"""Error of a corner as a fraction of a stroke's width: a shadow's edge across it."""
+_ALONG = math.cos(math.radians(10.0))
+"""Smallest cosine between an arm and the line between its two corners, for any perspective; the diagonal is 18 degrees off the
+bar.
+"""
+_INNER = (2, 3, 8, 9)
+_IS_INNER = np.isin(np.arange(12), _INNER)
+"""Mask of the inner corners of `Pad.h_corners`: fore port, fore starboard, aft starboard, aft port."""
+
+Side = Literal["long", "short"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """The result of the corners method."""
+
+    marks: Marks
+    confidence: float
+    features: tuple[Feature, ...]
+    side: Side
+    """Side of the cross-bar that the starting pair is on."""
+
+
+def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners | None:
+    """Return the corners of the H; None if fewer than two inner ones show or they do not fit the drawing."""
+    whiteness = seg.whiteness
+    if whiteness is None:
+        return None
+    stroke_px = _stroke(seg.h)
+    if stroke_px < _MIN_STROKE_PX:
+        return None
+    around = 2 * max(1, round(0.3 * stroke_px)) + 1
+    where = np.asarray(cv2.dilate(seg.h, np.ones((around, around), np.uint8)), np.uint8)
+    found = refine(whiteness, candidates(whiteness, where, stroke_px), min(0.75 * stroke_px, 30.0))
+    inner = [c for c in found if c.inner]
+    if len(inner) < 2:
+        return None
+    origin = np.array(seg.origin_px, dtype=float)
+    uv = np.array([c.uv_px for c in found]) + origin
+    plane = view.plane(uv)
+    drawing = pad.markings.h_corners()[:, :2]
+    best: tuple[int, float, Side, list[tuple[int, int]]] | None = None
+    for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
+        side = side_of(found[a], found[b])
+        if side is None:
+            continue
+        aligned = _align(a, b, side, found, plane, drawing)
+        if aligned is None:
+            continue
+        pairs, misfit = _match(found, plane, drawing, aligned, pad)
+        if len(pairs) >= 2 and (best is None or (len(pairs), -misfit) > (best[0], -best[1])):
+            best = (len(pairs), misfit, side, pairs)
+            if len(pairs) == len(found) or len(pairs) == len(drawing):
+                break
+    if best is None:
+        return None
+    count, misfit, side, pairs = best
+    at = np.array([i for i, _ in pairs])
+    places = drawing[[k for _, k in pairs]]
+    fit = _similarity(places, plane[at])
+    if fit is None or not _painted(fit, seg, view, pad, whiteness):
+        return None
+    sigma = np.hypot([found[i].sigma_px for i in at], math.hypot(_SIGMA_CORNER_PX, _SIGMA_CORNER * stroke_px))
+    marks = Marks(uv[at], places, point_modes(sigma), yaw_ambiguous=True)
+    confidence = (1.0 - math.exp(-0.5 * count)) * math.exp(-((misfit / 0.15) ** 2)) * (0.5 + 0.5 * seg.plausibility)
+    centre = view.pixels(_apply(fit, np.zeros((1, 2))))
+    features = (
+        Feature("point", "corners", uv[at]),
+        Feature("outline", "H", view.pixels(_apply(fit, drawing))),
+        Feature("point", "centre", centre),
+    )
+    return Corners(marks, confidence, features, side)
+
+
+def side_of(a: RightAngle, b: RightAngle) -> Side | None:
+    """Return the side of the cross-bar that two inner corners are on; None if they are no such pair (the diagonal, another H)."""
+    between = b.uv_px - a.uv_px
+    between = between / max(float(np.linalg.norm(between)), 1e-9)
+    towards_b, towards_a = float(np.max(a.arms @ between)), float(np.max(b.arms @ -between))
+    away_b, away_a = float(np.max(a.arms @ -between)), float(np.max(b.arms @ between))
+    if min(towards_b, towards_a) > _ALONG:
+        return "long"
+    if min(away_b, away_a) > _ALONG:
+        return "short"
+    return None
+
+
+Similarity = tuple[float, float, float, float]
+"""The parameters a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
+
+
+def _align(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Similarity | None:
+    """Align the drawing with two inner corners; of the two orientations take the one with the paint on the right side.
+
+    Clockwise around the drawing, fore port to fore starboard is the fore long side, and fore starboard to aft starboard is the
+    starboard short side. The arm that is not along the pair points forward from the fore side, and inward from the short one.
+    """
+    between = found[b].uv_px - found[a].uv_px
+    across = [arm for arm in found[a].arms if abs(float(arm @ between)) < 0.7 * float(np.linalg.norm(between))]
+    if len(across) != 1:
+        return None
+    # The camera sees the deck from above: the level axes forward, right are rotated against u, v but never mirrored.
+    turn = float(between[0] * across[0][1] - between[1] * across[0][0])
+    if side == "long":
+        # From fore port to fore starboard (+y) the legs' arms point along +x: from +y to +x is anticlockwise.
+        first, second = (_INNER[0], _INNER[1]) if turn < 0 else (_INNER[1], _INNER[0])
+    else:
+        # From fore starboard to aft starboard (-x) the bar's arms point along -y: from -x to -y is clockwise.
+        first, second = (_INNER[1], _INNER[2]) if turn > 0 else (_INNER[2], _INNER[1])
+    return _similarity(drawing[[first, second]], plane[[a, b]])
+
+
+def _match(
+    found: list[RightAngle], plane: F64, drawing: F64, similarity: Similarity, pad: Pad
+) -> tuple[list[tuple[int, int]], float]:
+    """Match corners with the drawing's corners of the same kind; return the pairs and the rms distance in widths of a leg."""
+    other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
+    for round_ in range(2):
+        predicted = _apply(similarity, drawing)
+        unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
+        distance = np.linalg.norm(plane[:, None, :] - predicted[None, :, :], axis=2) / unit
+        distance[other_kind] = np.inf
+        nearest = np.argmin(distance, axis=1)
+        d = distance[np.arange(len(found)), nearest]
+        limit = 0.4 if round_ == 0 else 0.2
+        pairs: list[tuple[int, int]] = []
+        measured_at: set[int] = set()
+        for i in np.argsort(d):
+            k = int(nearest[i])
+            if d[i] < limit and k not in measured_at:
+                measured_at.add(k)
+                pairs.append((int(i), k))
+        if len(pairs) < 2:
+            return [], math.inf
+        refit = _similarity(drawing[[k for _, k in pairs]], plane[[i for i, _ in pairs]])
+        if refit is None:
+            return [], math.inf
+        similarity = refit
+    inner_count = sum(k in _INNER for _, k in pairs)
+    if inner_count < 2:
+        return [], math.inf
+    at = np.array([i for i, _ in pairs])
+    off = plane[at] - _apply(similarity, drawing[[k for _, k in pairs]])
+    unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
+    return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
+
+
+def _painted(similarity: Similarity, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
+    """Return whether the frame is white on the aligned drawing and not white beside it, at the points inside the frame."""
+    leg_y = 0.5 * (pad.markings.h_width_m - pad.markings.leg_width_m)
+    ends = 0.4 * pad.markings.h_length_m
+    white = [(0.0, 0.0), (0.0, leg_y), (0.0, -leg_y), (ends, leg_y), (ends, -leg_y), (-ends, leg_y), (-ends, -leg_y)]
+    notch = 0.25 * pad.markings.h_length_m
+    beside = 0.5 * pad.markings.h_width_m + 0.7 * pad.markings.leg_width_m
+    ground = [
+        (notch, 0.0),
+        (-notch, 0.0),
+        (0.0, beside),
+        (0.0, -beside),
+        (2 * notch + pad.markings.leg_width_m, leg_y),
+        (-2 * notch - pad.markings.leg_width_m, -leg_y),
+    ]
+    uv = view.pixels(_apply(similarity, np.array(white + ground))) - np.array(seg.origin_px)
+    h, w = whiteness.shape
+    expected = np.array([True] * len(white) + [False] * len(ground))
+    ok = np.all(np.isfinite(uv), axis=1)
+    cell = np.rint(np.where(ok[:, None], uv, -1.0)).astype(int)
+    ok &= (cell[:, 0] >= 0) & (cell[:, 1] >= 0) & (cell[:, 0] < w) & (cell[:, 1] < h)
+    if ok.sum() < 3:
+        return False
+    seen = whiteness[cell[ok, 1], cell[ok, 0]] > 0.5
+    return bool(np.mean(seen == expected[ok]) > 0.85)
+
+
+def _stroke(h: U8) -> float:
+    """Return the width of the strokes of a white shape, px: twice its area over its perimeter."""
+    contours, _ = cv2.findContours(h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
+        return 0.0
+    largest = max(contours, key=cv2.contourArea)
+    length = cv2.arcLength(largest, True)
+    # Contours run through pixel centres, half a pixel inside the paint's edge on either side.
+    return 2.0 * cv2.contourArea(largest) / length + 1.0 if length > 0 else 0.0
+
+
+def _similarity(p: F64, q: F64) -> Similarity | None:
+    """Fit shift, rotation and scale from p to q, (N, 2) each, by least squares."""
+    pc, qc = p.mean(axis=0), q.mean(axis=0)
+    dp, dq = p - pc, q - qc
+    spread = float(np.sum(dp * dp))
+    if spread <= 0.0 or not np.all(np.isfinite(q)):
+        return None
+    a = float(np.sum(dp * dq)) / spread
+    b = float(np.sum(dp[:, 0] * dq[:, 1] - dp[:, 1] * dq[:, 0])) / spread
+    return a, b, float(qc[0] - a * pc[0] + b * pc[1]), float(qc[1] - b * pc[0] - a * pc[1])
+
+
+def _apply(similarity: Similarity, p: F64) -> F64:
+    a, b, x, y = similarity
+    return np.stack([a * p[:, 0] - b * p[:, 1] + x, b * p[:, 0] + a * p[:, 1] + y], axis=1)

@@ -13,11 +13,10 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
-from estimator.vision.beside_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, around
+from estimator.vision.about_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, PassMemory, around, passed
 from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import NearThing, PadCheck
-from estimator.vision.passing import PassMemory, passed
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Mast

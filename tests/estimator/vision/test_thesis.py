@@ -21,10 +21,8 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import fuse
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation, OrientedCamera
-from estimator.vision.thesis.corners import find_corners
-from estimator.vision.thesis.detection import choose, detect, with_heading_of
-from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
-from estimator.vision.thesis.right_angles import candidates, refine
+from estimator.vision.thesis.detection import Ellipse, choose, detect, fit_ellipse, with_heading_of
+from estimator.vision.thesis.right_angles import candidates, find_corners, refine
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, segment
 from tests.support.pad_images import STAMP, PadPlacement, errors, image, project, sim_camera
 from tests.support.shipped import shipped_camera, shipped_pad
