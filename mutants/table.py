@@ -114,9 +114,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/pad_tracker.py": ("tests/estimator/test_public_api.py",),
     "estimator/pipeline.py": ("tests/estimator/test_public_api.py", *_PIPELINE),
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
-    "estimator/integrity/crosschecks.py": tuple(f"{_INTEGRITY}/test_{of}.py" for of in ("heading", "heights", "view")),
-    "estimator/integrity/sensors.py": tuple(f"{_INTEGRITY}/test_{of}.py" for of in ("frames", "sensors", "clock")),
-    "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks.py", f"{_INTEGRITY}/test_arbiter.py"),
+    "estimator/integrity/crosschecks.py": (f"{_INTEGRITY}/test_crosschecks.py",),
+    "estimator/integrity/sensors.py": (f"{_INTEGRITY}/test_sensors.py",),
+    "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks.py",),
     "companion/guidance/mission/machine.py": ("tests/companion/test_mission_table.py",),
     "companion/guidance/landing.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),
     "companion/guidance/mission/progress.py": (

@@ -1,4 +1,4 @@
-"""The camera as a value: equal numbers make equal cameras, so that what is kept for one is found for its like."""
+"""The camera as a value, and linear light."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Parts of acquisition: circles of edges, headings, strokes, and alignment of the drawing with the frame."""
+"""Parts of acquisition: circles, outlines of areas, headings, strokes, and alignment of the drawing with the frame."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Things on the pad are seen, and light is not."""
+"""Things on the pad, about it and passing over it are seen, and light and what is painted are not."""
 
 import math
 

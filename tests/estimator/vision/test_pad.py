@@ -1,4 +1,4 @@
-"""A pad's file: what is refused and how, and what is derived from the regions."""
+"""A pad's file: what is refused and how, what is derived from the regions, edges, and the coverage of slanted shapes."""
 
 import copy
 import ctypes

@@ -1,4 +1,4 @@
-"""Registration on rendered frames: accuracy, honest covariance, blur, occlusion, partial view, heading."""
+"""Registration: accuracy, covariance that holds, blur, occlusion, codecs, photographs, and whatever surrounds the pad."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""A registration brought to `level`: conventions, attitude's share in the covariance, ambiguity, confidence."""
+"""A registered pose in level: its covariance, its heading, and the way back to the camera."""
 
 import math
 from dataclasses import replace

@@ -1,7 +1,4 @@
-"""One look: what is chosen, what is none, and that neither tilt nor the mount nor the light deceives it.
-
-Cues that agree are fused without false certainty, one that does not is left out, none moves the result by a step.
-"""
+"""The thesis' methods: ellipse, arrow, corners, what is chosen of them, and how cues that agree are fused."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""The judge: parts speak for themselves, light does not count, and confidence falls with every part that is missing."""
+"""The verification: confidence falls with every part that is missing, light does not count, and what is sure is the pad."""
 
 import itertools
 import math

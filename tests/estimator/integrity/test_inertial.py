@@ -1,18 +1,21 @@
-"""Gyro against attitude with the pad's own rotation as the third witness (own truth)."""
+"""Gyro, accelerometer, attitude and velocity against each other and the pad's sightings (own truth); frozen halves."""
 
 import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude, Imu
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity import inertial
 from estimator.integrity.inertial import Differences, Inertial, Usual
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.parity import Bin, Slope, Vec3
+from estimator.integrity.parity import Bin, Half, Slope, TurnByAttitude, Vec3, read_half, replace_halves, turn_between
 
 OPTIONS = IntegrityOptions()
 DT, BEGIN_S, LATE_S = 0.01, 2.0, 0.12
@@ -205,3 +208,195 @@ def test_the_drag_of_a_wind_that_takes_the_whole_tilt_is_no_fault(side_m_s2: flo
         turned = lean @ Rotation.from_rotvec(0.002 * rng.standard_normal(3))
         state = inertial.levelled(state, Attitude(stamp, turned, 1e-4 * np.eye(3)), True)
     assert (state.accel_fault is not None) is lost
+
+
+VELOCITY_DT, VELOCITY_BEGIN_S = 0.01, 3.0
+
+
+Change_velocity = Callable[[F64, float], F64]
+
+
+def flown_velocity(
+    velocity: Change_velocity,
+    *,
+    seen: bool,
+    blind_from: float = math.inf,
+    size_m_s: float = 0.8,
+    deck_m_s: float = 0.0,
+    accelerometer: F64 | None = None,
+    since: float = VELOCITY_BEGIN_S,
+    until: float = 9.0,
+    seed: int = 1,
+) -> list[Inertial]:
+    """Return the states of a body that swings to and fro over a deck that does, every `VELOCITY_DT`.
+
+    Args:
+        velocity: what the sensor makes of the velocity against the deck, (2,) m/s, with the time for which it lies, s.
+        seen: the pad's sightings come, 30 a second, until `blind_from`, s.
+        deck_m_s: size of the deck's own swing.
+        accelerometer: what it adds to the specific force from `since` on, s, (3,) m/s^2.
+    """
+    rng, state, out = np.random.default_rng(seed), Inertial(), list[Inertial]()
+    p = np.zeros(2)
+    for n in range(round(until / VELOCITY_DT)):
+        t = n * VELOCITY_DT
+        stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round(t * 1e9)), 0.001, "sim")
+        phases = np.array([1.7 * t, 1.3 * t + 1.0])
+        own, a = size_m_s * np.sin(phases), size_m_s * np.array([1.7, 1.3]) * np.cos(phases)
+        deck = deck_m_s * np.sin(0.8 * t + np.array([0.3, 1.4]))
+        p = p + (own - deck) * VELOCITY_DT
+        f = np.array([*a, -9.81]) + 0.1 * rng.standard_normal(3)
+        if accelerometer is not None and t >= since:
+            f = f + accelerometer
+        state, _ = inertial.felt(state, Imu(stamp, 0.01 * rng.standard_normal(3), f), OPTIONS, True)
+        v = own - deck
+        v = velocity(v, t - VELOCITY_BEGIN_S) if t >= VELOCITY_BEGIN_S else v
+        state = inertial.moved(
+            state, BodyVelocity(stamp, np.array([*(v + 0.05 * rng.standard_normal(2)), 0.0]), np.diag([0.01] * 2 + [1e6]))
+        )
+        attitude = Rotation.from_rotvec(0.002 * rng.standard_normal(3))
+        state = inertial.levelled(state, Attitude(stamp, attitude, 1e-4 * np.eye(3)), True)
+        if seen and n % 3 == 0 and t < blind_from:
+            at = tuple((-p + 0.01 * rng.standard_normal(2)).tolist())
+            state = inertial.sighted(state, stamp.measured_at, (*at, 2.0), 0.0)
+        out.append(state)
+    return out
+
+
+def named_after_s(states: list[Inertial]) -> float:
+    return next(
+        (n * VELOCITY_DT - VELOCITY_BEGIN_S for n, state in enumerate(states) if state.velocity_fault is not None), math.inf
+    )
+
+
+LIES: dict[str, Change_velocity] = {
+    "sign": lambda v, t: -v,
+    "swapped": lambda v, t: v[::-1] * (1.0, -1.0),
+    "runs away": lambda v, t: v * max(-1.0, 1.0 - t),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize("off_m_s2", [0.0, 0.9])
+def test_a_velocity_against_the_accelerometer_is_named_within_two_seconds(lie: str, seen: bool, off_m_s2: float) -> None:
+    states = flown_velocity(LIES[lie], seen=seen, accelerometer=np.array([0.0, off_m_s2, 0.0]), since=0.0)
+    assert 0.0 < named_after_s(states) < 2.5
+    (text,) = states[-1].lost
+    assert text.startswith("the velocity")
+    assert (states[-1].named > 0) is not seen, "out of sight the estimate has followed it, and begins again"
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.0, 1.2), st.floats(0.0, 0.8), st.floats(-1.1, 1.1), st.booleans(), st.integers(0, 99))
+def test_an_honest_velocity_is_never_named_over_a_deck_that_sways_nor_for_an_attitude_that_errs(
+    size_m_s, deck_m_s, off_m_s2, seen, seed
+):
+    off = np.array([0.0, off_m_s2, 0.0])
+    states = flown_velocity(
+        lambda v, t: v, seen=seen, size_m_s=size_m_s, deck_m_s=deck_m_s, accelerometer=off, since=0.0, until=6.0, seed=seed
+    )
+    assert named_after_s(states) == math.inf
+
+
+@pytest.mark.parametrize(("size_m_s", "since"), [(0.8, VELOCITY_BEGIN_S), (0.1, 0.0)])
+def test_an_accelerometer_that_lies_in_sight_leaves_the_velocity_alone(size_m_s: float, since: float) -> None:
+    lies = np.array([2.5, 0.0, 0.0])
+    states = flown_velocity(lambda v, t: v, seen=True, size_m_s=size_m_s, accelerometer=lies, since=since, blind_from=4.5)
+    assert named_after_s(states) == math.inf, "nor out of sight soon after"
+
+
+def test_a_late_velocity_is_named_once_it_swings_the_vehicle() -> None:
+    """Its share of the integral's swing is of the right sign; in clean flights the difference is a third of this one's."""
+    late = deque([np.zeros(2)] * 50)
+
+    def half_a_second_old(v: F64, t: float) -> F64:
+        late.append(v)
+        return late.popleft()
+
+    assert named_after_s(flown_velocity(half_a_second_old, seen=False, size_m_s=2.0)) < 3.0
+
+
+def test_a_deck_that_ends_below_makes_a_leap_and_no_lie() -> None:
+    states = flown_velocity(lambda v, t: v + np.array([4.0, 0.0]), seen=False)
+    assert named_after_s(states) == math.inf
+
+
+def test_a_naming_is_withdrawn_when_the_velocity_agrees_again() -> None:
+    states = flown_velocity(lambda v, t: -v if t < 2.5 else v, seen=True, until=12.0)
+    assert states[round(5.4 / VELOCITY_DT)].velocity_fault is not None
+    assert states[-1].velocity_fault is None
+
+
+MS = 1_000_000
+
+
+T = 5_000_000_000
+
+
+def stamp(t: int) -> Stamp:
+    return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
+
+
+def attitude(t: int, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Attitude:
+    return Attitude(stamp(t), Rotation.from_rpy(roll, pitch, yaw), 1e-4 * np.eye(3))
+
+
+def frozen_after(values: list[bytes], step_ms: int, flying: bool = True) -> list[bool]:
+    half, found, step = Half(), [], step_ms * MS
+    for n, value in enumerate(values):
+        same = n > 0 and value == values[n - 1]
+        half = read_half(half, T + (n - 1) * step if same else None, T + n * step, 0.15, flying)
+        found.append(half.frozen)
+    return found
+
+
+def test_a_half_that_repeats_itself_is_frozen_after_the_limit_and_back_at_once() -> None:
+    found = frozen_after([b"a", b"b", *[b"c"] * 40, b"d", b"e"], 5)
+    assert found.index(True) in (2 + 30, 2 + 31), "150 ms after its first reading"
+    assert found[-2:] == [False, False]
+    assert all(found[33:42])
+
+
+def test_what_stands_on_the_ground_repeats_itself_and_is_not_frozen() -> None:
+    assert not any(frozen_after([b"a"] * 400, 5, flying=False))
+
+
+def test_readings_that_toggle_between_two_values_are_not_frozen() -> None:
+    assert not any(frozen_after([b"a", b"a", b"b", b"b"] * 100, 5))
+
+
+def test_a_sensor_of_coarse_steps_gets_the_time_that_it_has_needed_before() -> None:
+    def runs(*of_ms: int) -> list[bytes]:
+        return [bytes([n]) for n, ms in enumerate(of_ms) for _ in range(ms // 10)]
+
+    assert not any(frozen_after(runs(20, 60, 100, 140, 250, 400, 20), 10)), "each longer one within three times the one before"
+    assert any(frozen_after(runs(20, 20, 250), 10))
+    assert any(frozen_after(runs(60, 100, 140, 1300), 10)), "nothing excuses a second"
+
+
+@settings(max_examples=60)
+@given(st.lists(st.floats(-0.4, 0.4), min_size=3, max_size=3), st.floats(-3.0, 3.0))
+def test_the_turn_between_two_attitudes_is_their_rotation_vector(turn: list[float], yaw: float) -> None:
+    first = Rotation.from_rpy(0.2, -0.1, yaw)
+    second = first @ Rotation.from_rotvec(np.array(turn))
+    a, b = (Attitude(stamp(T), R, 1e-4 * np.eye(3)) for R in (first, second))
+    assert turn_between(a, b) == pytest.approx(tuple(turn), abs=1e-9)
+
+
+def test_a_lost_gyro_is_replaced_by_the_turn_of_the_attitude_while_there_is_one() -> None:
+    turn = TurnByAttitude()
+    for n in range(20):
+        turn = turn.after(attitude(T + 5 * n * MS, roll=0.5 * 0.005 * n))
+    imu = Imu(stamp(T + 97 * MS), np.array([9.0, 9.0, 9.0]), np.array([0.1, 0.2, -9.8]))
+    left = replace_halves(imu, 0.005, 0.0, turn)
+    assert left is not None
+    assert left.w_body == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
+    assert (left.gyro_lost_s, left.accel_lost_s) == (0.005, 0.0)
+    assert left.f_body is imu.f_body
+    late = Imu(stamp(T + 400 * MS), imu.w_body, imu.f_body)
+    assert replace_halves(late, 0.005, 0.0, turn) is None, "nothing says how it turns by now"
+    accel = replace_halves(late, 0.0, 0.155, turn)
+    assert accel is not None
+    assert accel.w_body is imu.w_body
+    assert math.isclose(accel.accel_lost_s, 0.155)

@@ -1,0 +1,306 @@
+"""One witness checks another: the gyro a reported heading, range and barometer the camera's height, the body's turns the view."""
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from estimator import pipeline
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, Baro, Imu, Range
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.integrity.crosschecks import (
+    HeadingWatch,
+    HeightWatch,
+    ViewWatch,
+    add_baro,
+    add_gyro,
+    add_range,
+    add_sighting,
+    hold_heading,
+    watch_view,
+)
+from estimator.integrity.options import IntegrityOptions
+from estimator.options import EstimatorOptions
+from tests.make import stamp as make_stamp
+from tests.make import stamp_at
+
+DT = 0.005
+OPTIONS = IntegrityOptions()
+TILT = (math.radians(6.0), math.radians(-4.0))
+Error = Callable[[float, np.random.Generator], float]
+
+
+def stamp(t_s: float) -> Stamp:
+    at = MonoNs(round(t_s * 1e9))
+    return Stamp(at, after(at, 0.004), 0.002, "sim")
+
+
+def attitude(t_s: float, yaw_rad: float) -> Attitude:
+    return Attitude(stamp(t_s), Rotation.from_rpy(*TILT, wrap_pi(yaw_rad)), np.diag([1e-4, 1e-4, 3e-3]))
+
+
+def imu(t_s: float, yaw_rate_rad_s: float) -> Imu:
+    w = Rotation.from_rpy(*TILT, 0.0).matrix.T @ np.array([0.0, 0.0, yaw_rate_rad_s])
+    # A gyro that repeats its bits is refused as frozen.
+    return Imu(stamp(t_s), w + 1e-9 * math.sin(1e3 * t_s), np.array([0.0, 0.0, -9.8]))
+
+
+def flown(error_deg: Error, seconds: float = 10.0, bias_deg_s: float = 0.0, *, gyro: bool = True) -> F64:
+    """(n, 3) deg: true heading, reported one and the one that is used, for a body that turns to and fro."""
+    watch, rows, rng = HeadingWatch(), [], np.random.default_rng(3)
+    for i in range(round(seconds / DT)):
+        t = i * DT
+        true, rate = math.radians(20.0) * math.sin(t), math.radians(20.0) * math.cos(t)
+        if gyro:
+            watch = add_gyro(watch, imu(t, rate + math.radians(bias_deg_s)))
+        event = attitude(t, true + math.radians(error_deg(t, rng)))
+        watch, used = hold_heading(watch, event, OPTIONS)
+        assert used.R_ned_body.rpy_rad[:2] == pytest.approx(TILT, abs=1e-9)
+        assert (used is event) is (watch.off_rad == 0.0)
+        rows.append([true, event.R_ned_body.rpy_rad[2], used.R_ned_body.rpy_rad[2]])
+    return np.degrees(rows)
+
+
+def off_deg(rows: F64, column: int) -> F64:
+    return np.asarray((rows[:, column] - rows[:, 0] + 180.0) % 360.0 - 180.0)
+
+
+def test_a_heading_that_turns_as_the_body_does_passes_unchanged() -> None:
+    rows = flown(lambda t, rng: 3.0 * math.sin(0.3 * t) + rng.normal(0.0, 0.5), bias_deg_s=0.8)
+    np.testing.assert_array_equal(rows[:, 1], rows[:, 2])
+
+
+@pytest.mark.parametrize(
+    "error_deg",
+    [
+        lambda t, rng: 15.0 * max(0.0, t - 2.0),
+        lambda t, rng: (50.0 + rng.normal(0.0, 5.0)) * (t > 2.0),
+        lambda t, rng: 90.0 * (t > 2.0),
+    ],
+    ids=["drifts by 15 degrees a second", "bent by steel, noisy", "jumps by 90 degrees"],
+)
+def test_one_that_turns_by_itself_is_replaced_by_the_gyros(error_deg: Error) -> None:
+    """WHY: such a compass turned the whole estimate; the pad seemed to be elsewhere, and the flight was given up."""
+    rows = flown(error_deg)
+    assert np.abs(off_deg(rows, 1)).max() > 45.0
+    assert np.abs(off_deg(rows, 2)).max() < 12.0
+
+
+def test_another_north_is_taken_over_in_time_and_without_a_large_jump() -> None:
+    off = off_deg(flown(lambda t, rng: 30.0 * (t > 2.0), seconds=70.0), 2)
+    assert off[-1] == pytest.approx(30.0)
+    assert np.abs(np.diff(off)).max() < OPTIONS.heading_tolerance_deg + 0.1
+
+
+def test_without_a_gyro_the_report_is_all_there_is() -> None:
+    rows = flown(lambda t, rng: 15.0 * t, gyro=False)
+    np.testing.assert_array_equal(rows[:, 1], rows[:, 2])
+
+
+def test_frames_and_paths_get_the_held_heading() -> None:
+    memory = pipeline.start(EstimatorOptions())
+    for i in range(600):
+        t = i * DT
+        memory, _ = pipeline.step(memory, imu(t, 0.0))
+        memory, _ = pipeline.step(memory, attitude(t, math.radians(60.0) * (t > 1.5) + 1e-9 * i))
+    held = pipeline.attitude_at(memory, stamp(2.9))
+    assert held is not None
+    assert abs(math.degrees(held.R_ned_body.rpy_rad[2])) < 3.0
+    assert abs(math.degrees(memory.guard.heading.off_rad)) > 50.0
+
+
+MS = 1_000_000
+
+
+def gyro(t_ms: int, rate_rad_s: float, t_ns: int = 0) -> Imu:
+    return Imu(stamp_at(t_ms * MS + t_ns), np.array([0.0, 0.0, rate_rad_s]), np.array([0.0, 0.0, -9.8]))
+
+
+def reported(t_ms: int, yaw_rad: float, t_ns: int = 0) -> Attitude:
+    return Attitude(stamp_at(t_ms * MS + t_ns), Rotation.from_rpy(0.1, -0.2, yaw_rad), np.eye(3))
+
+
+def held(rad: float = 0.0, *, at_ms: int = 0, turned_ms: int = 0, rate: float = 0.0, turned_rad: float = 0.0) -> HeadingWatch:
+    return HeadingWatch(turned_rad, turned_ms * MS, rate, held_rad=rad, held_at=at_ms * MS)
+
+
+def test_a_report_from_before_the_last_one_is_not_followed() -> None:
+    watch, _ = hold_heading(held(at_ms=80, turned_ms=40), reported(40, 0.1), OPTIONS)
+    assert watch.held_rad == 0.0
+
+
+LIMITS = IntegrityOptions()
+
+
+def sighting(t_s: float, d: tuple[float, float, float]) -> Sighting:
+    return Sighting(make_stamp(t_s), 1, "registration", np.array(d), 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
+
+
+def watched(seen_m, range_m, seconds: float = 3.0, aside_m: float = 0.1, tilt_rad: float = 0.05) -> HeightWatch:
+    """Camera and range sensor for a while; both heights as functions of time."""
+    rng = np.random.default_rng(1)
+    state = HeightWatch()
+    for i in range(round(seconds * 25)):
+        t = 1.0 + i / 25
+        state = add_sighting(state, sighting(t - 0.1, (aside_m, 0.0, seen_m(t))), Rotation.from_rpy(tilt_rad, 0.0, 0.5))
+        state = add_range(state, Range(make_stamp(t), range_m(t) + abs(rng.normal(0, 0.005)), 0.02), LIMITS)
+    return state
+
+
+@pytest.mark.parametrize("height_m", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.2])
+def test_true_heights_agree_at_any_tilt(height_m: float, tilt_rad: float) -> None:
+    for along in (1.0, 1.0 / math.cos(tilt_rad)):
+        state = watched(lambda t: height_m, lambda t, k=along: height_m * k, tilt_rad=tilt_rad, aside_m=0.0)
+        assert not state.contradicted
+        assert state.confirmed(round(4e9)) or tilt_rad > 0.0
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+@pytest.mark.parametrize("height_m", [1.7, 2.0, 3.0])
+def test_a_focal_length_wrong_by_a_fifth_contradicts_before_the_descent(scale: float, height_m: float) -> None:
+    assert watched(lambda t: scale * height_m, lambda t: height_m).contradicted
+
+
+def test_a_pad_seen_below_where_there_is_water_contradicts() -> None:
+    assert watched(lambda t: 2.0, lambda t: 4.5).contradicted
+
+
+def test_beside_the_pad_a_range_reports_nothing() -> None:
+    state = watched(lambda t: 2.0, lambda t: 4.5, aside_m=1.5)
+    assert not state.contradicted
+    assert state.agreed_at < 0
+
+
+def test_a_passing_difference_is_no_contradiction_and_agreement_ends_one() -> None:
+    assert not watched(lambda t: 2.0, lambda t: 2.6 if t < 1.7 else 2.0).contradicted
+    assert not watched(lambda t: 2.0, lambda t: 2.6 if t < 2.5 else 2.0, seconds=6.0).contradicted
+    assert watched(lambda t: 2.0, lambda t: 2.6 if t < 2.5 else 2.0, seconds=1.7).contradicted
+
+
+def test_a_sensor_that_receives_nothing_nearer_than_its_least_does_not_contradict_at_touchdown() -> None:
+    assert not watched(lambda t: max(0.1, 0.5 - 0.2 * (t - 1)), lambda t: max(0.2, 0.5 - 0.2 * (t - 1))).contradicted
+
+
+def pressed(baro_m, seen_m, seconds: float = 12.0) -> HeightWatch:
+    rng = np.random.default_rng(4)
+    state = HeightWatch()
+    for i in range(round(seconds * 20)):
+        t = 1.0 + i / 20
+        state = add_sighting(state, sighting(t - 0.1, (0.1, 0.0, seen_m(t))), Rotation.identity())
+        state = add_baro(state, Baro(make_stamp(t), baro_m(t) + rng.normal(0, 0.5), 0.7), LIMITS)
+    return state
+
+
+def test_a_barometer_contradicts_a_height_that_stands_while_the_drone_climbs() -> None:
+    assert pressed(lambda t: 30.0 + 0.8 * t, lambda t: 1.5).baro_contradicted
+
+
+@pytest.mark.parametrize(("rate_m_s", "seconds"), [(0.9, 7.5), (-0.9, 7.5), (0.55, 11.5), (-0.55, 11.5)])
+def test_a_drift_is_contradicted_the_sooner_the_faster_it_is(rate_m_s: float, seconds: float) -> None:
+    assert pressed(lambda t: 30.0 + rate_m_s * t, lambda t: 1.5, seconds).baro_contradicted
+
+
+@pytest.mark.parametrize("period_s", [5.0, 7.0, 9.0, 12.0])
+@pytest.mark.parametrize("phase", [0.0, 1.5, 3.0, 4.5])
+def test_a_drone_that_follows_a_deck_in_a_high_sea_is_no_contradiction(period_s: float, phase: float) -> None:
+    for end in (8.0, 12.0, 15.5, 19.0):
+        heave = pressed(lambda t: 30.0 + 2.0 * math.sin(math.tau * t / period_s + phase), lambda t: 0.4, seconds=end)
+        assert not heave.baro_contradicted, end
+
+
+def test_a_heaving_deck_and_a_descent_are_no_contradiction() -> None:
+    assert not pressed(lambda t: 30.0 - 0.4 * t, lambda t: 6.0 - 0.4 * t + 0.8 * math.sin(0.7 * t)).baro_contradicted
+
+
+def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.5, seconds: float = 10.0) -> float:
+    """Share of sightings after which the view counts as frozen; the body sways and drifts as a hovering drone does."""
+    return sum(one.frozen for one in watched_view(seed, frozen, sway_rad, np.eye(3), height_m, seconds)) / (30 * seconds)
+
+
+def watched_view(
+    seed: int, frozen: bool, sway_rad: float, mirror: F64, height_m: float = 1.5, seconds: float = 10.0, late_s: float = 0.0,
+    round_m_s: float = 0.0, noise: float = 0.0005,
+) -> Iterator[ViewWatch]:  # fmt: skip
+    """Yield the watch after each sighting; the camera turns bearings in the body by `mirror`, and the attitude is late.
+
+    Args:
+        round_m_s: speed of the pad on a circle of 2 m about the drone.
+        noise: deviation of a place over the height.
+    """
+    rng = np.random.default_rng(seed)
+    state = ViewWatch()
+    phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)
+
+    def swaying(t: float) -> tuple[list[float], Rotation]:
+        sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
+        return sways, Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
+
+    for i in range(n):
+        t = i / 30
+        (sways, R), (_, reported) = swaying(t), swaying(t - late_s)
+        # A body that tilts one way is pushed that way: g times the tilt, twice integrated, so the pad moves as the tilt moves it.
+        drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
+        true = np.array([0.1 - drift_m * sways[1], drift_m * sways[0], height_m])
+        if round_m_s:
+            true[:2] += 2.0 * np.array([math.cos(0.5 * round_m_s * t), math.sin(0.5 * round_m_s * t)])
+        if frozen:
+            true = R.without_heading() @ np.array([0.1, 0.05, height_m])
+        level = R.without_heading()
+        d = reported.without_heading() @ (mirror @ (level.inv @ true)) + rng.normal(0, noise * height_m, 3)
+        stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.09) * 1e9)), 0.001, "sim")
+        sighting = Sighting(stamp, i, "registration", d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
+        state = watch_view(state, sighting, Attitude(stamp, reported, 1e-5 * np.eye(3)), LIMITS)
+        yield state
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frozen_view_is_known_while_the_body_turns(seed: int) -> None:
+    assert frozen_shares(seed, frozen=True, sway_rad=math.radians(2.0)) > 0.8
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sway_deg", [0.2, 1.0, 5.0])
+def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
+    assert frozen_shares(seed, frozen=False, sway_rad=math.radians(sway_deg)) == 0.0
+
+
+def test_a_still_body_reports_nothing() -> None:
+    assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
+
+
+@pytest.mark.hazard("H12")
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("axis_deg", [0.0, 90.0, 35.0])
+def test_a_mirrored_view_is_known_within_two_seconds_of_a_flight_that_sways(seed: int, axis_deg: float) -> None:
+    c, s = math.cos(2 * math.radians(axis_deg)), math.sin(2 * math.radians(axis_deg))
+    mirror = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])
+    for height_m, noise in ((0.5, 0.0005), (3.0, 0.0005), (2.0, 0.015)):
+        seen = [one.reversed for one in watched_view(seed, False, math.radians(1.0), mirror, height_m, 5.0, noise=noise)]
+        assert all(seen[60:]), f"first at {seen.index(True) / 30:.1f} s"
+
+
+def test_a_camera_mounted_the_other_way_round_is_known_and_a_right_one_is_never_named() -> None:
+    turned = [one.reversed for one in watched_view(1, False, math.radians(1.0), np.diag([-1.0, -1.0, 1.0]))]
+    assert all(turned[60:])
+    for sway_deg, height_m, noise in ((0.05, 0.3, 0.0005), (0.5, 1.0, 0.015), (3.0, 8.0, 0.0005)):
+        seen = watched_view(2, False, math.radians(sway_deg), np.eye(3), height_m, 20.0, noise=noise)
+        assert not any(one.reversed for one in seen)
+
+
+@pytest.mark.parametrize(("late_s", "known"), [(0.1, True), (-0.1, True), (0.03, False), (0.0, False)])
+def test_an_attitude_a_tenth_of_a_second_late_against_the_image_is_known_within_three_seconds(late_s: float, known: bool) -> None:
+    for seed in range(3):
+        found = [one.late_s for one in watched_view(seed, False, math.radians(3.0), np.eye(3), 3.0, 6.0, late_s)]
+        assert all((s != 0.0) is known for s in found[90:])
+        assert not known or abs(found[-1] - late_s) <= 0.021
+
+
+def test_close_to_the_pad_a_way_aside_is_no_delay() -> None:
+    """The pad's bearing is the vehicle's way aside there, which follows its lean late; and so it is after a ship that stops."""
+    for height_m, round_m_s, known in ((0.9, 0.0, False), (1.1, 0.0, True), (3.0, 1.0, True), (3.0, 2.5, False)):
+        found = [one.late_s for one in watched_view(1, False, math.radians(3.0), np.eye(3), height_m, 6.0, 0.1, round_m_s)]
+        assert any(found[90:]) is known
