@@ -431,7 +431,6 @@ typedef struct {
     double t_s;                                  /* Time of the episode, s. */
     double deck_at[2][12];                       /* The vessel's displacement and rate at both ends of the step. */
     double error[6];                             /* Errors of place and velocity, in standard deviations. */
-    double tilt_error[2];                        /* Error of the attitude, rad. */
     double trim[2];                              /* The trim against wind and drag, m/s^2. */
     double action[DL_ACTION_NUMBERS];            /* The last action. */
     double goal_m;                               /* The way that is left, m. */

@@ -1,4 +1,4 @@
-"""What is received is checked by itself: impossible readings, frozen ones, repeated frames, stamps alone with their time."""
+"""Check what is received by itself: impossible readings, frozen ones, repeated frames, stamps alone with their time."""
 
 import csv
 import math
