@@ -156,7 +156,7 @@ class Template:
     local: I16
     """Coverage minus its mean in the neighbourhood (`LOCAL_M`)."""
     lengths: Mapping[str, Any]
-    """The members of the core's `pad_template`."""
+    """The members of the core's `dl_pad_template`."""
 
 
 @lru_cache(maxsize=8)

@@ -41,7 +41,7 @@ class Aimed(NamedTuple):
 
 
 def numbers(level: NDArray[Any]) -> F64:
-    """Return the numbers of the core's `level_sighting`."""
+    """Return the numbers of the core's `dl_level_sighting`."""
     return np.atleast_1d(level).view(np.float64)
 
 
