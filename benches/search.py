@@ -33,7 +33,7 @@ from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
 from sitl.camera.light import Light, Sensor
-from tests.support.hard_light import HARD, THESIS, U8, compressed, defocused, dusk, grey, haze, moved
+from tests.support.hard_light import HARD, THESIS, U8, compressed, defocused, dusk, grey, haze, shifted
 from tests.support.pad_claims import CLAIM_RANGE, CLAIM_RANGE_PX
 from tests.support.pad_scenes import PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
@@ -169,7 +169,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "worn 15": Condition(light=Light(wear=0.15)), "worn 30": Condition(light=Light(wear=0.3)),
     "glints": Condition(change=glints), "sea glint": Condition(light=Light(glint=1.0)),
     "fog 20 m": Condition(light=Light(visibility_m=20.0)), "white balance": Condition(change=white_balance),
-    "noise 25": Condition(change=noisy(25.0)), "motion 5 px": Condition(change=moved(5)),
+    "noise 25": Condition(change=noisy(25.0)), "motion 5 px": Condition(change=shifted(5)),
     "exposure 30 ms": Condition(sensor=Sensor(exposure_s=0.03)), "defocus 1.5 px": Condition(change=defocused(1.5)),
     "lens 1.2 px": Condition(sensor=Sensor(psf_sigma_px=1.2)), "rolling": Condition(change=rolled),
     "jpeg 20": Condition(change=compressed(20)), "jpeg 8 grey": Condition(change=both(grey, compressed(8))),

@@ -21,7 +21,7 @@ DATA = ROOT / "configs/examples"
 LARGEST_BYTES = 150_000
 
 
-def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def run_example(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-W", "error", "-m", f"examples.{name}", *arguments],
         cwd=ROOT,
@@ -34,7 +34,7 @@ def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_pad_is_found_in_the_shipped_image() -> None:
-    done = run("find_pad")
+    done = run_example("find_pad")
     assert done.returncode == 0, done.stderr
     found = re.match(r"pad ([\d.]+) m ahead, ([\d.]+) m to the right, ([\d.]+) m below; confidence 1.00", done.stdout)
     assert found is not None, done.stdout
@@ -45,13 +45,13 @@ def test_an_image_without_a_pad_ends_with_exit_code_1(tmp_path: Path) -> None:
     black = cv2.imread(str(DATA / "pad.jpg"))
     assert black is not None
     cv2.imwrite(str(tmp_path / "black.png"), black * 0)
-    done = run("find_pad", str(tmp_path / "black.png"))
+    done = run_example("find_pad", str(tmp_path / "black.png"))
     assert done.returncode == 1
     assert done.stderr == "no pad in the image\n"
 
 
 def test_the_csv_file_is_fused_to_within_the_attitude_s_error() -> None:
-    done = run("fuse_csv")
+    done = run_example("fuse_csv")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert len(lines) == 21
@@ -62,7 +62,7 @@ def test_the_csv_file_is_fused_to_within_the_attitude_s_error() -> None:
 
 
 def test_a_controller_of_one_s_own_lands_on_the_pad() -> None:
-    done = run("own_controller")
+    done = run_example("own_controller")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("landed on the pad after ")
 
@@ -80,7 +80,7 @@ def test_the_known_controllers_settle_over_the_pad_against_a_steady_push_within_
 
 
 def test_a_vehicle_a_camera_a_pad_and_a_message_of_one_s_own_work_together() -> None:
-    done = run("own_parts")
+    done = run_example("own_parts")
     assert done.returncode == 0, done.stderr
     forward, right, down = json.loads(done.stdout)["pad_m"]
     assert (forward, right, down) == pytest.approx((0.0, 0.0, 3.0), abs=0.1)
@@ -88,7 +88,7 @@ def test_a_vehicle_a_camera_a_pad_and_a_message_of_one_s_own_work_together() -> 
 
 def test_a_recording_is_read(tmp_path: Path) -> None:
     record_to(tmp_path / "flight.mcap", seconds=1.0)
-    done = run("read_recording", str(tmp_path / "flight.mcap"))
+    done = run_example("read_recording", str(tmp_path / "flight.mcap"))
     assert done.returncode == 0, done.stderr
     *decisions, frames = done.stdout.splitlines()
     assert len(decisions) > 10

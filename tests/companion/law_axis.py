@@ -102,7 +102,7 @@ def commanded(axis: TiltAxis, u: float) -> TiltAxis:
     return TiltAxis(axis.seen, axis.lean, axis.rate, axis.lag, (u, *axis.under_way[:-1]))
 
 
-def command(axis: TiltAxis, gains: TiltGains, off_m: float) -> float:
+def tilt_command(axis: TiltAxis, gains: TiltGains, off_m: float) -> float:
     """Return the tilt to command over a deck that does not accelerate, m/s^2, not limited yet.
 
     Args:

@@ -18,7 +18,7 @@ from tests.companion.mission_flights import estimate, ns
 STEP_S, OPTIONS = 0.005, GuidanceOptions()
 
 
-def heard(up: np.ndarray) -> list[float]:  # type: ignore[type-arg]
+def watch_forces(up: np.ndarray) -> list[float]:  # type: ignore[type-arg]
     """Return the times, s, of the contacts that an upward specific force shows."""
     watch, found = ContactWatch(), []
     for k, force in enumerate(up.tolist()):
@@ -31,7 +31,7 @@ def heard(up: np.ndarray) -> list[float]:  # type: ignore[type-arg]
     return found
 
 
-def flight(seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[type-arg]
+def flight_force(seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[type-arg]
     """Upward specific force of a flight: vibration, gusts, climbs that are begun and ended as quickly as rotors can."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, STEP_S)
@@ -45,26 +45,26 @@ def flight(seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[type-ar
 @pytest.mark.hazard("H4")
 @pytest.mark.parametrize("seed", range(3))
 def test_no_flight_is_a_contact(seed: int) -> None:
-    assert heard(flight(60.0, seed)) == []
+    assert watch_forces(flight_force(60.0, seed)) == []
 
 
 @pytest.mark.parametrize("speed_m_s", [0.2, 0.45, 0.8])
 def test_feet_on_a_deck_are_one_contact_within_a_twentieth_of_a_second(speed_m_s: float) -> None:
     """Feet of 6000 N/m under 1.5 kg take the speed away within a quarter of their period, and give a little of it back."""
-    up, w = flight(4.0), math.sqrt(6000.0 / 1.477)
+    up, w = flight_force(4.0), math.sqrt(6000.0 / 1.477)
     for k in range(up.size):
         t = k * STEP_S - 3.0
         if t >= 0.0:
             up[k] += speed_m_s * w * math.exp(-0.7 * w * t) * math.cos(w * t)
-    found = heard(up)
+    found = watch_forces(up)
     assert len(found) == 1
     assert 3.0 <= found[0] <= 3.05
 
 
 def test_a_sensor_that_jumps_to_another_bias_for_good_is_at_most_one_contact() -> None:
-    up = flight(6.0)
+    up = flight_force(6.0)
     up[600:] += 4.0
-    assert len(heard(up)) <= 1
+    assert len(watch_forces(up)) <= 1
 
 
 def test_samples_after_a_gap_begin_again() -> None:
@@ -216,7 +216,7 @@ def test_what_is_not_known_has_no_vote() -> None:
 
 def test_one_foot_that_touches_is_a_contact_only_at_the_deck() -> None:
     """WHAT: the push of a foot in simulation: 7 m/s^2 that fall off within 20 ms, below what a deck under all feet takes away."""
-    up = flight(4.0)
+    up = flight_force(4.0)
     for k, push in enumerate((7.0, 5.2, 3.7)):
         up[600 + k] += push
     watch = ContactWatch()

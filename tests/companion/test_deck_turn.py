@@ -19,7 +19,7 @@ T = 0.02
 ALONG = Target(np.array([0.0, 0.0, 1.0]), yaw_rad=0.0)
 
 
-def flown(turn_deg_s: float, off_deg: float, seconds: float, lag_s: float = 0.3, noise_deg: float = 0.0) -> list[float]:
+def turn_headings(turn_deg_s: float, off_deg: float, seconds: float, lag_s: float = 0.3, noise_deg: float = 0.0) -> list[float]:
     """Return the heading against the arrow, degrees, of a vehicle that takes up a turn rate with a lag."""
     law, rng = FollowDeck(shipped_response("ardrone2"), T), np.random.default_rng(4)
     memory, off, rate, out = law.start(), math.radians(off_deg), 0.0, []
@@ -40,12 +40,12 @@ def flown(turn_deg_s: float, off_deg: float, seconds: float, lag_s: float = 0.3,
 
 @pytest.mark.parametrize("turn_deg_s", [-2.0, 0.0, 2.0, 5.0])
 def test_the_nose_lies_on_the_arrow_of_a_ship_that_turns(turn_deg_s: float) -> None:
-    course = flown(turn_deg_s, -20.0, 30.0, noise_deg=0.5)
+    course = turn_headings(turn_deg_s, -20.0, 30.0, noise_deg=0.5)
     assert max(abs(x) for x in course[-500:]) < 1.0
 
 
 def test_coming_round_to_the_arrow_hardly_overshoots() -> None:
-    course = flown(0.0, 60.0, 20.0)
+    course = turn_headings(0.0, 60.0, 20.0)
     assert min(course) > -3.0
     assert abs(course[-1]) < 0.3
 

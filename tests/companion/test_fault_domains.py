@@ -141,7 +141,7 @@ class Failing:
             self._called("ending")
 
 
-async def flown(
+async def fly_failing(
     role: str | None = None, error: str = "value", at: int = 0, for_: int = 10**9, seconds: float = FLOWN_S
 ) -> tuple[list[tuple[int, str]], Health, int]:
     """Return the commands of a flight with a failing part in one role; its health; how often it failed."""
@@ -171,7 +171,7 @@ async def flown(
 
 @pytest.fixture(scope="module")
 def undisturbed() -> list[tuple[int, str]]:
-    commands, health, _ = event_loop.run(flown())
+    commands, health, _ = event_loop.run(fly_failing())
     assert len({text for _, text in commands}) > 20  # it does fly
     assert not health.contained
     return commands
@@ -191,7 +191,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
     for_=st.sampled_from((1, 3, 25, 10**9)),
 )
 def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(undisturbed, role, error, at, for_):
-    commands, health, raised = event_loop.run(flown(role, error, at, for_, 0.5))
+    commands, health, raised = event_loop.run(fly_failing(role, error, at, for_, 0.5))
     assert commands == undisturbed[: len(commands)]
     assert health.parts["vehicle"].restarts == health.parts["guidance"].restarts == 0
     if raised and role in METHODS:
@@ -201,13 +201,13 @@ def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(undisturbed
 @pytest.mark.parametrize("error", sorted(ERRORS))
 @pytest.mark.parametrize("role", ROLES)
 def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tuple[int, str]], role: str, error: str) -> None:
-    commands, _, raised = event_loop.run(flown(role, error, seconds=SHORT_S))
+    commands, _, raised = event_loop.run(fly_failing(role, error, seconds=SHORT_S))
     assert commands == undisturbed[: len(commands)]
     assert raised or role in ("ending", "counters")
 
 
 def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:
-    _, health, raised = event_loop.run(flown("on_sample", "value", seconds=SHORT_S))
+    _, health, raised = event_loop.run(fly_failing("on_sample", "value", seconds=SHORT_S))
     assert raised == 20
     assert not health.parts["failing.on_sample"].up
     assert health.parts["failing.on_sample"].last_error == "off after 20 failures in a row: bad"
@@ -216,10 +216,10 @@ def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:
 
 
 def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_world() -> None:
-    _, health, raised = event_loop.run(flown("body", "value"))
+    _, health, raised = event_loop.run(fly_failing("body", "value"))
     assert raised == 10
     assert health.parts["failing"].last_error == "off after 10 failures: bad"
-    _, health, raised = event_loop.run(flown("body", "world"))
+    _, health, raised = event_loop.run(fly_failing("body", "world"))
     assert raised > 10
     assert health.parts["failing"].last_error == "gone"
 

@@ -20,9 +20,9 @@ from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
 from tests.companion.law_memory import LawMemory, OwnPart, packed, plain
+from tests.make import ns
 
 RESPONSE = shipped_response("ardrone2")
 T = 0.02
@@ -32,11 +32,7 @@ HOLD = Target(OVER)
 IDENTIFIED = ResponseInUse(ResponseState.IDENTIFIED, 0.2, 0.02, 0.15)
 
 
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(1e9 * seconds))
-
-
-def known(
+def knows(
     t: float, d: tuple[float, float, float] = (0.0, 0.0, 1.0), v: tuple[float, float, float] = (0.0, 0.0, 0.0), *,
     a: tuple[float, float] = (0.0, 0.0), lean: tuple[float, float] = (0.0, 0.0),
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0), v_deck: tuple[float, float, float] | None = None,
@@ -70,12 +66,12 @@ def pushed_down(before: float, a_down: float, v: float, arrived: float) -> float
     return float(np.clip(before + (1.0 - math.exp(-T / 0.15)) * (beside - before), -1.0 / lag_s, 1.0 / lag_s))
 
 
-def seen(memory: FollowDeckMemory, law: FollowDeck = LAW, *, over_ground: bool = False) -> LawMemory:
+def memory_of(memory: FollowDeckMemory, law: FollowDeck = LAW, *, over_ground: bool = False) -> LawMemory:
     """Return the memory's content."""
     return plain(memory, law._remembered, over_ground=over_ground)
 
 
-def asked(command: Lean) -> F64:
+def ask_law(command: Lean) -> F64:
     return np.asarray(command.a_level + command.trim_level)
 
 
@@ -88,7 +84,7 @@ def swaying(seed: int, heading: float, *, swapped: bool = False) -> list[Lean]:
         roll_rate, pitch_rate = 0.2 * rng.standard_normal(2)
         rates = (-pitch_rate, -roll_rate, 0.0) if swapped else (roll_rate, pitch_rate, 0.0)
         var = (1e-6, 1e-2) if swapped else (1e-2, 1e-6)
-        now = known(
+        now = knows(
             k * T, (*d, 1.0), (*v, 0.0), a=a, lean=lean, rates=rates, v_deck=(*v_deck, 0.0), heading=heading, var=var,
             a_deck=(*a_deck, 0.0), response=None if k < 5 else IDENTIFIED,
         )  # fmt: skip
@@ -120,12 +116,12 @@ def test_forward_and_right_are_flown_alike(seed: int) -> None:
 def test_an_estimate_that_leaps_is_not_come_after_little_by_little(moved: tuple[float, float], leapt: bool) -> None:
     memory = LAW.start()
     for k in range(100):
-        memory, _ = stepped(memory, known(k * T, (2.0, 1.0, 1.0), lean=(0.5, -0.3), heading=0.7))
-    before = seen(memory).axes
+        memory, _ = stepped(memory, knows(k * T, (2.0, 1.0, 1.0), lean=(0.5, -0.3), heading=0.7))
+    before = memory_of(memory).axes
     assert before is not None
-    again = known(100 * T, (2.0 + moved[0], 1.0 + moved[1], 1.0), (0.1, -0.2, 0.0), lean=(0.5, -0.3), heading=0.7)
+    again = knows(100 * T, (2.0 + moved[0], 1.0 + moved[1], 1.0), (0.1, -0.2, 0.0), lean=(0.5, -0.3), heading=0.7)
     memory, _ = stepped(memory, again)
-    after = seen(memory).axes
+    after = memory_of(memory).axes
     assert after is not None
     c, s = math.cos(0.7), math.sin(0.7)
     there = c * (2.0 + moved[0]) - s * (1.0 + moved[1]), s * (2.0 + moved[0]) + c * (1.0 + moved[1])
@@ -140,12 +136,12 @@ def test_an_estimate_that_leaps_is_not_come_after_little_by_little(moved: tuple[
 def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silent_s: float, kept: bool) -> None:
     memory = LAW.start()
     for k in range(100):
-        memory, _ = stepped(memory, known(k * T, lean=(0.5, -0.3), yaw=0.2, rates=(0.0, 0.0, 0.1)))
-    known_by_then = seen(memory).axes
+        memory, _ = stepped(memory, knows(k * T, lean=(0.5, -0.3), yaw=0.2, rates=(0.0, 0.0, 0.1)))
+    known_by_then = memory_of(memory).axes
     assert known_by_then is not None
     wind, before = [axis.seen.d for axis in known_by_then], known_by_then[0].under_way
     assert abs(wind[0]) > 0.1
-    after = seen(stepped(memory, known(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))[0])
+    after = memory_of(stepped(memory, knows(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))[0])
     assert after.axes is not None
     assert after.turn is not None
     if kept:
@@ -159,28 +155,28 @@ def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silen
 
 @pytest.mark.parametrize(("off_rad", "rate"), [(0.5, 0.4), (-0.5, -0.4), (0.76, 0.6), (2.0, 0.6), (-2.0, -0.6)])
 def test_the_nose_turns_by_its_gain_and_no_faster_than_its_limit(off_rad: float, rate: float) -> None:
-    _, command = stepped(LAW.start(), known(0.0, yaw=0.3), Target(OVER, yaw_rad=0.3 + off_rad))
+    _, command = stepped(LAW.start(), knows(0.0, yaw=0.3), Target(OVER, yaw_rad=0.3 + off_rad))
     assert command.yaw_rate_rad_s == pytest.approx(rate, abs=0.01)
-    _, free = stepped(LAW.start(), known(0.0, yaw=0.3))
+    _, free = stepped(LAW.start(), knows(0.0, yaw=0.3))
     assert free.yaw_rate_rad_s == 0.0
 
 
 def test_other_gains_take_a_second_and_wait_for_those_before_them() -> None:
-    memory, _ = stepped(LAW.start(), known(0.0))
+    memory, _ = stepped(LAW.start(), knows(0.0))
     assert (memory.tuning, memory.share) == (TuningChoice(), 1.0)
     longer = TuningChoice(pytest.approx(0.15), False)
     for t, chosen, share in ((0.25, longer, 0.0), (0.75, longer, 0.5), (0.7, longer, 0.5), (1.0, longer, 0.8)):
-        memory, _ = stepped(memory, known(t, response=IDENTIFIED))
+        memory, _ = stepped(memory, knows(t, response=IDENTIFIED))
         assert (memory.tuning, memory.share) == (chosen, pytest.approx(share))
-    memory, _ = stepped(memory, known(1.1))
+    memory, _ = stepped(memory, knows(1.1))
     assert (memory.tuning, memory.share) == (longer, pytest.approx(0.9)), "the ones begun are gone over to first"
-    memory, _ = stepped(memory, known(1.3))
+    memory, _ = stepped(memory, knows(1.3))
     assert (memory.tuning, memory.tuning_before, memory.share) == (TuningChoice(), longer, 0.0)
 
 
 @pytest.mark.parametrize("v_deck", [None, (0.4, -0.3, 0.0)])
 def test_its_velocity_is_the_decks_and_the_drones_with_what_the_tilt_will_give(v_deck: tuple[float, float, float] | None) -> None:
-    now = known(0.0, (0.5, -0.4, 1.0), (-0.2, 0.1, 0.0), v_deck=v_deck)
+    now = knows(0.0, (0.5, -0.4, 1.0), (-0.2, 0.1, 0.0), v_deck=v_deck)
     _, command = stepped(LAW.start(), now)
     soon = RESPONSE.tilt.slowness_s
     wanted = [0.0, 0.0] if v_deck is None else [0.4 + 0.2 + soon * command.a_level[0], -0.3 - 0.1 + soon * command.a_level[1]]
@@ -194,16 +190,16 @@ def test_its_velocity_is_the_decks_and_the_drones_with_what_the_tilt_will_give(v
 def test_a_tilt_beyond_the_limit_is_shortened_and_keeps_its_direction(most_rad: float | None, own_deg: float | None) -> None:
     by_vehicle = RESPONSE.tilt.max_m_s2 if own_deg is None else G_M_S2 * math.tan(math.radians(own_deg))
     most = min(by_vehicle, math.inf if most_rad is None else G_M_S2 * math.tan(most_rad))
-    now = structs.replace(known(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), tilt_max_deg=own_deg)
+    now = structs.replace(knows(0.0, (0.9, -1.2, 1.0), (3.0, -4.0, 0.0)), tilt_max_deg=own_deg)
     _, command = stepped(LAW.start(), now, Target(OVER, lean_max_rad=most_rad))
-    assert asked(command) == pytest.approx([0.6 * most, -0.8 * most])
-    _, little = stepped(LAW.start(), known(0.0, (0.003, -0.004, 1.0)), Target(OVER, lean_max_rad=most_rad))
-    assert 0.0 < np.hypot(*asked(little)) < 0.5 * G_M_S2 * math.tan(0.05)
+    assert ask_law(command) == pytest.approx([0.6 * most, -0.8 * most])
+    _, little = stepped(LAW.start(), knows(0.0, (0.003, -0.004, 1.0)), Target(OVER, lean_max_rad=most_rad))
+    assert 0.0 < np.hypot(*ask_law(little)) < 0.5 * G_M_S2 * math.tan(0.05)
 
 
 def test_a_place_further_off_requests_no_more_than_the_speed_that_is_allowed() -> None:
     def lean(far: float, speed: float) -> F64:
-        return asked(stepped(LAW.start(), known(0.0, (0.6 * far, 0.8 * far, 1.0)), Target(OVER, speed_max_m_s=speed))[1])
+        return ask_law(stepped(LAW.start(), knows(0.0, (0.6 * far, 0.8 * far, 1.0)), Target(OVER, speed_max_m_s=speed))[1])
 
     assert lean(20.0, 0.02) == pytest.approx(lean(5.0, 0.02))
     assert np.hypot(*lean(20.0, 0.04)) == pytest.approx(2.0 * np.hypot(*lean(20.0, 0.02)))
@@ -214,7 +210,7 @@ def test_a_vertical_speed_is_no_more_than_the_vehicle_makes() -> None:
     most = RESPONSE.climb.max_m_s
     assert LAW.climb_max_m_s == most
     for height, down in ((50.0, most), (-50.0, -most)):
-        _, command = stepped(LAW.start(), known(0.0, (0.0, 0.0, height)), Target(OVER, vertical_rate_max_m_s=40.0))
+        _, command = stepped(LAW.start(), knows(0.0, (0.0, 0.0, height)), Target(OVER, vertical_rate_max_m_s=40.0))
         assert command.v_level[2] == pytest.approx(down)
 
 
@@ -227,7 +223,7 @@ def climbed(z_m: float, cycles: int, v_deck: float = 0.0) -> list[float]:
     climb, v, memory, heights = RESPONSE.climb, 0.0, LAW.start(), [z_m]
     under_way = [0.0] * (round(climb.delay_s / T) + 1)
     for n in range(cycles):
-        now = known(n * T, (0.0, 0.0, z_m), (0.0, 0.0, -v), v_deck=(0.0, 0.0, v_deck), a_down=(under_way[0] - v) / climb.lag_s)
+        now = knows(n * T, (0.0, 0.0, z_m), (0.0, 0.0, -v), v_deck=(0.0, 0.0, v_deck), a_down=(under_way[0] - v) / climb.lag_s)
         memory, command = stepped(memory, now, Target(OVER, vertical_rate_max_m_s=1.0))
         under_way = [*under_way[1:], float(command.v_level[2])]
         v += T * (under_way[0] - v) / climb.lag_s
@@ -255,10 +251,10 @@ def test_a_speed_over_the_ground_that_the_filter_has_wrong_moves_neither_drone_n
 def test_while_somebody_else_commands_it_notes_what_the_vehicle_does() -> None:
     memory = LAW.start()
     for k in range(3):
-        now = known(k * T, v=(0.0, 0.0, -0.2), lean=(0.3, -0.1), v_deck=(0.0, 0.0, 0.5), heading=1.0)
+        now = knows(k * T, v=(0.0, 0.0, -0.2), lean=(0.3, -0.1), v_deck=(0.0, 0.0, 0.5), heading=1.0)
         memory, command = LAW.step(memory, now.at, now, None)
         assert command == Hover()
-    noted = seen(memory)
+    noted = memory_of(memory)
     assert noted.axes is not None
     c, s = math.cos(1.0), math.sin(1.0)
     assert noted.axes[0].under_way[0] == pytest.approx(0.3 * c + 0.1 * s)
@@ -267,7 +263,7 @@ def test_while_somebody_else_commands_it_notes_what_the_vehicle_does() -> None:
 
 
 def test_without_the_bodys_motion_the_plain_controller_flies_and_without_that_nobody() -> None:
-    both = known(0.0, (0.5, 0.0, 1.5))
+    both = knows(0.0, (0.5, 0.0, 1.5))
     bodiless = structs.replace(both, body=None)
     begun = LAW.start()
     assert LAW.step(begun, ns(0.0), bodiless, HOLD) == (begun, Hover())
@@ -294,8 +290,8 @@ def turning(t: float, early: float, late: float) -> Forecast:
 
 def test_the_decks_acceleration_counts_now_and_when_the_command_has_taken_effect() -> None:
     def lean(forecast: Forecast | None, law: FollowDeck = LAW) -> F64:
-        now = known(0.0, (0.001, -0.002, 1.0), v_deck=(0.0, 0.0, 0.0), forecast=forecast)
-        return np.append(asked(command := stepped(law.start(), now, law=law)[1]), command.v_level[2])
+        now = knows(0.0, (0.001, -0.002, 1.0), v_deck=(0.0, 0.0, 0.0), forecast=forecast)
+        return np.append(ask_law(command := stepped(law.start(), now, law=law)[1]), command.v_level[2])
 
     plain, early, late = lean(None), lean(turning(0.0, 0.2, 0.0)), lean(turning(0.0, 0.0, 0.2))
     assert np.all(np.abs(early[:2] - plain[:2]) > 1e-3)
@@ -306,19 +302,19 @@ def test_the_decks_acceleration_counts_now_and_when_the_command_has_taken_effect
 
 def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
     field = FieldOfView(0.01, 0.0, 0.07, 0.06)
-    now = known(0.0, (0.06, -0.04, 1.5), heading=0.7)
+    now = knows(0.0, (0.06, -0.04, 1.5), heading=0.7)
     _, free = stepped(LAW.start(), now)
-    _, seen = stepped(LAW.start(), now, law=FollowDeck(RESPONSE, T, field))
+    _, memory_of = stepped(LAW.start(), now, law=FollowDeck(RESPONSE, T, field))
     # Leaning forward turns the camera astern, so that the pad moves towards the forward edge by as much.
     bearings, half = np.array([math.atan2(0.06 - 0.01, 1.5), math.atan2(-0.04, 1.5)]), np.array([0.07, 0.06])
     edge = G_M_S2 * np.tan(half - np.abs(bearings)) * np.sign(bearings)
-    least = seen.trim_level + 0.6 * np.sign(bearings)  # without any, the wind would carry it off
-    assert asked(seen) == pytest.approx(np.where(np.abs(edge) > np.abs(least), edge, least))
-    assert np.all(np.abs(asked(free)) > np.abs(asked(seen)))
+    least = memory_of.trim_level + 0.6 * np.sign(bearings)  # without any, the wind would carry it off
+    assert ask_law(memory_of) == pytest.approx(np.where(np.abs(edge) > np.abs(least), edge, least))
+    assert np.all(np.abs(ask_law(free)) > np.abs(ask_law(memory_of)))
     # A pad that a level camera does not show is not kept in view: the drone flies to it.
-    away = known(0.0, (1.5, -0.04, 1.5))
-    (_, free), (_, seen) = stepped(LAW.start(), away), stepped(LAW.start(), away, law=FollowDeck(RESPONSE, T, field))
-    assert asked(seen)[0] == pytest.approx(asked(free)[0], rel=1e-3)
+    away = knows(0.0, (1.5, -0.04, 1.5))
+    (_, free), (_, memory_of) = stepped(LAW.start(), away), stepped(LAW.start(), away, law=FollowDeck(RESPONSE, T, field))
+    assert ask_law(memory_of)[0] == pytest.approx(ask_law(free)[0], rel=1e-3)
 
 
 @pytest.mark.parametrize("climb_delay_s", [0.0, 0.02, 0.1, 0.21])
@@ -331,10 +327,10 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(climb_delay
     memory, rng = law.start(), np.random.default_rng(1)
     for k in range(30):
         a_down, v_down, off_m = rng.normal(size=3).tolist()
-        before = seen(memory, law)
-        now = known(k * T, (0.05 * off_m, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
+        before = memory_of(memory, law)
+        now = knows(k * T, (0.05 * off_m, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
         memory, _ = stepped(memory, now, law=law)
-        after = seen(memory, law)
+        after = memory_of(memory, law)
         assert after.axes is not None
         if before.axes is not None:
             arrived = before.climbs[n - 1]
@@ -345,8 +341,8 @@ def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(climb_delay
 
 
 def test_while_gains_change_the_arrived_and_the_commanded_tilt_lie_between_those_of_either() -> None:
-    now, later, share = known(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15), 0.25
-    memory = seen(stepped(LAW.start(), known(0.48, (0.1, 0.0, 1.0)))[0])
+    now, later, share = knows(0.5, (0.0, 0.0, 1.4), (0.0, 0.0, -0.3), response=IDENTIFIED), TuningChoice(0.15), 0.25
+    memory = memory_of(stepped(LAW.start(), knows(0.48, (0.1, 0.0, 1.0)))[0])
     n = round(RESPONSE.climb.delay_s / T)
     n_later, n_tilt = round((RESPONSE.climb.delay_s + 0.15) / T), math.ceil(RESPONSE.tilt.delay_s / T - 1e-9)
     n_tilt_later = math.ceil((RESPONSE.tilt.delay_s + 0.15) / T - 1e-9)
@@ -356,7 +352,7 @@ def test_while_gains_change_the_arrived_and_the_commanded_tilt_lie_between_those
     def flown(climbs: list[float], **fields: object) -> tuple[LawMemory, Lean]:
         begun = structs.replace(memory, climbs=tuple(climbs), axes=axes, **fields)  # type: ignore[arg-type]
         after, command = stepped(packed(begun), now)
-        return seen(after), command
+        return memory_of(after), command
 
     rising = [0.05 * k for k in range(len(memory.climbs))]
     made, _ = flown(rising, tuning=later, tuning_before=TuningChoice(), share=share - T)
@@ -382,8 +378,8 @@ def test_commands_are_remembered_for_as_long_as_any_delay_that_is_flown_with() -
     assert law._remembered * T >= 0.5 + follow_deck.SOFTER_LONGER_S
     memory = law.start()
     for k in range(3):
-        memory, _ = stepped(memory, known(k * T, lean=(0.2, 0.0), response=assumed), law=law)
-    axes = seen(memory, law).axes
+        memory, _ = stepped(memory, knows(k * T, lean=(0.2, 0.0), response=assumed), law=law)
+    axes = memory_of(memory, law).axes
     assert axes is not None
     assert axes[0].under_way[3:] == (pytest.approx(0.2),) * (law._remembered - 3), "the oldest are its lean at the first cycle"
     assert axes[0].under_way[0] != pytest.approx(0.2)
@@ -401,7 +397,7 @@ def test_no_gains_of_the_file_are_solved_in_flight(state: ResponseState, monkeyp
     law = FollowDeck(RESPONSE, T)
     monkeypatch.setattr(follow_deck, "tilt_gains", None)
     for sigma in (1e-3, 0.03, 0.3, 3.0):
-        stepped(law.start(), known(0.0, var=(sigma**2, 0.0), response=ResponseInUse(state, 0.05, None)), law=law)
+        stepped(law.start(), knows(0.0, var=(sigma**2, 0.0), response=ResponseInUse(state, 0.05, None)), law=law)
 
 
 def test_a_velocity_loops_own_tilt_is_followed_axis_by_axis_and_reported_as_trim() -> None:
@@ -409,9 +405,9 @@ def test_a_velocity_loops_own_tilt_is_followed_axis_by_axis_and_reported_as_trim
     memory, at = law.start(), 0.0
     for dt, target in ((0.0, HOLD), (T, None), (T, HOLD), (0.5, HOLD), (0.03, None), (0.6, HOLD), (T, HOLD)):
         at += dt
-        now, before = known(at, lean=(0.3 + at, -0.1 - at), heading=1.0), seen(memory, law, over_ground=True)
+        now, before = knows(at, lean=(0.3 + at, -0.1 - at), heading=1.0), memory_of(memory, law, over_ground=True)
         memory, command = law.step(memory, now.at, now, target)
-        after = seen(memory, law, over_ground=True)
+        after = memory_of(memory, law, over_ground=True)
         assert after.axes is not None
         assert after.own is not None
         for k, axis in enumerate(after.axes):
@@ -435,9 +431,9 @@ def test_a_wind_that_takes_thirty_five_degrees_is_known_whole(over_ground: bool)
     law = FollowDeck(RESPONSE, T, over_ground=over_ground)
     memory = law.start()
     for k in range(1000):
-        now = known(k * T, lean=(7.0, -1.0))
+        now = knows(k * T, lean=(7.0, -1.0))
         memory, _ = law.step(memory, now.at, now, None if over_ground else HOLD)
-    after = seen(memory, law, over_ground=over_ground)
+    after = memory_of(memory, law, over_ground=over_ground)
     assert after.axes is not None
     assert [axis.seen.d for axis in after.axes] == pytest.approx([-7.0, 1.0], abs=0.05)
     if after.own is not None:
@@ -459,14 +455,14 @@ def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> t
     waiting = [0.0] * round(tilt.delay_s / T)
     in_use = ResponseInUse(ResponseState.KNOWN, tilt.delay_s, 0.005, 0.0)
     for k in range(400):
-        now = known(
+        now = knows(
             k * T, (p, 0.0, 1.5), (v, 0.0, 0.0), a=(lean, 0.0), lean=(lean, 0.0), rates=(0.0, -rate / G_M_S2, 0.0),
             v_deck=(0.0, 0.0, 0.0), response=in_use,
         )  # fmt: skip
         now = structs.replace(now, jerk_max_m_s3=stated_m_s3)
         memory, command = stepped(memory, now, Target(np.array([0.0, 0.0, 1.5])), law)
-        jerks.append(abs(asked(command)[0] - before) / T)
-        before = asked(command)[0]
+        jerks.append(abs(ask_law(command)[0] - before) / T)
+        before = ask_law(command)[0]
         shaped += float(np.clip(before - shaped, -jerk_m_s3 * T, jerk_m_s3 * T))
         waiting.append(shaped)
         arrived = waiting.pop(0)
@@ -503,9 +499,9 @@ def test_it_knows_where_it_will_be(off_m: float, push_m_s2: float, seconds: floa
     place: list[float] = []
     output: tuple[float, float] | None = None
     after, asked_at = round(seconds / T), 60
-    assert LAW.ahead(memory, known(0.0), seconds) is None, "nothing is under way before the first cycle"
+    assert LAW.ahead(memory, knows(0.0), seconds) is None, "nothing is under way before the first cycle"
     for n in range(asked_at + after):
-        k = known(
+        k = knows(
             n * T, (x[0], 0.0, 1.0), (x[1], 0.0, 0.0), a=(x[2] + push_m_s2, 0.0), lean=(x[2], 0.0),
             rates=(0.0, -x[3] / G_M_S2, 0.0), v_deck=(0.0, 0.0, 0.0),
         )  # fmt: skip
@@ -526,17 +522,17 @@ def test_without_an_accelerometer_it_holds_against_the_wind_all_the_same(push_m_
     x = np.zeros(len(model.A))
     x[2] = -push_m_s2
     for n in range(500):
-        k = known(
+        k = knows(
             n * T, (x[0], 0.0, 1.0), (x[1], 0.0, 0.0), a=(x[2] + push_m_s2 * (n < 100), 0.0), lean=(x[2], 0.0),
             rates=(0.0, -x[3] / G_M_S2, 0.0), v_deck=(0.0, 0.0, 0.0),
         )  # fmt: skip
         memory, command = stepped(memory, structs.replace(k, unfelt=n >= 100))
         if n == 100:
-            before = seen(memory).axes
+            before = memory_of(memory).axes
         x = model.A @ x + model.B * float(command.a_level[0] + command.trim_level[0])
         x[:2] -= push_m_s2 * np.array([0.5 * T * T, T])
         assert n < 100 or abs(x[0]) < 0.15
-    after = seen(memory).axes
+    after = memory_of(memory).axes
     assert before is not None
     assert after is not None
     assert [axis.seen.d for axis in after] == pytest.approx([axis.seen.d for axis in before], abs=0.3)

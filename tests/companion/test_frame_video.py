@@ -16,7 +16,7 @@ from companion.recording.reading import RecordedFrame, Recording, open_recording
 from tests.fly import record_to
 
 
-def moving(n: int) -> list[np.ndarray]:
+def moving_picture(n: int) -> list[np.ndarray]:
     """Return n frames of a bright square that moves over a gradient."""
     ground = np.repeat(np.linspace(20, 120, 96, dtype=np.uint8)[:, None, None], 128, axis=1).repeat(3, axis=2)
     out = []
@@ -28,7 +28,7 @@ def moving(n: int) -> list[np.ndarray]:
 
 
 def test_any_frame_can_be_requested_and_looks_as_it_was() -> None:
-    images = moving(40)
+    images = moving_picture(40)
     encoder, sequence = FrameEncoder(RECORDED), FrameSequence()
     units = [encoder.encoded(image) for image in images]
     assert [k for k, unit in enumerate(units) if is_key_frame(unit)] == [0, KEY_EACH]
@@ -44,7 +44,7 @@ def test_any_frame_can_be_requested_and_looks_as_it_was() -> None:
 
 def test_what_is_missing_or_damaged_gives_no_frame_until_the_next_key_frame() -> None:
     encoder, sequence = FrameEncoder(RECORDED), FrameSequence()
-    units = [encoder.encoded(image) for image in moving(KEY_EACH + 5)]
+    units = [encoder.encoded(image) for image in moving_picture(KEY_EACH + 5)]
     assert sequence.add(units[5]) is None, "nothing before the first key frame"
     for junk in (b"", b"\0" * 40, b"\0\0\1", b"\0\0\1\x65" + bytes(range(200))):
         found = FrameSequence().add(junk)

@@ -199,7 +199,7 @@ def test_a_tilt_ends_the_commit_only_above_the_height_of_no_return(longer_s: flo
         assert (found is not None and found.cause is ReasonCause.DECK_TILT) is (off_m > 0.0)
 
 
-def moving(
+def swings(
     down_m_s: float = 0.0, a_m_s2: float = 0.0, roll_deg_s: float = 0.0, pitch_deg_s: float = 0.0, sigma: float = 0.0
 ) -> DeckMotion:
     v, a = np.array([9.0, 0.0, down_m_s]), np.array([9.0, 0.0, a_m_s2])
@@ -210,9 +210,9 @@ def moving(
 @pytest.mark.parametrize(
     ("deck", "impossible"),
     [
-        (moving(2.9, 2.9, 39.0, 39.0), False), (moving(-3.1), True), (moving(3.1), True), (moving(0.0, 3.1), True),
-        (moving(roll_deg_s=-41.0), True), (moving(pitch_deg_s=41.0), True), (moving(pitch_deg_s=-41.0), True),
-        (moving(4.0, sigma=0.6), False), (moving(4.0, sigma=0.4), True), (None, False),
+        (swings(2.9, 2.9, 39.0, 39.0), False), (swings(-3.1), True), (swings(3.1), True), (swings(0.0, 3.1), True),
+        (swings(roll_deg_s=-41.0), True), (swings(pitch_deg_s=41.0), True), (swings(pitch_deg_s=-41.0), True),
+        (swings(4.0, sigma=0.6), False), (swings(4.0, sigma=0.4), True), (None, False),
     ],
 )  # fmt: skip
 def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotion | None, impossible: bool) -> None:
@@ -221,8 +221,8 @@ def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotio
 
 def test_nobody_lands_for_a_second_after_a_deck_moved_as_no_deck_does() -> None:
     landing = make_pilot(load("sim")).landing
-    landing.judge(ns(NOW), moving(4.0))
-    landing.judge(ns(NOW + 0.1), moving(0.1))
+    landing.judge(ns(NOW), swings(4.0))
+    landing.judge(ns(NOW + 0.1), swings(0.1))
     assert [landing.doubted(ns(NOW + s)) for s in (0.1, 0.9, 1.1)] == [IntegrityAlert.DECK, IntegrityAlert.DECK, None]
 
 

@@ -21,7 +21,7 @@ from companion.guidance.law.margins import (
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
-from tests.companion.law_axis import AxisMeasured, begun, command, commanded, observed
+from tests.companion.law_axis import AxisMeasured, begun, commanded, observed, tilt_command
 
 SHIPPED = shipped_response("ardrone2").tilt
 AGILE = TiltResponse(0.01, 45.0, 0.6, 0.0)
@@ -86,7 +86,7 @@ class Pushed(NamedTuple):
     deck: float = 0.0
 
 
-def flown(
+def fly_pushed(
     assumed: TiltResponse, true: TiltResponse, pushes: list[Pushed], cycles: int, *, answer: float = 1.0, drag_1_s: float = 0.35
 ) -> F64:
     """Return place and speed of the pad against the body and the command, (cycles, 3), from rest; `answer` scales commands."""
@@ -99,7 +99,7 @@ def flown(
         by = pushes[k] if k < len(pushes) else Pushed()
         z = AxisMeasured(x[0] + by.place, x[1] + by.speed, x[2], x[3], x[2] + by.accel + by.gust - by.tilt)
         axis = observed(axis, z, PERIOD_S, seeing, assumed, axis.under_way[-1])
-        u = command(axis, gains, axis.seen.p)
+        u = tilt_command(axis, gains, axis.seen.p)
         out[k] = *x[:2], u
         axis = commanded(axis, u)
         push = by.deck + by.tilt - by.gust
@@ -112,7 +112,7 @@ def flown(
 
 def settles(assumed: TiltResponse, true: TiltResponse, answer: float = 1.0) -> bool:
     """Return whether a push dies away."""
-    course = np.abs(flown(assumed, true, [Pushed(gust=1.0)], 1500, answer=answer)[:, 0])
+    course = np.abs(fly_pushed(assumed, true, [Pushed(gust=1.0)], 1500, answer=answer)[:, 0])
     return bool(course[-400:].max() < 0.5 * course[-900:-500].max())
 
 
@@ -154,7 +154,7 @@ def test_each_disturbance_moves_the_body_as_much_as_it_should(name: str, tilt: T
     silent = AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.0)
     of = GaussMarkov(0.3, 0.7)
     found = margins(tilt, around=silent._replace(**{fields[name]: of}))
-    course = flown(tilt, tilt, wandering(name, of, 1200), 1200)
+    course = fly_pushed(tilt, tilt, wandering(name, of, 1200), 1200)
     if name == "gust":
         assert margins(tilt, around=silent._replace(downwash_m_s2=of))[5:] == pytest.approx(found[5:]), "it feels both alike"
     assert found[5:] == pytest.approx(np.sqrt((course**2).sum(axis=0)).tolist(), rel=1e-5)
@@ -162,7 +162,7 @@ def test_each_disturbance_moves_the_body_as_much_as_it_should(name: str, tilt: T
 
 def test_single_samples_of_the_accelerometer_and_another_drag_move_it_as_well() -> None:
     found = margins(SHIPPED, around=AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.5, drag_1_s=1.2))
-    course = flown(SHIPPED, SHIPPED, [Pushed(accel=0.5)], 1200, drag_1_s=1.2)
+    course = fly_pushed(SHIPPED, SHIPPED, [Pushed(accel=0.5)], 1200, drag_1_s=1.2)
     assert found[5:] == pytest.approx(np.sqrt((course**2).sum(axis=0)).tolist(), rel=1e-5)
 
 

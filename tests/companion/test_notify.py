@@ -90,16 +90,6 @@ async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
     assert output[-1]["STOPPING"] == "1"
 
 
-async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: Systemd) -> None:
-    daemon = watched(FakeVehicle(), pilot_of(), systemd.socket.getsockname(), None)
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: len(systemd.read()) >= 1)
-        daemon.stop()
-    assert "READY" in systemd.read()[0]
-    assert systemd.pings() == 0
-
-
 async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("companion.base.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()

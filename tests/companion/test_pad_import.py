@@ -48,7 +48,7 @@ def imported(text: str, size_m: float | None = None) -> Pad:
     return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg"), "a", "a.svg"))
 
 
-def seen(pad: Pad, px: np.ndarray) -> float:
+def trust(pad: Pad, px: np.ndarray) -> float:
     found = track(TrackerConfig(CAMERA, pad), TrackerMemory(), Frame(STAMP, 0, px), None)[0].selected
     return 0.0 if found is None else found.confidence
 
@@ -136,7 +136,7 @@ def test_the_dot_of_a_drawing_whose_rest_would_be_out_of_view_is_not_the_drawing
     pad = Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == "triangle_and_dot")))
     px = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
     cv2.circle(px, (CAMERA.width // 2, CAMERA.height // 2), CAMERA.height // 3, (0, 120, 255), -1, cv2.LINE_AA)
-    assert seen(pad, px) < 0.5
+    assert trust(pad, px) < 0.5
 
 
 def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
@@ -164,7 +164,9 @@ def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_
     px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
     assert pad.calibration is not None
     often = replace(pad, calibration=msgspec.structs.replace(pad.calibration, chance=RARE * math.exp(6.0)))
-    odds = [math.log(p / (1.0 - p)) for p in (seen(pad, px), seen(often, px), seen(replace(often, accept_false_pads=True), px))]
+    odds = [
+        math.log(p / (1.0 - p)) for p in (trust(pad, px), trust(often, px), trust(replace(often, accept_false_pads=True), px))
+    ]
     assert odds[1] == pytest.approx(odds[0] - 6.0, abs=0.01)
     assert odds[2] == pytest.approx(odds[0])
 
@@ -181,7 +183,7 @@ def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs
         assert found.selected.confidence >= 0.5
         assert math.dist(found.selected.d_body_pad_level, (0.0, 0.0, 0.0)) == pytest.approx(pose.range_m, rel=0.03)
         assert memory.reversed == (number < 2)
-    assert seen(drawn_alone, np.asarray(cv2.bitwise_not(px), np.uint8)) < 0.5
+    assert trust(drawn_alone, np.asarray(cv2.bitwise_not(px), np.uint8)) < 0.5
     cost, cost_alone = (price(of, {}, 7).calibration for of in (pad, drawn_alone))
     assert (cost.chance, cost.least_support) > (cost_alone.chance, cost_alone.least_support)
 
@@ -192,7 +194,7 @@ def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:
     views = [view(k) for k in (1, 5, 6)]
     for number, file in enumerate(USERS):
         pad = Pad.from_mapping(read_toml(file), file.name)
-        assert seen(pad, views[number % 3]) < 0.5, file.name
+        assert trust(pad, views[number % 3]) < 0.5, file.name
 
 
 def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_drawing() -> None:

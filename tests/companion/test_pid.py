@@ -11,15 +11,11 @@ from companion.settings.guidance import GuidanceOptions, HeadingGains, Horizonta
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
-from estimator.contracts.time import MonoNs
+from tests.make import ns
 
 STALE_S = GuidanceOptions().stale_after_s
 TURN_MAX_RAD_S = math.radians(34.4)
 P_ONLY = PidOptions(HorizontalGains(1.0, 0.0, 0.0), VerticalGains(1.0, 0.0, 0.0), HeadingGains(1.0, 0.0))
-
-
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
 
 
 def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True):
@@ -130,7 +126,7 @@ def test_after_long_silence_the_integrals_start_again():
     np.testing.assert_array_equal(back.integral, 0.0)
 
 
-def fly(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.0, lag_s=0.3, delay_s=0.15):
+def fly_pid(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.0, lag_s=0.3, delay_s=0.15):
     """Return a vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
     gains = gains or PidOptions()
     dt, state, v, d = 0.02, Pid.start(), np.zeros(3), np.array(d0, float)
@@ -148,7 +144,7 @@ def fly(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.
 
 
 def test_a_step_settles_without_ringing():
-    track = fly([3.0, -2.0, 5.0])
+    track = fly_pid([3.0, -2.0, 5.0])
     error = track - [0, 0, 2.0]
     assert np.abs(error[-250:]).max() < 0.05
     assert error[:, 0].min() > -0.3  # overshoot under a tenth of the step
@@ -156,14 +152,14 @@ def test_a_step_settles_without_ringing():
 
 
 def test_a_moving_pad_and_a_steady_wind_leave_no_error():
-    track = fly([1.0, 0.0, 3.0], pad_v=(0.3, -0.1, 0.0), wind=(-0.1, 0.1, 0.05), seconds=45)
+    track = fly_pid([1.0, 0.0, 3.0], pad_v=(0.3, -0.1, 0.0), wind=(-0.1, 0.1, 0.05), seconds=45)
     assert np.abs(track[-50:] - [0, 0, 2.0]).max() < 0.06
 
 
 @settings(max_examples=15)
 @given(st.floats(0.1, 0.5), st.floats(0.0, 0.3))
 def test_stable_over_the_vehicles_and_delays_to_expect(lag_s, delay_s):
-    track = fly([1.0, 0.5, 3.0], lag_s=lag_s, delay_s=delay_s, seconds=25)
+    track = fly_pid([1.0, 0.5, 3.0], lag_s=lag_s, delay_s=delay_s, seconds=25)
     assert np.abs(track[-100:] - [0, 0, 2.0]).max() < 0.1
 
 

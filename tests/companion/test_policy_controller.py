@@ -29,7 +29,7 @@ def knowledge(at_s: float, d: list[float]) -> Knowledge:
     return Knowledge(ns(at_s), estimate(at_s, d), body, deck)
 
 
-def commands(d: list[float], target: Target, cycles: int = 5) -> list[Lean]:
+def policy_commands(d: list[float], target: Target, cycles: int = 5) -> list[Lean]:
     law = make_controller(ControllerSetup(OPTIONS, QUAD))
     assert isinstance(law, PolicyController)
     memory, out = law.start(), []
@@ -44,7 +44,7 @@ def commands(d: list[float], target: Target, cycles: int = 5) -> list[Lean]:
     ("d", "axis", "sign"), [([0.5, 0, 1], 0, 1), ([-0.5, 0, 1], 0, -1), ([0, 0.5, 1], 1, 1), ([0, -0.5, 1], 1, -1)]
 )
 def test_it_leans_towards_the_pad(d: list[float], axis: int, sign: int) -> None:
-    command = commands(d, Target(np.array([0.0, 0.0, 1.0])))[0]
+    command = policy_commands(d, Target(np.array([0.0, 0.0, 1.0])))[0]
     assert sign * command.a_level[axis] > 0.3
     assert abs(command.a_level[1 - axis]) < abs(command.a_level[axis])
 
@@ -52,7 +52,7 @@ def test_it_leans_towards_the_pad(d: list[float], axis: int, sign: int) -> None:
 @pytest.mark.parametrize("far_m", [0.3, 3.0, 300.0])
 def test_no_lean_is_larger_than_vehicle_and_target_allow(far_m: float) -> None:
     for allowed_deg, lean_max_rad in ((QUAD.tilt.max_deg, None), (3.0, math.radians(3.0)), (0.0, 0.0)):
-        for command in commands([far_m, -far_m, 2.0], Target(np.array([0.0, 0.0, 2.0]), lean_max_rad=lean_max_rad)):
+        for command in policy_commands([far_m, -far_m, 2.0], Target(np.array([0.0, 0.0, 2.0]), lean_max_rad=lean_max_rad)):
             size = math.hypot(*(command.a_level + command.trim_level))
             assert size <= G_M_S2 * math.tan(math.radians(allowed_deg)) + 1e-9
 
@@ -62,7 +62,7 @@ def test_heights_and_heading_are_the_law_s(rate_m_s: float | None) -> None:
     target = Target(np.array([0.0, 0.0, 0.8]), descent_rate_m_s=rate_m_s, yaw_rad=0.3)
     law = make_controller(ControllerSetup(structs.replace(OPTIONS, controller="follow_deck"), QUAD))
     memory = law.start()
-    for n, command in enumerate(commands([0.2, 0.1, 1.0], target)):
+    for n, command in enumerate(policy_commands([0.2, 0.1, 1.0], target)):
         memory, own = law.step(memory, ns(0.02 * n), knowledge(0.02 * n, [0.2, 0.1, 1.0]), target)
         assert isinstance(own, Lean)
         assert (command.v_level[2], command.yaw_rate_rad_s) == (own.v_level[2], own.yaw_rate_rad_s)

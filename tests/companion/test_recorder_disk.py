@@ -150,7 +150,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, mo
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def told(recorder: Recorder, at_s: float, seconds: float) -> float:
+def record_samples(recorder: Recorder, at_s: float, seconds: float) -> float:
     """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):
         recorder.on_sample(imu(at_s + 0.01 * i))
@@ -167,7 +167,7 @@ def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path
     for name in ("decklander-20200101T000000Z-0001.mcap", "decklander-20261120T050000Z-0001.mcap"):
         (tmp_path / name).symlink_to(tmp_path / "nowhere")
     with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.1)) as recorder:
-        told(recorder, 0.0, 2.0)
+        record_samples(recorder, 0.0, 2.0)
         wait_until(lambda: recorder.written == 200)
         assert recorder.state is RecorderState.RECORDING
         assert (recorder.blocked, recorder.faults, recorder.files) == (0, 0, 1)
@@ -197,13 +197,13 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(tmp_path, caplog, sp
     path = tmp_path / "recordings"
     spoil(path)
     with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:
-        at_s = told(recorder, 0.0, 30.0)
+        at_s = record_samples(recorder, 0.0, 30.0)
         assert recorder.state is RecorderState.BLOCKED
         assert re.search(why, recorder.why)
         assert 8 <= recorder.blocked <= 11, "after 1, 2, 4, 4, 4 ... s"
         assert recorder.counted()["dropped_imu"] == 3000
         mend(path)
-        told(recorder, at_s, 5.0)
+        record_samples(recorder, at_s, 5.0)
         assert recorder.state is RecorderState.RECORDING
         assert recorder.why == ""
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
@@ -214,9 +214,9 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(tmp_path, caplog, sp
 def test_a_folder_that_is_taken_away_in_flight_is_begun_again(tmp_path: Path) -> None:
     path = tmp_path / "recordings"
     with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5, retry_s=1.0)) as recorder:
-        at_s = told(recorder, 0.0, 2.0)
+        at_s = record_samples(recorder, 0.0, 2.0)
         shutil.rmtree(path)
-        told(recorder, at_s, 4.0)
+        record_samples(recorder, at_s, 4.0)
         assert recorder.state is RecorderState.RECORDING
         assert recorder.files == 2
     (file,) = path.glob("*.mcap")
@@ -226,10 +226,10 @@ def test_a_folder_that_is_taken_away_in_flight_is_begun_again(tmp_path: Path) ->
 def test_without_descriptors_nothing_is_recorded_for_a_while(tmp_path: Path) -> None:
     with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0)) as recorder:
         with no_descriptors():
-            at_s = told(recorder, 0.0, 2.0)
+            at_s = record_samples(recorder, 0.0, 2.0)
             assert recorder.state is RecorderState.BLOCKED
             assert recorder.why.endswith("Too many open files")
-        told(recorder, at_s, 4.0)
+        record_samples(recorder, at_s, 4.0)
         assert recorder.state is RecorderState.RECORDING
 
 
@@ -245,7 +245,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
 
     monkeypatch.setattr(Path, "unlink", refusing)
     with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5)) as recorder:
-        told(recorder, 0.0, 2.0)
+        record_samples(recorder, 0.0, 2.0)
         wait_until(lambda: recorder.written == 200)
         assert recorder.counted()["not_removed"] >= 1
         assert recorder.state is RecorderState.RECORDING

@@ -37,7 +37,7 @@ def test_rows_make_a_track() -> None:
     np.testing.assert_array_equal(made.values, [[2.0, 3.0], [4.0, 5.0]])
 
 
-def flight(seed: int) -> tuple[Track, Track]:
+def uneven_tracks(seed: int) -> tuple[Track, Track]:
     """Commands and reports at uneven instants: hovering now and then, a silence of either, reports that begin later."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.012, 0.03, 700)) + 3.0
@@ -59,7 +59,7 @@ def held_at(asked: Track, t: F64) -> F64:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_course_is_the_mean_of_what_held_over_each_step_beside_what_was_reported_at_its_beginning(seed: int) -> None:
-    asked, reported = flight(seed)
+    asked, reported = uneven_tracks(seed)
     course = course_of(asked, reported, 0.003, 1)
     assert course is not None
     first, last = max(asked.t_s[0], reported.t_s[0]), min(asked.t_s[-1], reported.t_s[-1])

@@ -31,7 +31,7 @@ WARM = 60
 """Steps of a course that are not compared."""
 
 
-def asked(seed: int, n: int) -> F64:
+def asked_tilts(seed: int, n: int) -> F64:
     """Return steps of half a second about a trim, two axes."""
     rng = np.random.default_rng(seed)
     return np.asarray(0.4 + np.repeat(rng.normal(size=(n // 25 + 1, 2)), 25, axis=0)[:n])
@@ -59,7 +59,7 @@ def course(
     seed: int = 1, n: int = 600, *, gain: float = 1.0, noise: float = 0.0, rho: float = 0.9, drifts: int = 0
 ) -> FlightCourse:
     """Return the reports of `TRUE` for steps, with an offset or a drift; before the compared part they are nonsense."""
-    u, counts = asked(seed, n), np.arange(n) > WARM
+    u, counts = asked_tilts(seed, n), np.arange(n) > WARM
     off = np.outer(np.ones(n) if drifts == 0 else np.arange(n) / n, [0.3, -0.2])
     y = answered(TRUE, u, gain) + off + lasting(np.random.default_rng(seed + 100), (n, 2), noise, rho)
     return FlightCourse(u, np.where(counts[:, None], y, 99.0), counts, 0.0, drifts)
@@ -138,7 +138,7 @@ def test_a_gap_in_what_is_compared_is_bridged_by_the_model() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.3, 0.55])
 def test_the_search_begins_at_the_delay_of_the_largest_correlation(delay_s: float) -> None:
-    u = asked(2, 600)
+    u = asked_tilts(2, 600)
     of = FlightCourse(u, answered(structs.replace(TRUE, delay_s=delay_s), u), np.arange(600) > WARM)
     assert fitted(of).response.delay_s == pytest.approx(delay_s, abs=2e-3)
     first = fitted(of, steps=1)
@@ -171,7 +171,7 @@ def test_what_a_flight_does_not_tell_stays_where_the_search_began() -> None:
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.1, 0.3), (0.3, 0.6), (0.0, 0.2)])
 def test_a_climb_without_errors_gives_the_response_that_made_it(delay_s: float, lag_s: float) -> None:
-    u = asked(4, 600)[:, :1]
+    u = asked_tilts(4, 600)[:, :1]
     v, late, keep = np.full((600, 1), 1.1 * u[0, 0]), round(delay_s / STEP_S), math.exp(-STEP_S / lag_s)
     for k in range(1, 600):
         v[k] = keep * v[k - 1] + (1.0 - keep) * 1.1 * u[max(0, k - 1 - late)]
@@ -211,7 +211,7 @@ def test_the_derivatives_are_those_of_the_transfer_function(made: Any, x: list[f
 
 
 def test_a_response_beyond_what_a_vehicle_has_is_the_nearest_that_one_may_have() -> None:
-    u = asked(6, 600)
+    u = asked_tilts(6, 600)
     sluggish = tilt_course(frequency_rad_s=8.0, damping=4.0)
     assert math.exp(sluggish.fitted.values[2]) > 3.2
     assert sluggish.response.damping == 3.0
@@ -234,7 +234,7 @@ def test_a_response_beyond_what_a_vehicle_has_is_the_nearest_that_one_may_have()
 
 def tilt_course(frequency_rad_s: float, damping: float) -> TiltFit:
     """Fit an answer beyond the ranges of `TiltResponse`, integrated in small steps; it comes without a delay."""
-    u, parts = asked(6, 600), 40
+    u, parts = asked_tilts(6, 600), 40
     out, x, v = np.empty_like(u), u[0].copy(), np.zeros(2)
     lagged = u[0].copy()
     for k in range(600):
@@ -255,7 +255,7 @@ def test_of_a_climb_that_requested_nothing_lag_and_gain_stay_where_the_search_be
 
 def test_of_a_flight_that_reports_little_most_stays_where_the_search_began() -> None:
     n = 600
-    u = 0.004 * asked(7, n)
+    u = 0.004 * asked_tilts(7, n)
     y = answered(TRUE, u) + lasting(np.random.default_rng(7), (n, 2), 0.08, 0.9)
     found = fitted(FlightCourse(u, y, np.arange(n) > WARM))
     begun = [math.log(GIVEN.tilt.frequency_rad_s), math.log(GIVEN.tilt.damping), 0.0]
@@ -303,7 +303,7 @@ def test_scores_are_summed_over_a_stretch_of_each_axis() -> None:
 
 
 def test_the_end_of_a_course_does_not_come_back_at_its_beginning() -> None:
-    u = asked(8, 768)
+    u = asked_tilts(8, 768)
     assert _good_size(768) == 768
     of = FlightCourse(u, answered(TRUE, u), np.ones(768, dtype=bool))
     found = fitted(of)

@@ -42,16 +42,13 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.test_identify import flown, gauss_markov
+from tests.make import ns
 
 GIVEN = shipped_response("ardrone2")
 SURE = structs.replace(GIVEN.tilt, delay_sigma_s=0.02)
 KNOWN_S = 0.04
 T = 0.02
 ASSUMED = ResponseInUse(ResponseState.ASSUMED, GIVEN.tilt.delay_s, None)
-
-
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(1e9 * seconds))
 
 
 @pytest.mark.parametrize(("sigma_s", "state"), [(0.039, ResponseState.KNOWN), (0.041, ResponseState.ASSUMED)])
@@ -86,7 +83,7 @@ def answers(true: TiltResponse, u: F64, seed: int) -> F64:
     return out
 
 
-def watched(watch: ResponseWatch, u: F64, y: F64, late_s: float = 0.01) -> Iterator[tuple[ResponseWatch, ResponseWatch]]:
+def watch_response(watch: ResponseWatch, u: F64, y: F64, late_s: float = 0.01) -> Iterator[tuple[ResponseWatch, ResponseWatch]]:
     """Yield the memory before and after each cycle."""
     for k in range(u.shape[0]):
         measured_at = ns(k * T)
@@ -101,7 +98,7 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
     u = leans(seed, 16.0, 0.6)
     y = answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, seed)
     watch = begun(GIVEN.tilt, KNOWN_S)
-    for before, after in watched(watch, u, y):
+    for before, after in watch_response(watch, u, y):
         if after.in_use is not before.in_use:
             assert before.doubt is not None
             assert before.doubt.state is after.in_use.state
@@ -123,7 +120,7 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
 def test_a_delay_that_nothing_can_fly_with_is_reported_after_two_fits(delay_s: float, too_late: bool) -> None:
     u = leans(3, 16.0, 0.6)
     watch = begun(GIVEN.tilt, KNOWN_S)
-    for before, after in watched(watch, u, answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, 3)):
+    for before, after in watch_response(watch, u, answers(structs.replace(GIVEN.tilt, delay_s=delay_s), u, 3)):
         assert after.late_s is None or before.late_doubt
         watch = after
     assert (watch.late_s is not None) is too_late
@@ -173,7 +170,7 @@ def course(kind: str) -> tuple[F64, F64, float]:
 )  # fmt: skip
 def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt: TiltResponse) -> None:
     first = begun(given_tilt, KNOWN_S)
-    for _, after in watched(first, *course(kind)):
+    for _, after in watch_response(first, *course(kind)):
         assert after.in_use is first.in_use
         assert after.shape is AS_FILED
 
@@ -182,7 +179,7 @@ def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt:
 def test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping(frequency, damping):
     u, watch = leans(5, 16.0, 0.6), begun(SURE, KNOWN_S)
     true = structs.replace(shaped(SURE, frequency, damping), delay_s=0.06)
-    for before, after in watched(watch, u, answers(true, u, 5)):
+    for before, after in watch_response(watch, u, answers(true, u, 5)):
         assert after.shape is before.shape or before.shape_doubt is not None, "never by one fit"
         watch = after
     differs = (frequency, damping) != (1.0, 1.0)
@@ -199,7 +196,7 @@ def test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_freq
 
 def test_the_same_course_without_the_nonsense_is_identified() -> None:
     u = leans(5, 16.0, 0.6)
-    *_, (_, after) = watched(begun(SURE, KNOWN_S), u, answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5))
+    *_, (_, after) = watch_response(begun(SURE, KNOWN_S), u, answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5))
     assert after.in_use.state is ResponseState.IDENTIFIED
     assert after.in_use.delay_s == pytest.approx(0.2, abs=0.04)
     assert landed(after).in_use is after.in_use, "the next flight begins with it"

@@ -65,17 +65,6 @@ def test_a_reader_that_stands_still_costs_lines_and_no_time() -> None:
         read_until(reading, "and on")
 
 
-def test_a_reader_that_went_away_is_no_error() -> None:
-    reading, writing = os.pipe()
-    os.close(reading)
-    reported = ServiceLog(writing)
-    for n in range(5):
-        reported.handle(record("nobody", line=n))
-    reported.close()
-    os.close(writing)
-    assert reported.counts()["dropped"] >= 5
-
-
 @given(st.lists(st.tuples(st.integers(0, 3), st.floats(0.0, 30.0)), max_size=400))
 def test_no_kind_has_more_lines_in_a_minute_and_every_line_is_accounted_for(arrivals: list[tuple[int, float]]) -> None:
     limit, now, written, held = KindLimit(), 0.0, dict[int, list[float]](), 0

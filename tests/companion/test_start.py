@@ -35,10 +35,6 @@ sys.exit(signals.leave(run.run(main.Parser().parse_args([], arguments))))
 """
 
 
-def ran(code: str, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=False)
-
-
 def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     ports = "[expert.vehicle]\nnavdata_port = 45654\nvideo_port = 45655\nat_port = 45656\ncontrol_port = 45659"
@@ -51,20 +47,6 @@ def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_pa
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "\n"
-
-
-def test_a_command_is_loaded_without_collections_and_out_of_their_sight() -> None:
-    probe = (
-        "import gc, sys\nfrom companion.cli import main\nstarted = []\n"
-        "gc.callbacks.append(lambda phase, info: started.append(phase))\n"
-        "main.signals.leave = lambda code: code\nsys.argv = ['decklander', 'run', '--config', 'sim', '--check']\n"
-        "load = main.importlib.import_module\n"
-        "def loaded(name):\n    started.clear()\n    module = load(name)\n    print(len(started))\n    return module\n"
-        "main.importlib.import_module = loaded\ncode = main.main()\nprint(gc.isenabled(), gc.get_freeze_count() > 10_000, code)\n"
-    )
-    done = ran(probe)
-    lines = done.stdout.splitlines()
-    assert (lines[0], lines[-1]) == ("0", "True True 0"), done
 
 
 class Order(Diary):

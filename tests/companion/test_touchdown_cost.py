@@ -12,7 +12,7 @@ from companion.guidance.law.response_fit import STEP_S, FlightCourse, fit_climb,
 from companion.settings.load import shipped_response
 from companion.settings.response import Response, response_from_mapping
 from companion.tools.calibrate.touchdown_cost import ResponseCost, tilt_of_file, tilt_of_sigma
-from tests.companion.test_response_fit import GIVEN, WARM, asked, course
+from tests.companion.test_response_fit import GIVEN, WARM, asked_tilts, course
 
 TILT = shipped_response("ardrone2").tilt
 COV = np.diag([0.01**2, 0.3**2, 0.05**2])
@@ -49,7 +49,7 @@ def test_one_sigma_is_the_worst_vehicle_on_its_ellipsoid() -> None:
 
 
 def test_a_file_is_read_back_with_the_covariance_of_its_fits() -> None:
-    tilt, u = fit_tilt(course(noise=0.05), GIVEN.tilt), asked(4, 600)[:, :1]
+    tilt, u = fit_tilt(course(noise=0.05), GIVEN.tilt), asked_tilts(4, 600)[:, :1]
     v, keep, rng = np.full((600, 1), u[0, 0]), math.exp(-STEP_S / 0.3), np.random.default_rng(1)
     for k in range(1, 600):
         v[k] = keep * v[k - 1] + (1.0 - keep) * u[k - 1, 0]

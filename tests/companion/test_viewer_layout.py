@@ -36,7 +36,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], 
     return kinds, messages
 
 
-def values(path: str, messages: Messages) -> list[Any]:
+def layout_values(path: str, messages: Messages) -> list[Any]:
     """Return what a message path finds in the messages."""
     found = PATH.fullmatch(path)
     assert found is not None, f"{path} is no message path"
@@ -53,7 +53,7 @@ def values(path: str, messages: Messages) -> list[Any]:
     return out
 
 
-def of(kind: str) -> list[tuple[str, Any]]:
+def panels_of(kind: str) -> list[tuple[str, Any]]:
     return [(name, config) for name, config in PANELS.items() if name.partition("!")[0] == kind]
 
 
@@ -68,32 +68,32 @@ def test_each_panel_stands_once_in_the_layout() -> None:
 
 def test_plots_and_states_find_values_in_a_recording(recorded: tuple[dict[str, str], Messages]) -> None:
     _, messages = recorded
-    plotted = [path["value"] for _, config in of("Plot") for path in config["paths"]]
+    plotted = [path["value"] for _, config in panels_of("Plot") for path in config["paths"]]
     assert len(plotted) > 5
     for path in plotted:
-        found = values(path, messages)
+        found = layout_values(path, messages)
         assert len(found) > 10, path
         assert all(isinstance(value, int | float) for value in found), path
-    for path in [path["value"] for _, config in of("StateTransitions") for path in config["paths"]]:
-        assert {type(value) for value in values(path, messages)} == {str}, path
+    for path in [path["value"] for _, config in panels_of("StateTransitions") for path in config["paths"]]:
+        assert {type(value) for value in layout_values(path, messages)} == {str}, path
 
 
 def test_the_forecast_is_that_of_its_label(recorded: tuple[dict[str, str], Messages]) -> None:
     for label, ahead_s in (("heave", 0.0), ("in 1 s", 1.0)):
         (path,) = [path["value"] for path in PANELS["Plot!deck"]["paths"] if path["label"] == label]
-        horizons_s = values(path.replace("height_m", "horizons_s"), recorded[1])
+        horizons_s = layout_values(path.replace("height_m", "horizons_s"), recorded[1])
         assert horizons_s == pytest.approx([ahead_s] * len(horizons_s))
 
 
 def test_images_scenes_and_logs_are_of_the_kinds_that_their_panels_show(recorded: tuple[dict[str, str], Messages]) -> None:
     kinds, messages = recorded
-    for _, config in of("Image"):
+    for _, config in panels_of("Image"):
         mode = config["imageMode"]
         assert kinds[mode["imageTopic"]] in IMAGES
         assert kinds[mode["calibrationTopic"]] == "foxglove.CameraCalibration"
         assert {kinds[topic] for topic in mode["annotations"]} == {"foxglove.ImageAnnotations"}
     frames = {frame for topic in ("/tf", "/tf_static") for m in messages[topic] for t in m["transforms"] for frame in ends(t)}
-    for _, config in of("3D"):
+    for _, config in panels_of("3D"):
         assert {kinds[topic] for topic in config["topics"]} <= DRAWN_IN_3D
         assert config["followTf"] in frames
         for topic in config["topics"]:
@@ -103,7 +103,7 @@ def test_images_scenes_and_logs_are_of_the_kinds_that_their_panels_show(recorded
             }
             assert named, topic
             assert named <= frames, topic
-    assert {kinds[config["topicToRender"]] for _, config in of("RosOut")} == {"foxglove.Log"}
+    assert {kinds[config["topicToRender"]] for _, config in panels_of("RosOut")} == {"foxglove.Log"}
 
 
 def ends(transform: dict[str, Any]) -> tuple[str, str]:
@@ -115,4 +115,4 @@ def test_the_paths_that_the_docs_name_are_there(recorded: tuple[dict[str, str], 
     named = re.findall(r"`(/(?:belief|fusion|truth|detection)[^`]*\.[^`]+)`", text)
     assert len(named) >= 4
     for path in named:
-        assert values(path, recorded[1]), path
+        assert layout_values(path, recorded[1]), path

@@ -25,7 +25,7 @@ C3, C4, C7 = np.eye(3), np.eye(4), np.eye(7)
 R = Rotation.identity()
 
 
-def sighting(d=V, yaw=0.1, cov=C4, confidence=0.5):
+def any_sighting(d=V, yaw=0.1, cov=C4, confidence=0.5):
     return Sighting(STAMP, 0, "ellipse", d, yaw, False, cov, confidence)
 
 
@@ -38,7 +38,7 @@ VECTORS = {
     "Imu.f": lambda v: Imu(STAMP, V, v),
     "BodyVelocity": lambda v: BodyVelocity(STAMP, v, C3),
     "VesselReport": lambda v: VesselReport(STAMP, v, C3, None, None),
-    "Sighting": lambda v: sighting(d=v),
+    "Sighting": lambda v: any_sighting(d=v),
     "Pose6": lambda v: Pose6(v, R, np.eye(6)),
     "RelativeState.d": lambda v: state(d=v),
     "RelativeState.v": lambda v: state(v=v),
@@ -48,7 +48,7 @@ COVARIANCES = {
     "Attitude": (3, lambda c: Attitude(STAMP, R, c)),
     "BodyVelocity": (3, lambda c: BodyVelocity(STAMP, V, c)),
     "VesselReport": (3, lambda c: VesselReport(STAMP, V, c, None, None)),
-    "Sighting": (4, lambda c: sighting(cov=c)),
+    "Sighting": (4, lambda c: any_sighting(cov=c)),
     "Pose6": (6, lambda c: Pose6(V, R, c)),
     "RelativeState": (7, lambda c: state(cov=c)),
 }
@@ -82,10 +82,10 @@ def test_what_is_no_covariance_is_refused(n, make):
         lambda: Baro(STAMP, math.nan, 0.1),
         lambda: Baro(STAMP, 1.0, -0.1),
         lambda: Velocity(V, math.nan),
-        lambda: sighting(yaw=math.nan),
-        lambda: sighting(yaw=4.0),
-        lambda: sighting(confidence=math.nan),
-        lambda: sighting(confidence=1.1),
+        lambda: any_sighting(yaw=math.nan),
+        lambda: any_sighting(yaw=4.0),
+        lambda: any_sighting(confidence=math.nan),
+        lambda: any_sighting(confidence=1.1),
         lambda: VesselReport(STAMP, V, None, None, None),
         lambda: VesselReport(STAMP, None, None, 0.1, None),
         lambda: Frame(STAMP, 0, np.zeros((4, 4), np.uint8)),

@@ -130,7 +130,7 @@ class Service:
 
 
 @asynccontextmanager
-async def serving(config: str) -> AsyncIterator[Service]:
+async def serve_guide(config: str) -> AsyncIterator[Service]:
     service = Service(config)
     with patch("companion.service.daemon.no_full_collections", nullcontext):
         task = asyncio.create_task(service.daemon.run())
@@ -144,7 +144,7 @@ async def serving(config: str) -> AsyncIterator[Service]:
         await task
 
 
-def commands(page: str, begin: str = "", end: str = "\0") -> Iterator[list[str]]:
+def commands_of(page: str, begin: str = "", end: str = "\0") -> Iterator[list[str]]:
     """Yield the words of every command line of a page's part, in order."""
     text = (ROOT / f"docs/{page}.md").read_text().partition(begin)[2] if begin else (ROOT / f"docs/{page}.md").read_text()
     for line in text.partition(end)[0].splitlines():
@@ -191,13 +191,13 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 )
 async def test_the_orders_of_a_guide_fly_and_land(page: str, end: str, flown: list[tuple[str, bool]], reader: Path) -> None:
     """`flown`: the orders in the page's order, and whether the drone stands at the end of each."""
-    todo = [words for words in commands(page, end=end) if not elsewhere(words)]
+    todo = [words for words in commands_of(page, end=end) if not elsewhere(words)]
     orders = [words for words in todo if words[0] == "fly"]
     for words in todo:
         if words[0] != "fly" and words[-2:] != ["--config", "my-drone.toml"]:
             assert await asyncio.to_thread(main, words) == 0, words
     assert [words[1] for words in orders] == [order for order, _ in flown]
-    async with serving("my-drone.toml" if page == "ardupilot" else "raspberry_px4") as service:
+    async with serve_guide("my-drone.toml" if page == "ardupilot" else "raspberry_px4") as service:
         if flown[0][0] == "begin":
             await service.order(["fly", "takeoff", "--wait", "20"])  # by hand, as the page says
         for words, (order, stands) in zip(orders, flown, strict=True):
@@ -212,9 +212,9 @@ async def test_the_orders_of_a_guide_fly_and_land(page: str, end: str, flown: li
 def test_the_first_hour_s_commands_run(reader: Path) -> None:
     """Its blocks marked `run` are run by test_snippets.py, its orders are those of the page operator."""
     ran = []
-    for words in commands("first-hour"):
+    for words in commands_of("first-hour"):
         line = " ".join(words)
-        later = any(" ".join(more).startswith(f"{line} ") for more in commands("first-hour"))
+        later = any(" ".join(more).startswith(f"{line} ") for more in commands_of("first-hour"))
         if elsewhere(words) or later or words[0] == "fly" or "wrong.toml" in words or "--annotate" in words:
             continue
         flight = ["--perception", "model"] if words[0] == "simulate" else []
@@ -247,7 +247,7 @@ def test_the_calibrations_of_a_flight_run(reader: Path, capsys: pytest.CaptureFi
     (reader / "my_rig.toml").write_bytes((ROOT / "configs/sim.toml").read_bytes())
     flight = calibration_flights.flight(5, np.radians([1.5, -1.0, 2.0]), 0.03, seconds=40.0)
     calibration_flights.record(reader / "flight.mcap", flight, settings)
-    todo = [words for words in commands("cameras", "## Print the board") if not elsewhere(words)]
+    todo = [words for words in commands_of("cameras", "## Print the board") if not elsewhere(words)]
     codes = {words[1] if words[0] == "calibrate" else words[0]: main(words) for words in todo}
     printed = capsys.readouterr().err
     assert codes == {"pad": 0, "mount": 0, "delay": 0, "readout": 2, "vehicle": 2}

@@ -21,7 +21,7 @@ def ms(t: int) -> MonoNs:
     return MonoNs(5_000_000_000 + t * 1_000_000)
 
 
-def report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int = 0) -> DroneReport:
+def drone_report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int = 0) -> DroneReport:
     in_the_air = control not in (nd.ControlState.LANDED, nd.ControlState.INIT)
     return DroneReport(bits | (nd.NavdataState.FLYING if in_the_air else 0), control, altitude_m)
 
@@ -61,10 +61,10 @@ def test_no_order_to_take_off_or_to_land_outlives_its_word() -> None:
 def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
     arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
-    arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.NavdataState.COM_WATCHDOG), ms(1000))
+    arbiter.on_report(drone_report(nd.ControlState.HOVERING, bits=nd.NavdataState.COM_WATCHDOG), ms(1000))
     assert arbiter.commands(ms(1001)) == [at.ComWdg(), FLY, HOVER]
     assert arbiter.commands(ms(1300)) == [HOVER], "told too late, the wish to fly would start the motors of one that has landed"
-    arbiter.on_report(report(nd.ControlState.LANDED), ms(1400))
+    arbiter.on_report(drone_report(nd.ControlState.LANDED), ms(1400))
     assert arbiter.commands(ms(1401)) == [HOVER]
     assert arbiter.on_ground(ms(1401))
 
@@ -92,21 +92,21 @@ def climbed_m(sticks: at.Pcmd, ref: int | None, reports: Callable[[float], Drone
 @pytest.mark.parametrize("died", [True, False])
 @pytest.mark.parametrize("sticks", [AHEAD, HOVER])
 def test_a_drone_without_a_service_climbs_out_of_the_reach_of_the_deck(sticks: at.Pcmd, died: bool) -> None:
-    near = climbed_m(sticks, FLY.bits, lambda by_m: report(nd.ControlState.FLYING, 0.3 + by_m), died=died)
+    near = climbed_m(sticks, FLY.bits, lambda by_m: drone_report(nd.ControlState.FLYING, 0.3 + by_m), died=died)
     assert 0.3 + near == pytest.approx(CLEAR_M, abs=0.1)
-    assert climbed_m(sticks, FLY.bits, lambda _: report(nd.ControlState.FLYING, 2.1), died=died) == 0.0, "it is high enough"
-    for mute in (None, report(nd.ControlState.FLYING, None), report(nd.ControlState.HOVERING, 0.0)):
+    assert climbed_m(sticks, FLY.bits, lambda _: drone_report(nd.ControlState.FLYING, 2.1), died=died) == 0.0, "it is high enough"
+    for mute in (None, drone_report(nd.ControlState.FLYING, None), drone_report(nd.ControlState.HOVERING, 0.0)):
         by_time = climbed_m(sticks, FLY.bits, lambda _, said=mute: said, died=died)
         assert by_time == pytest.approx(CLEAR_M if sticks is AHEAD else 0.0, abs=0.15), "without a height by time, if it steered"
-    stuck = climbed_m(sticks, FLY.bits, lambda _: report(nd.ControlState.FLYING, 0.3), died=died)
+    stuck = climbed_m(sticks, FLY.bits, lambda _: drone_report(nd.ControlState.FLYING, 0.3), died=died)
     assert stuck == pytest.approx(2.0 * CLEAR_M, abs=0.15), "an ultrasound that never changes is not believed for ever"
 
 
 def test_nothing_climbs_that_does_not_fly_or_that_a_person_lands_or_cut() -> None:
     for control in (nd.ControlState.LANDED, nd.ControlState.TAKING_OFF, nd.ControlState.LANDING):
-        said = report(control, 0.3)
+        said = drone_report(control, 0.3)
         assert climbed_m(AHEAD, FLY.bits, lambda _, said=said: said) == 0.0
-    assert climbed_m(AHEAD, GROUND.bits, lambda _: report(nd.ControlState.FLYING, 0.3)) == 0.0
+    assert climbed_m(AHEAD, GROUND.bits, lambda _: drone_report(nd.ControlState.FLYING, 0.3)) == 0.0
 
 
 def test_a_service_that_speaks_again_ends_the_climb() -> None:
@@ -152,7 +152,7 @@ def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(landing
     """The landing of a person, which is not to be renewed, goes on."""
     arbiter = CommandArbiter(60.0, 2.0)
     arbiter.take(TimedCommand(ms(120), HOVER, GROUND.bits, landing=landing))
-    arbiter.on_report(report(nd.ControlState.LANDING, altitude_m), ms(300))
+    arbiter.on_report(drone_report(nd.ControlState.LANDING, altitude_m), ms(300))
     assert arbiter.commands(ms(301)) == ([FLY, HOVER] if called_off else [HOVER])
 
 
@@ -174,12 +174,12 @@ def test_whose_landing_it_is(bits: int, first_at: int | None, cause: Cause) -> N
     """A landing is attributed to our silence only if it began in a gap of navdata; never if a battery or a person began it."""
     watch = LandingWatch()
     if first_at is not None:
-        watch.on_report(report(nd.ControlState.HOVERING), ms(first_at), ordered=False)
-    watch.on_report(report(nd.ControlState.LANDING, 1.5, bits), ms(9500), ordered=False)
+        watch.on_report(drone_report(nd.ControlState.HOVERING), ms(first_at), ordered=False)
+    watch.on_report(drone_report(nd.ControlState.LANDING, 1.5, bits), ms(9500), ordered=False)
     assert watch.cause is cause
     assert watch.calls_off(ms(9510)) is (cause is Cause.SILENCE)
     assert not watch.calls_off(ms(9800)), "known too long ago"
-    watch.on_report(report(nd.ControlState.LANDING, 0.4), ms(9900), ordered=False)
+    watch.on_report(drone_report(nd.ControlState.LANDING, 0.4), ms(9900), ordered=False)
     assert not watch.calls_off(ms(9901)), "too near the ground"
-    watch.on_report(report(nd.ControlState.HOVERING), ms(9950), ordered=False)
+    watch.on_report(drone_report(nd.ControlState.HOVERING), ms(9950), ordered=False)
     assert watch.cause is None

@@ -48,7 +48,7 @@ class SimulatedCamera:
         return Frame(Stamp(MonoNs(number), MonoNs(number), 0.0, "sim"), number, np.repeat(grey[..., None], 3, axis=2))
 
 
-def flown(
+def drive_exposure(
     camera: SimulatedCamera,
     start: ExposureSetting,
     outlines: Sequence[F64 | None],
@@ -83,7 +83,7 @@ starts = st.builds(ExposureSetting, st.floats(1e-4, 0.02), st.floats(1.0, 16.0))
 def test_the_pad_comes_to_its_level_from_any_light_and_stays_there(per_ms, sea, start, lag, gamma, gain_error):
     pad_light = TARGET / per_ms  # 30 us to 0.3 s of exposure without gain
     camera = SimulatedCamera(pad_light, sea * pad_light, lag, gamma, gain_error)
-    held = flown(camera, start, [OUTLINE] * WITHIN, [0.0] * WITHIN)
+    held = drive_exposure(camera, start, [OUTLINE] * WITHIN, [0.0] * WITHIN)
     ends = {(s.exposure_s, s.gain) for s in held[-40:]}
     assert len(ends) == 1, "it hunts"
     error_ev = math.log2(level_of(camera, held[-1]) / TARGET)
@@ -96,7 +96,7 @@ def test_the_pad_comes_to_its_level_from_any_light_and_stays_there(per_ms, sea, 
 @given(decades, starts, st.integers(1, 4))
 def test_the_product_never_swings(per_ms: float, start: ExposureSetting, lag: int) -> None:
     camera = SimulatedCamera(TARGET / per_ms, 0.0, lag)
-    held = flown(camera, start, [OUTLINE] * WITHIN, [0.0] * WITHIN)
+    held = drive_exposure(camera, start, [OUTLINE] * WITHIN, [0.0] * WITHIN)
     products = [s.product_s for s in held]
     ways = [math.copysign(1.0, b - a) for a, b in pairwise(products) if abs(math.log2(b / a)) > 0.02]
     turns = sum(a != b for a, b in pairwise(ways))
@@ -108,7 +108,7 @@ def test_the_product_never_swings(per_ms: float, start: ExposureSetting, lag: in
 def test_no_exposure_that_is_requested_smears_more_than_the_limit(speeds, per_ms, start, blur_px, tracked):
     options = ExposureOptions(mode="pad", blur_px=blur_px, longest_s=0.02)
     camera = SimulatedCamera(TARGET / per_ms, 0.1)
-    held = flown(camera, start, [OUTLINE if tracked else None] * len(speeds), speeds, options)
+    held = drive_exposure(camera, start, [OUTLINE if tracked else None] * len(speeds), speeds, options)
     for setting, speed in zip(held, speeds, strict=True):
         assert setting.exposure_s * speed <= max(blur_px, CAN.shortest_s * speed) * (1 + 1e-9)
         assert setting.exposure_s <= options.longest_s
@@ -137,7 +137,7 @@ def test_a_pad_that_the_frame_cuts_keeps_its_exposure() -> None:
 def test_the_search_shows_a_dark_pad_beside_a_bright_sea_and_a_bright_pad_on_a_dark_one() -> None:
     for pad, sea in ((0.02, 1.0), (1.0, 0.01)):
         camera = SimulatedCamera(pad, sea)
-        held = flown(camera, ExposureSetting(0.001, 1.0), [None] * 200, [0.0] * 200)
+        held = drive_exposure(camera, ExposureSetting(0.001, 1.0), [None] * 200, [0.0] * 200)
         levels = [level_of(camera, s) for s in held[-100:]]
         assert sum(0.05 < level < 0.95 for level in levels) >= 30, (pad, sea, min(levels), max(levels))
 

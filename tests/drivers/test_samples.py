@@ -27,7 +27,7 @@ def of(*options: Any, state: int = 0) -> nd.Navdata:
     return nd.Navdata.of(state, 1, options)
 
 
-def at(ms: int) -> Stamp:
+def stamp_of_ms(ms: int) -> Stamp:
     return Stamp(MonoNs(ms * 1_000_000), MonoNs(ms * 1_000_000), 0.001, "synced")
 
 
@@ -133,7 +133,7 @@ def test_repeats_of_slow_sensors_are_left_out() -> None:
             nd.PressureRaw(k // 2, 0, 0, 100000),
             state=nd.NavdataState.FLYING | (nd.NavdataState.COMMAND_ACK if k % 2 else 0),
         )
-        for sample in sampler.samples(navdata, at(5 * k)):
+        for sample in sampler.samples(navdata, stamp_of_ms(5 * k)):
             if type(sample) in given:
                 given[type(sample)].append(k)
     assert given[Range] == [0, 8, 16, 24, 32]

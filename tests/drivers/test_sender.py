@@ -58,14 +58,14 @@ asyncio.run(main())
 """
 
 
-def commands(datagram: bytes) -> list[tuple[int, at.AtCommand]]:
+def received_commands(datagram: bytes) -> list[tuple[int, at.AtCommand]]:
     """Return the commands of a datagram; one that cannot be read fails the test."""
     decoded = list(at.decode(datagram))
     assert not any(isinstance(item, Refusal) for item in decoded)
     return [item for item in decoded if not isinstance(item, Refusal)]
 
 
-def moving(fake: FakeArDrone) -> bool:
+def moving_command(fake: FakeArDrone) -> bool:
     return bool(fake.of(at.Pcmd)[-1].flags)
 
 
@@ -91,7 +91,7 @@ async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[t
         assert child.stdout is not None
         sender = int(await asyncio.to_thread(child.stdout.readline))
         fake.vx_mm_s = 100.0
-        await until(lambda: moving(fake))
+        await until(lambda: moving_command(fake))
         yield child, sender
     finally:
         child.kill()
@@ -129,7 +129,7 @@ async def test_a_service_that_is_killed_or_stopped_leaves_a_climb_and_hover_and_
         old = sum(p.flags and p.gaz < 1.0 for p in fake.of(at.Pcmd)[before:])
         assert old <= 30, "120 ms at 10 ms each, and what was on its way"
         fake.altitude_mm = 2100
-        await until(lambda: not moving(fake))
+        await until(lambda: not moving_command(fake))
         count = len(fake.of(at.Pcmd))
         fake.state |= nd.NavdataState.COM_WATCHDOG
         await until(lambda: len(fake.of(at.Pcmd)) > count + 30)
@@ -141,7 +141,7 @@ async def test_a_service_that_is_killed_or_stopped_leaves_a_climb_and_hover_and_
         if how is signal.SIGSTOP:
             # What it had in hand when it was stopped is old; it flies on only by what guidance says now.
             child.send_signal(signal.SIGCONT)
-            await until(lambda: moving(fake))
+            await until(lambda: moving_command(fake))
             await until(lambda: fake.configuration["general:com_watchdog"] == "2")
         else:
             await until(lambda: not alive(sender))
@@ -155,7 +155,7 @@ async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone(mon
         child.kill()
         child.wait()
         fake.altitude_mm = 2100
-        await until(lambda: not moving(fake))
+        await until(lambda: not moving_command(fake))
         seen = len(fake.commands)
         async with open_ardrone(options, CLOCK) as drone:
             await until(lambda: drone.ready)
@@ -173,7 +173,7 @@ async def test_a_drone_that_a_living_service_flies_is_not_taken() -> None:
     fake = FakeArDrone()
     async with fake.on_loopback() as options, service(options, fake), open_ardrone(options, CLOCK) as other:
         await until(lambda: "another service" in other.down.get("at", ""))
-        await until(lambda: moving(fake))
+        await until(lambda: moving_command(fake))
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
@@ -188,7 +188,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         first = drone.sender_pid
         assert first is not None
         os.kill(first, how)
-        await until(lambda: not moving(fake))
+        await until(lambda: not moving_command(fake))
         await until(lambda: drone.counters.at_senders == 2 and drone.sender_pid not in (None, first))
         await steer(drone, fake)
         assert fake.state & nd.NavdataState.FLYING
@@ -211,7 +211,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
         try:
             flies()
             await until(lambda: client.up)
-            assert commands(drone.recv(2048))[-1][1] == AHEAD
+            assert received_commands(drone.recv(2048))[-1][1] == AHEAD
             os.kill(client.pid, signal.SIGSTOP)
             await until(lambda: stopped(client.pid))
             flies()  # what it had said before it stopped is read now
@@ -225,7 +225,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
             output = []
             while True:
                 try:
-                    output += commands(drone.recv(2048))
+                    output += received_commands(drone.recv(2048))
                 except BlockingIOError:
                     break
             assert output[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
@@ -233,7 +233,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> 
             drone.settimeout(60.0)
             flies()
             gate = at.SequenceGate()
-            while (received_at := commands(drone.recv(2048)))[-1][1] != AHEAD:
+            while (received_at := received_commands(drone.recv(2048)))[-1][1] != AHEAD:
                 assert all(gate.accepts(number) for number, _ in received_at)
             assert all(gate.accepts(number) for number, _ in received_at)
         finally:
@@ -259,7 +259,7 @@ async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces
                 client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD, STAY_UP, watchdog=True))
             if replaces:
                 hover = at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
-                assert commands(drone.recv(2048)) == [(1, at.ComWdg()), (2, at.Ref(STAY_UP)), (3, hover)]
+                assert received_commands(drone.recv(2048)) == [(1, at.ComWdg()), (2, at.Ref(STAY_UP)), (3, hover)]
             else:
                 with pytest.raises(BlockingIOError):
                     drone.recv(2048)

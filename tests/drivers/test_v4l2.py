@@ -58,7 +58,7 @@ def h264(n: int) -> list[bytes]:
     return units
 
 
-def options(**more: Any) -> CameraOptions:
+def camera_options(**more: Any) -> CameraOptions:
     usual = {"source": "v4l2", "device": os.devnull, "silence_s": 1.0, "reconnect_first_s": 0.01, "reconnect_most_s": 0.02}
     return CameraOptions(**(usual | more))
 
@@ -126,9 +126,9 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
     return Buffer(yuyv() if data is None else data, sequence, stamp_ns, True, False, error)
 
 
-async def run(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
+async def run_channel(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
-    channel = V4l2Channel(options(**more), (W, H), CLOCK, camera, lambda path, o, size: device)
+    channel = V4l2Channel(camera_options(**more), (W, H), CLOCK, camera, lambda path, o, size: device)
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         group.create_task(story())
         try:
@@ -161,7 +161,7 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
             seqs.append((await camera.frames.get()).seq)
         device.unplug()
 
-    assert await run(camera, device, story) == "unplugged"
+    assert await run_channel(camera, device, story) == "unplugged"
     c = camera.counters
     assert seqs[:4] == [7, 8, 11, 13]
     assert (c.frames_lost, c.frames_damaged) == (2, 2)
@@ -221,7 +221,7 @@ async def test_a_slow_bus_holds_up_no_frame_and_the_stamp_follows_the_new_exposu
             await look(sequence + 4)
         device.unplug()
 
-    assert await run(camera, device, story) == "unplugged"
+    assert await run_channel(camera, device, story) == "unplugged"
     assert [frame.exposure_s for frame in frames[:4]] == [0.01] * 4
     assert (frames[-1].exposure_s, frames[-1].gain) == (0.002, 1.5)
     # While a change may or may not show, mid-exposure is known to half the difference.
@@ -244,7 +244,7 @@ async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplo
         assert (await camera.frames.get()).seq == 3
         device.unplug()
 
-    assert await run(camera, device, story) == "unplugged"
+    assert await run_channel(camera, device, story) == "unplugged"
     c = camera.counters
     assert (c.frames_wrong_size, c.frames_damaged, c.frames) == (3, 3, 1)
     assert accounted(c)
@@ -263,7 +263,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
             loop.call_soon_threadsafe(opened.set)
             return device
 
-        task = loop.create_task(V4l2Channel(options(), (W, H), CLOCK, VideoSource(), open_device).run())
+        task = loop.create_task(V4l2Channel(camera_options(), (W, H), CLOCK, VideoSource(), open_device).run())
         await opened.wait()
         device.put(*[buffer(i) for i in range(4)])
         await asyncio.sleep(delay_s)
@@ -295,7 +295,7 @@ async def test_h264_waits_for_an_image_that_stands_alone_after_any_damage(damage
         seen.append((await camera.frames.get()).seq)
         device.unplug()
 
-    await run(camera, device, story)
+    await run_channel(camera, device, story)
     assert seen == [1, 2, 5]
     assert accounted(camera.counters)
     assert camera.counters.frames_waiting >= 2
@@ -386,7 +386,7 @@ def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int
 
 
 def test_the_stamp_is_the_middle_of_the_exposure() -> None:
-    o = options(latency_s=0.004, latency_sigma_s=0.002, rate_hz=50.0)
+    o = camera_options(latency_s=0.004, latency_sigma_s=0.002, rate_hz=50.0)
     received_at, stamped = MonoNs(10_000_000_000), 9_980_000_000
     at_end, refused = kernel_stamp(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.006)
     assert (at_end.measured_at, at_end.source, refused) == (9_980_000_000 - 3_000_000 - 4_000_000, "kernel", False)
@@ -401,7 +401,7 @@ def test_the_stamp_is_the_middle_of_the_exposure() -> None:
 @settings(max_examples=200)
 def test_no_kernel_stamp_whatever_makes_an_impossible_one(stamp_ns, monotonic, at_start, latency_s):
     received_at = MonoNs(5_000_000_000)
-    o = options(latency_s=latency_s)
+    o = camera_options(latency_s=latency_s)
     stamp, refused = kernel_stamp(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), received_at, o, 0.004)
     assert stamp.received_at == received_at
     assert (stamp.source == "kernel") == (monotonic and not refused)
@@ -451,10 +451,10 @@ def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(tmp_path,
     (sysfs / "video0" / "device").symlink_to(body)
     real = getattr(os, call)
 
-    def gone(path: str | os.PathLike[str], *more: Any, **options: Any) -> Any:
+    def gone(path: str | os.PathLike[str], *more: Any, **camera_options: Any) -> Any:
         if str(path).startswith((str(by_id), str(sysfs))):
             raise FileNotFoundError(errno.ENOENT, "unplugged", str(path))
-        return real(path, *more, **options)
+        return real(path, *more, **camera_options)
 
     monkeypatch.setattr(os, call, gone)
     assert find("usb", cameras((by_id,), sysfs, tmp_path)) is None

@@ -67,7 +67,7 @@ async def drone(scenario: Path, truth: Path) -> AsyncIterator[dict[str, int]]:
     assert code == 0
 
 
-async def fly(node: str, modules: Path, ports: dict[str, int], mode: str) -> dict[str, Any]:
+async def run_node(node: str, modules: Path, ports: dict[str, int], mode: str) -> dict[str, Any]:
     process = await asyncio.create_subprocess_exec(
         node, "--no-deprecation", str(SCRIPT), str(modules), "127.0.0.1",
         str(ports["at"]), str(ports["navdata"]), str(ports["video"]), mode, str(LIMIT_S),
@@ -84,7 +84,7 @@ async def test_it_takes_off_sees_and_lands(mode: str, tmp_path: Path) -> None:
     scenario, truth = tmp_path / "on_deck.toml", tmp_path / "truth.jsonl"
     scenario.write_text(ON_DECK)
     async with drone(scenario, truth) as ports:
-        seen = await fly(node, modules, ports, mode)
+        seen = await run_node(node, modules, ports, mode)
 
     assert seen["landed"]
     states = seen["controlStates"]

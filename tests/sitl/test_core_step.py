@@ -41,7 +41,7 @@ AIRS = (
 )
 
 
-def moving(rng: np.random.Generator, steps: int) -> Mounted:
+def moving_ground(rng: np.random.Generator, steps: int) -> Mounted:
     """Return a pad that heaves, rolls, pitches, turns and goes ahead."""
     t = DT * np.arange(1, steps + 1)
     w, phase, size = rng.uniform(0.4, 1.6, 4), rng.uniform(0, 6, 4), rng.uniform(0, 1, 4) * [0.5, 0.2, 0.1, 0.3]
@@ -99,7 +99,7 @@ def test_a_flight_is_the_same_from_another_place_and_in_another_direction(
     yaw_rad = 0.0 if air is not None and air.wake is not None else yaw_rad
     rng, by = np.random.default_rng(seed), Observer(Rotation.from_rpy(0.0, 0.0, yaw_rad), np.array([*moved, 0.0]))
     steps, wind, current = 500, np.array([*rng.uniform(-3, 3, 2), 0.0]), np.array([*rng.uniform(-1, 1, 2), 0.0])
-    pads = moving(rng, steps)
+    pads = moving_ground(rng, steps)
     worlds = (pads, by.pads(pads))
     fleet = [
         Vehicle(frame, shape, DT, np.random.SeedSequence(seed), Wind(tuple(blown.tolist()), 0.0), met)
@@ -148,7 +148,7 @@ def test_the_flights_above_touch_deck_and_water_and_rest() -> None:
     met: set[tuple[str, float]] = set()
     for start, aside in (("deck", 0.0), ("water", 4.0)):
         v = Vehicle(Airframe(), SHAPES[0], DT, np.random.SeedSequence(3), Wind())
-        pads = moving(np.random.default_rng(3), 1500)
+        pads = moving_ground(np.random.default_rng(3), 1500)
         v.place(pads.p_ned[0, 0] + [0.0, aside, -0.5], pads.v_ned[0, 0], 0.0)
         v.land()
         for i in range(1500):
@@ -161,7 +161,7 @@ def test_the_flights_above_touch_deck_and_water_and_rest() -> None:
 def test_the_number_of_steps_of_a_call_changes_nothing(frame: Airframe) -> None:
     """Calls of random length against single steps: no noise is lost where a block ends, and the water is looked at as often."""
     rng, steps, done = np.random.default_rng(5), 900, 0
-    waves, pads = Waves.draw(SeaState(1.0, 5.0), 4), moving(rng, 900)
+    waves, pads = Waves.draw(SeaState(1.0, 5.0), 4), moving_ground(rng, 900)
     decks, seed = decks_of(pads), np.random.SeedSequence(9)
     ours = [Vehicle(frame, SHAPES[0], DT, seed) for _ in range(2)]
     sensed = [Sensors(SensorSettings(), v, np.random.SeedSequence(4)) for v in ours]
@@ -180,7 +180,7 @@ def test_the_number_of_steps_of_a_call_changes_nothing(frame: Airframe) -> None:
 
 def test_a_call_ends_with_the_step_of_a_contact() -> None:
     v = Vehicle(Airframe(), SHAPES[0], DT, np.random.SeedSequence(1))
-    pads = moving(np.random.default_rng(1), 2000)
+    pads = moving_ground(np.random.default_rng(1), 2000)
     v.place(pads.p_ned[0, 0] + [0.0, 0.0, -0.6], pads.v_ned[0, 0], 0.0)
     v.land()
     physics, decks, done = Physics(v, Sensors(SensorSettings(), v, np.random.SeedSequence(2)), Waves.flat()), decks_of(pads), 0

@@ -21,7 +21,7 @@ TRUE: list[Values] = [(float(n), 10.0 + n, 100.0 + n) for n in range(6)]
 """Six samples, a second apart; the fault is active from the second one to the fourth."""
 
 
-def said(**fault: Any) -> list[Values]:
+def corrupted_values(**fault: Any) -> list[Values]:
     corrupted = Corrupted(at_s=1.0, for_s=3.0, **{"signal": "sighting", **fault})
     timer = FaultTimer((corrupted,), 7)
     corruptions, out = Corruptions(timer, 7), []
@@ -47,7 +47,7 @@ def said(**fault: Any) -> list[Values]:
     ],
 )
 def test_each_error_does_what_it_says_while_it_lasts_and_nothing_before_or_after(fault, wanted):
-    samples = said(**fault)
+    samples = corrupted_values(**fault)
     assert samples[1:4] == [pytest.approx(values) for values in wanted]
     assert samples[0] is TRUE[0]
     assert samples[4:] == TRUE[4:], "frozen and doubled values are forgotten"

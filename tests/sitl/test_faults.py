@@ -77,7 +77,7 @@ def both(fault: Fault, seconds: float) -> tuple[Readings, Readings]:
     return at(world(fault), seconds).readings(), at(world(), seconds).readings()
 
 
-def changed(one: Readings, other: Readings) -> set[str]:
+def changed_readings(one: Readings, other: Readings) -> set[str]:
     return {f for f in Readings.__struct_fields__ if not np.array_equal(getattr(one, f), getattr(other, f))}
 
 
@@ -129,14 +129,14 @@ READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [
 @pytest.mark.parametrize(("fault", "field", "effect", "expected"), READINGS, ids=lambda v: getattr(v, "kind", None))
 def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other(fault, field, effect, expected):
     faulty, true = both(fault, 0.8)
-    assert changed(faulty, true) == {field}
+    assert changed_readings(faulty, true) == {field}
     assert effect(faulty, true) == pytest.approx(expected, abs=1e-9)
-    assert changed(*both(fault, 0.49)) == set()
+    assert changed_readings(*both(fault, 0.49)) == set()
 
 
 def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:
     faulty, true = both(HeadingReading(at_s=0.5, offset_deg=60.0, drift_deg_s=15.0), 1.5)
-    assert changed(faulty, true) == {"rpy_rad", "magnetometer"}
+    assert changed_readings(faulty, true) == {"rpy_rad", "magnetometer"}
     assert math.degrees(faulty.rpy_rad[2] - true.rpy_rad[2]) % 360.0 == pytest.approx(75.0, abs=0.1)
     assert faulty.magnetometer is not None
     assert true.magnetometer is not None

@@ -59,7 +59,7 @@ class Diary(NullObserver):
         return self._digest.hexdigest()
 
 
-def fly(scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary, Flight]:
+def fly_low(scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary, Flight]:
     if limit_s is not None:
         scenario = msgspec.structs.replace(scenario, duration_limit_s=limit_s)
     diary = Diary()
@@ -80,7 +80,7 @@ def test_frames_come_as_often_as_the_drone_is_configured_to_send_them(frames_per
 
 @cache
 def calm() -> tuple[FlightResult, Diary]:
-    result, diary, _ = fly(LOW, 3)
+    result, diary, _ = fly_low(LOW, 3)
     return result, diary
 
 
@@ -101,7 +101,7 @@ def test_it_lands_on_the_pad_and_every_frame_is_counted() -> None:
 
 
 def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another() -> None:
-    one, again, other = (fly(LOW, seed, limit_s=2.0)[1].digest for seed in (3, 3, 4))
+    one, again, other = (fly_low(LOW, seed, limit_s=2.0)[1].digest for seed in (3, 3, 4))
     assert one == again
     assert one != other
 
@@ -133,7 +133,7 @@ def test_a_fault_in_the_descent_never_makes_it_descend_or_land_without_sight(kin
 
 
 def test_it_lands_after_the_lens_was_covered_for_a_while_in_which_it_never_sank_nor_began_to_land() -> None:
-    result, diary, _ = fly(with_fault("lens_covered", 2.5, 3.0), 3)
+    result, diary, _ = fly_low(with_fault("lens_covered", 2.5, 3.0), 3)
     assert decisions_blind(diary) > 50
     assert result.landed_on_pad
     phases = {d.phase for d in diary.decisions}

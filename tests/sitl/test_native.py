@@ -16,7 +16,7 @@ from supply import core
 H, W, TAPS = 10, 24, np.array([40000, 12000, 768], np.uint16)
 
 
-def deck(library: Door, rng: np.random.Generator) -> NDArray[Any]:
+def deck_samples(library: Door, rng: np.random.Generator) -> NDArray[Any]:
     """Positions of texels from well outside the drawing on one side to the other, under a mask with every coverage."""
     across, down = np.meshgrid(np.linspace(-20.0, 70.0, W // 8 + 2), np.linspace(-15.0, 50.0, 2 + 2))
     cells = np.stack([across, down + 0.3 * across], axis=-1).astype(np.float32)
@@ -88,7 +88,7 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Door:
     return Door(abi, str(core.build(renderer, folder / "one_by_one.so", ("-DLANES_ONE_BY_ONE", "-O0"))))
 
 
-@pytest.mark.parametrize("step", [deck, exposed, imaged, smeared])
+@pytest.mark.parametrize("step", [deck_samples, exposed, imaged, smeared])
 def test_a_machine_without_vector_instructions_renders_the_same_bits(one_by_one, step):
     here, there = step(SIM, np.random.default_rng(5)), step(one_by_one, np.random.default_rng(5))
     assert np.array_equal(here, there)

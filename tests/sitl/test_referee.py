@@ -390,7 +390,7 @@ def beat(stack: Stack, mode: str, *, armed: bool = True) -> bytes:
     return VEHICLE.pack(mav.MAVLink_heartbeat_message(2, firmware, 1 | 128 * armed, custom_mode(stack, mode), 4, 3))
 
 
-def command(number: int, *of: float) -> bytes:
+def packed_command(number: int, *of: float) -> bytes:
     return SERVICE.pack(mav.MAVLink_command_long_message(1, 1, number, 0, *of, *[0.0] * (7 - len(of))))
 
 
@@ -399,9 +399,9 @@ def asks_mode(stack: Stack, mode: str) -> bytes:
 
 
 MOVES = SERVICE.pack(velocity_setpoint(0, (1, 1), Velocity(np.zeros(3), 0.0), 0.0))
-OFF, ON = (command(mav.MAV_CMD_COMPONENT_ARM_DISARM, arms) for arms in (0.0, 1.0))
+OFF, ON = (packed_command(mav.MAV_CMD_COMPONENT_ARM_DISARM, arms) for arms in (0.0, 1.0))
 AWAY = SERVICE.pack(reposition((1, 1), GeoPoint.of_degrees(54.0, 10.0, 20.0)))
-UP_S = command(mav.MAV_CMD_NAV_TAKEOFF)
+UP_S = packed_command(mav.MAV_CMD_NAV_TAKEOFF)
 Log = list[tuple[float, Literal["out", "in"], bytes]]
 
 
@@ -464,7 +464,7 @@ def test_a_datagram_of_the_service_asks_by_its_command() -> None:
     assert asks(OFF, ON, UP_S, AWAY, MOVES) == [Asks.STOP, Asks.ARM, Asks.ARM, Asks.LEAVE, Asks.MOVE]
     assert asks(b"\xfd\xff\x00", OFF) == [Asks.STOP], "after one that broke off"
     assert asks(MOVES + OFF) == [Asks.MOVE, Asks.STOP], "two in one datagram"
-    assert asks(beat(Stack.PX4, "offboard"), command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0), b"\xfd\x00") == []
+    assert asks(beat(Stack.PX4, "offboard"), packed_command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0), b"\xfd\x00") == []
 
 
 @pytest.mark.parametrize("sent", [MOVES, OFF, ON, AWAY, asks_mode(Stack.ARDUPILOT, "guided"), asks_mode(Stack.ARDUPILOT, "land")])
@@ -540,7 +540,7 @@ def in_time(flight: list[tuple[int, Step]]) -> list[Step]:
     return [replace_step(step, at_s=float(at_s)) for at_s, (_, step) in zip(at, flight, strict=True)]
 
 
-def values(referee: Referee) -> dict[str, float]:
+def numbers(referee: Referee) -> dict[str, float]:
     return {name: count.value for name, count in referee.counts.items()}
 
 
@@ -548,7 +548,9 @@ def values(referee: Referee) -> dict[str, float]:
 def test_the_world_may_be_turned_and_moved(
     flight: list[tuple[int, Step]], yaw_rad: float, at: tuple[float, float, float]
 ) -> None:
-    assert values(judged(in_time(flight), yaw_rad=yaw_rad, at_ned=at)) == pytest.approx(values(judged(in_time(flight))), abs=1e-6)
+    assert numbers(judged(in_time(flight), yaw_rad=yaw_rad, at_ned=at)) == pytest.approx(
+        numbers(judged(in_time(flight))), abs=1e-6
+    )
 
 
 @given(flights, st.floats(0.1, 0.9))
@@ -558,7 +560,7 @@ def test_a_step_may_be_split_in_two(flight: list[tuple[int, Step]], share: float
     for step in whole[1:]:
         last = split[-1]
         split += [replace_step(last, at_s=last.at_s + share * (step.at_s - last.at_s)), step]
-    assert values(judged(split)) == pytest.approx(values(judged(whole)), abs=1e-6)
+    assert numbers(judged(split)) == pytest.approx(numbers(judged(whole)), abs=1e-6)
 
 
 DOWN = [(0.5 * n, 3.0 - 0.25 * n) for n in range(11)]

@@ -56,7 +56,7 @@ KEPT: dict[str, str] = {
 }
 
 
-def flown(name: str) -> F64:
+def fly_fixed_stick(name: str) -> F64:
     """(4, 12) m and m/s: position and velocity of the body and of the pad after 2, 4, 6 and 8 s."""
     world = World(load(name), 3)
     rows = []
@@ -72,16 +72,16 @@ def flown(name: str) -> F64:
     return np.array(rows)
 
 
-def written(rows: F64) -> str:
+def as_text(rows: F64) -> str:
     return " ".join(f"{x:.8f}" for x in rows.ravel())
 
 
 @pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4", "faults/link_lost_4_s"])
 def test_shipped_flights_are_what_they_were(name: str) -> None:
     kept = np.array([float(x) for x in KEPT[name].split()]).reshape(4, 12)
-    np.testing.assert_allclose(flown(name), kept, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(fly_fixed_stick(name), kept, rtol=0, atol=1e-7)
 
 
 if __name__ == "__main__":
     for each in ("calm", "demo", "moderate", "sea_state_4", "faults/link_lost_4_s"):
-        sys.stdout.write(f"{each}: {written(flown(each))}\n")
+        sys.stdout.write(f"{each}: {as_text(fly_fixed_stick(each))}\n")

@@ -64,7 +64,7 @@ def reversed_grey(px: U8, rng: np.random.Generator) -> U8:
     return np.asarray(255 - grey(px, rng), np.uint8)
 
 
-def moved(length_px: int) -> Callable[[U8, np.random.Generator], U8]:
+def shifted(length_px: int) -> Callable[[U8, np.random.Generator], U8]:
     """Blur along a random direction."""
 
     def change(px: U8, rng: np.random.Generator) -> U8:
@@ -126,8 +126,8 @@ HARD = MappingProxyType({
     "wet": Hard(THESIS, "wet", _same),
     "cut": Hard(THESIS, "cut", _same),
     "rain": Hard(THESIS, "plain", rain),
-    "motion 11 px": Hard(THESIS, "plain", moved(11)),
-    "motion 20 px": Hard(THESIS, "plain", moved(20)),
+    "motion 11 px": Hard(THESIS, "plain", shifted(11)),
+    "motion 20 px": Hard(THESIS, "plain", shifted(20)),
     "defocus 3 px": Hard(THESIS, "plain", defocused(3.0)),
     "jpeg 8": Hard(THESIS, "plain", compressed(8)),
     "reversed": Hard(replace(THESIS, reversible=True), "plain", reversed_grey),

@@ -60,7 +60,7 @@ class FakeOperator:
         return self._do(f"record {on}")
 
 
-def belief(at: MonoNs, height_m: float = 2.0) -> RelativeState:
+def estimate_at(at: MonoNs, height_m: float = 2.0) -> RelativeState:
     return RelativeState(
         at, "dead_reckoning", np.array([0.3, -0.2, height_m]), np.array([0.1, 0.2, -0.3]), 0.5,
         np.diag([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49]), MonoNs(at - 40_000_000), True,
@@ -68,7 +68,7 @@ def belief(at: MonoNs, height_m: float = 2.0) -> RelativeState:
 
 
 def decision(at: MonoNs, phase: str = "approach", command: Command | None = None) -> Decision:
-    return Decision(at, phase, command or Velocity(np.array([0.4, 0.5, 0.6]), 0.7), belief(at))
+    return Decision(at, phase, command or Velocity(np.array([0.4, 0.5, 0.6]), 0.7), estimate_at(at))
 
 
 def status(at: MonoNs, mode: str = "flying", battery: float = 0.8, emergency: bool = False) -> VehicleStatus:

@@ -64,24 +64,24 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+def printed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Return the input that the person types at the terminal."""
     return lambda text: monkeypatch.setattr("sys.stdin", io.StringIO(text))
 
 
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
     parser = Parser(prog="decklander")
     doctor.add_parser(parser.add_subparsers())
     code = doctor.run(parser.parse_args(["doctor", "--seconds", "0.5", *argv]))
     return code, capsys.readouterr().out
 
 
-def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, said):
+def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, printed):
     fake = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2, PLND_STRICT=0.0)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
-        said("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
-        code, out = run(capsys, "--link", url, "--fix", "--undo-file", str(kept))
+        printed("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
+        code, out = run_doctor(capsys, "--link", url, "--fix", "--undo-file", str(kept))
         assert (fake.parameters["PLND_STRICT"], fake.parameters["GUID_TIMEOUT"], fake.parameters["LAND_SPEED"]) == (
             2.0,
             0.2,
@@ -95,7 +95,7 @@ def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, said):
             ("PLND_STRICT", 0.0), ("LAND_SPEED", 250.0)
         ]  # fmt: skip
         fake.parameters["PLND_STRICT"] = 1.0  # somebody chose otherwise meanwhile
-        code, out = run(capsys, "--link", url, "--undo", str(kept), "--yes")
+        code, out = run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")
         assert (fake.parameters["PLND_STRICT"], fake.parameters["LAND_SPEED"]) == (1.0, 250.0)
         assert code == 1
         assert "PLND_STRICT       2 -> 0: NOT written: it was 2 and is 1: somebody else changed it" in out
@@ -105,12 +105,12 @@ def test_a_px4_s_integers_and_reals_are_written_as_they_are(tmp_path: Path, caps
     fake = quiet("PX4", EKF2_GPS_CHECK=245 | 512, COM_OF_LOSS_T=10.0, EKF2_HGT_REF=2)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
-        code, out = run(capsys, "--link", url, "--fix", "--yes", "--json", "--undo-file", str(kept))
+        code, out = run_doctor(capsys, "--link", url, "--fix", "--yes", "--json", "--undo-file", str(kept))
         assert code == 0
         assert (fake.parameters["EKF2_GPS_CHECK"], fake.parameters["COM_OF_LOSS_T"]) == (21 | 512, 1.0)
         results = [json.loads(line) for line in out.splitlines() if line.startswith('{"parameter"')]
         assert {r["parameter"]: r["value"] for r in results} == {"EKF2_GPS_CHECK": 533, "COM_OF_LOSS_T": 1, "EKF2_HGT_REF": 1}
-        code, out = run(capsys, "--link", url, "--undo", str(kept), "--yes")
+        code, out = run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")
         assert code == 0
         assert "reboot the autopilot, then examine it again; read at its start: EKF2_HGT_REF" in out
         assert (fake.parameters["EKF2_GPS_CHECK"], fake.parameters["COM_OF_LOSS_T"]) == (245 | 512, 10.0)
@@ -121,7 +121,7 @@ def test_a_refused_write_is_reported(tmp_path: Path, capsys: pytest.CaptureFixtu
     fake.fixed_parameters = frozenset({"LAND_SPEED"})
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
-        code, out = run(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
+        code, out = run_doctor(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
     assert code == 1
     assert "LAND_SPEED        250 -> 40: NOT written: the autopilot refuses it: it is still 250" in out
     assert not kept.exists(), "there is nothing to undo"
@@ -133,7 +133,7 @@ def test_nothing_is_written_while_armed_nor_once_it_arms(tmp_path, capsys, monke
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
         with pytest.raises(BadInput, match="while the vehicle is armed"):
-            run(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
+            run_doctor(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
         fake.armed = False
 
         class ArmsWhileTheQuestionStands:
@@ -146,7 +146,7 @@ def test_nothing_is_written_while_armed_nor_once_it_arms(tmp_path, capsys, monke
 
         monkeypatch.setattr("sys.stdin", ArmsWhileTheQuestionStands())
         with pytest.raises(BadInput, match="the vehicle is armed: no parameter was written"):
-            run(capsys, "--link", url, "--fix", "--undo-file", str(kept))
+            run_doctor(capsys, "--link", url, "--fix", "--undo-file", str(kept))
     assert fake.of("PARAM_SET") == []
     assert not kept.exists()
 
@@ -161,7 +161,7 @@ def test_it_is_looked_at_again_before_each_write(tmp_path: Path, capsys: pytest.
     good = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2)
     fake = ArmsAfterTheFirst(system=1, armed=False, landed_state=1, parameters=good.parameters)
     with on_link(fake) as url:
-        code, out = run(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(tmp_path / "undo.json"))
+        code, out = run_doctor(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(tmp_path / "undo.json"))
     assert code == 1
     assert len(fake.of("PARAM_SET")) == 1
     assert "LAND_SPEED        250 -> 40: NOT written: the vehicle is armed" in out
@@ -174,10 +174,10 @@ def test_an_undo_file_of_another_vehicle_is_refused(tmp_path: Path, capsys: pyte
         on_link(quiet("ArduPilot")) as url,
         pytest.raises(BadInput, match="it is of PX4, system 1; found is ArduPilot, system 1"),
     ):
-        run(capsys, "--link", url, "--undo", str(kept), "--yes")
+        run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")
     kept.write_text("{}")
     with pytest.raises(BadInput, match="no undo file"):
-        run(capsys, "--link", "udpin://127.0.0.1:0", "--undo", str(kept), "--yes")
+        run_doctor(capsys, "--link", "udpin://127.0.0.1:0", "--undo", str(kept), "--yes")
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_an_undo_file_of_another_vehicle_is_refused(tmp_path: Path, capsys: pyte
 )
 def test_wrong_use_is_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(BadInput, match=says):
-        run(capsys, *argv)
+        run_doctor(capsys, *argv)
 
 
 def test_a_file_that_exists_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -202,6 +202,6 @@ def test_a_file_that_exists_is_not_overwritten(tmp_path: Path, capsys: pytest.Ca
     kept.write_text("the values before")
     fake = quiet("ArduPilot", LAND_SPEED=250.0)
     with on_link(fake) as url, pytest.raises(BadInput, match="it exists"):
-        run(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
+        run_doctor(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
     assert kept.read_text() == "the values before"
     assert fake.of("PARAM_SET") == []

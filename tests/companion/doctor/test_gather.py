@@ -136,7 +136,7 @@ async def test_the_service_s_own_files_broker_and_drone() -> None:
         assert (await examine_service(None, f"{HOST}:{port}", SystemClock())).broker_fault is None
 
 
-def rig(video: Path, **more: dict[str, Any]) -> Settings:
+def rig_file(video: Path, **more: dict[str, Any]) -> Settings:
     camera = {"file": "sim", "source": "stream", "device": str(video)}
     vehicle = {"kind": "mavlink", "links": f"udpin://{HOST}:0"}
     return settings_of.from_mapping({"vehicle": vehicle, "camera": camera, "pad": {"file": "thesis"}, **more}, "test")
@@ -150,11 +150,11 @@ async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
         for _ in range(60):
             out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((180, 320, 3), 99, np.uint8), format="bgr24")))
         out.mux(stream.encode())
-    service = await examine_service(rig(video), None, SystemClock(), seconds=1.0)
+    service = await examine_service(rig_file(video), None, SystemClock(), seconds=1.0)
     assert service.frame_size == (320, 180)
     assert service.frame_rate_hz == pytest.approx(8.0, abs=2.0)
     assert {f.rule for f in diagnose(Snapshot(0.0, service=service))} >= {"camera-size", "camera-slow"}
-    gone = await examine_service(rig(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
+    gone = await examine_service(rig_file(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
     assert "none.mp4" in str(gone.device_fault)
 
 
@@ -171,7 +171,7 @@ async def test_a_service_that_runs_is_queried() -> None:
     MetricsEndpoint(server, health)
     async with listening(server) as port:
         http = {"endpoint": "http", "host": HOST, "port": port, "page": False}
-        service = await examine_service(rig(Path("no camera is opened"), http=http), None, SystemClock())
+        service = await examine_service(rig_file(Path("no camera is opened"), http=http), None, SystemClock())
     assert service.camera_fault is None
     assert service.exposure_to_belief_s == 0.08
     assert service.frame_rate_hz
@@ -179,7 +179,7 @@ async def test_a_service_that_runs_is_queried() -> None:
     assert (service.places_taken, service.places_refused) == (0, {"checksum": 7, "other run": 2, "vessel stale": 1})
 
 
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
     parser = Parser(prog="decklander")
     doctor.add_parser(parser.add_subparsers())
     code = doctor.run(parser.parse_args(["doctor", *argv]))
@@ -189,20 +189,20 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
 def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "frame.json"
     path.write_bytes(encode(BROKEN["set but not rebooted"][1]))
-    code, out = run(capsys, "--snapshot", str(path))
+    code, out = run_doctor(capsys, "--snapshot", str(path))
     assert code == 1
     assert "error: PLND_ENABLED and PLND_TYPE are set" in out
     assert "fix: reboot the autopilot" in out
     assert "ArduPilot 4.5.7, system 1" in out
-    code, out = run(capsys, "--snapshot", str(path), "--json")
+    code, out = run_doctor(capsys, "--snapshot", str(path), "--json")
     assert json.loads(out)["rule"] == "plnd-not-rebooted"
     path.write_bytes(encode(GOOD))
-    code, out = run(capsys, "--snapshot", str(path), "--save", str(tmp_path / "again.json"))
+    code, out = run_doctor(capsys, "--snapshot", str(path), "--save", str(tmp_path / "again.json"))
     assert code == 0
     assert "none of" in out
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
     path.write_bytes(encode(BROKEN["gyros calibrated at sea"][1]))
-    assert run(capsys, "--snapshot", str(path), "--still-pad")[0] == 0
+    assert run_doctor(capsys, "--snapshot", str(path), "--still-pad")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -219,5 +219,5 @@ def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixt
 )
 def test_wrong_use_is_bad_input_in_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(BadInput, match=says) as raised:
-        run(capsys, *argv)
+        run_doctor(capsys, *argv)
     assert "\n" not in str(raised.value)

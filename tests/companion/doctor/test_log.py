@@ -181,7 +181,7 @@ def test_a_log_s_snapshot_can_be_saved(tmp_path: Path) -> None:
     assert snapshot.autopilot.firmware == (4, 5, 7)
 
 
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
     parser = Parser(prog="decklander")
     doctor.add_parser(parser.add_subparsers())
     code = doctor.run(parser.parse_args(["doctor", *argv]))
@@ -190,12 +190,12 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
 
 def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, [*FLIGHT, (41.5, "ERR", (6, 1))])
-    code, out = run(capsys, str(path))
+    code, out = run_doctor(capsys, str(path))
     assert code == 1
     assert out.startswith("ArduPilot 4.5.7, system 1: log of 42 s")
     assert "landing at 40.0 s, taken back by the detector 0 times, armed for 1.0 s after" in out
     assert "error: failsafe: battery at 41.5 s [log-failsafe]" in out
-    assert run(capsys, str(ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
+    assert run_doctor(capsys, str(ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 )
 def test_wrong_use_of_a_log_is_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(BadInput, match=says):
-        run(capsys, *argv)
+        run_doctor(capsys, *argv)
 
 
 def test_a_log_of_another_kind_of_vehicle_or_of_nothing_is_refused(tmp_path: Path) -> None:

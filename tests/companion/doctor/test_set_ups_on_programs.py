@@ -42,7 +42,7 @@ OWN = {"ArduPilot": (), "PX4": ("px4-battery-action",)}
 
 
 @asynccontextmanager
-async def program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
+async def autopilot_program(stack: str, parameters: Mapping[str, float], folder: Path) -> AsyncIterator[tuple[Program, str]]:
     """Run the program with parameters over the doctor's good ones; yield it and the URL of its link."""
     asked = {name: float(value) for name, value in (DATA[stack]["good"]["defaults"] | dict(parameters)).items()}
     binary = Path(PROGRAMS[stack])
@@ -75,7 +75,7 @@ async def test_a_dangerous_set_up_of_a_real_program_is_named(stack, name, tmp_pa
     if not PROGRAMS[stack]:
         pytest.skip(f"no program of {stack} is named")
     one = DATA[stack]["broken"][name]
-    async with program(stack, one["set"], tmp_path) as (_, url):
+    async with autopilot_program(stack, one["set"], tmp_path) as (_, url):
         rules = await asyncio.to_thread(examined, capsys, "--link", url)
     assert rules >= set(one["rules"])
 
@@ -89,7 +89,7 @@ async def test_a_real_program_is_mended_and_the_change_undone(stack, tmp_path, c
     one, undo = DATA[stack]["broken"][name], tmp_path / "undo.json"
     every = {rule for other in DATA[stack]["broken"].values() for rule in other["rules"]}
     wrong = {*one["rules"], *OWN[stack]}
-    async with program(stack, one["set"], tmp_path) as (_, url):
+    async with autopilot_program(stack, one["set"], tmp_path) as (_, url):
         assert await asyncio.to_thread(examined, capsys, "--link", url) & every == wrong
         assert await asyncio.to_thread(main, ["doctor", "--link", url, "--fix", "--yes", "--undo-file", str(undo)]) in (0, 1)
         assert not await asyncio.to_thread(examined, capsys, "--link", url) & every

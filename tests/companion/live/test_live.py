@@ -67,7 +67,7 @@ class Service:
 
 
 @asynccontextmanager
-async def serving(recorder: Recorder | None = None, **settings: Any) -> AsyncIterator[Service]:
+async def serve_live(recorder: Recorder | None = None, **settings: Any) -> AsyncIterator[Service]:
     service = Service(recorder, **settings)
     # A viewer here answers pings when the test reads, which may be seconds apart on a busy machine.
     with patch.object(part, "_ALIVE_S", PATIENCE_S):
@@ -138,7 +138,7 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
     path = tmp_path / "flight.mcap"
     settings = sim_settings()
     with recorder_to_file(path, make_pilot(settings).camera, about(settings, {"kind": "test"})) as recorder:
-        async with serving(recorder=recorder) as service, watching(service) as client:
+        async with serve_live(recorder=recorder) as service, watching(service) as client:
             info = await client.told("serverInfo")
             assert (info["name"], info["capabilities"]) == ("drone", [])
             await client.told("advertise")
@@ -176,7 +176,7 @@ async def test_a_viewer_gets_the_very_messages_of_the_recording(tmp_path: Path) 
 
 
 async def test_a_late_viewer_gets_the_latched_topics_and_a_video_from_a_key_frame() -> None:
-    async with serving(foxglove_frames="h264") as service, watching(service) as first:
+    async with serve_live(foxglove_frames="h264") as service, watching(service) as first:
         await first.told("advertise")
         assert "/camera/image" not in first.channels
         await first.subscribe("/camera/video")
@@ -194,7 +194,7 @@ async def test_a_late_viewer_gets_the_latched_topics_and_a_video_from_a_key_fram
 
 
 async def test_nothing_is_taken_that_nobody_requested() -> None:
-    async with serving() as service, watching(service) as client:
+    async with serve_live() as service, watching(service) as client:
         await client.told("advertise")
         await service.fly(0.1)
         assert service.endpoint.feed._events.offered == 0
@@ -223,7 +223,7 @@ async def test_nothing_is_taken_that_nobody_requested() -> None:
     ],
 )
 async def test_garbage_is_counted_and_reported_and_ends_nothing(said: str | bytes, why: str) -> None:
-    async with serving() as service, watching(service) as client, watching(service) as other:
+    async with serve_live() as service, watching(service) as client, watching(service) as other:
         await client.told("advertise")
         await (client.socket.send_str(said) if isinstance(said, str) else client.socket.send_bytes(said))
         status = await client.told("status")
@@ -238,7 +238,7 @@ async def test_garbage_is_counted_and_reported_and_ends_nothing(said: str | byte
 
 
 async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> None:
-    async with serving() as service, watching(service) as other:
+    async with serve_live() as service, watching(service) as other:
         for flood in (["{"] * (part._REFUSALS_MAX + 5), ['{"op":"unsubscribe","subscriptionIds":[]}'] * 400, ["x" * 70_000]):
             async with watching(service) as client:
                 for output in flood:
@@ -253,7 +253,7 @@ async def test_a_flood_and_a_huge_message_end_their_own_connection_alone() -> No
 
 async def test_a_slow_viewer_loses_the_oldest_and_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part, "_WAITING_BYTES", 300_000)
-    async with serving() as service, watching(service) as slow, watching(service) as quick:
+    async with serve_live() as service, watching(service) as slow, watching(service) as quick:
         for client in (slow, quick):
             await client.told("advertise")
             await client.subscribe("/decision")
@@ -281,7 +281,7 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
 
     monkeypatch.setattr(Worker, "run", stuck)
     monkeypatch.setattr(part, "_EVENTS", 50)
-    async with serving() as service, watching(service) as client:
+    async with serve_live() as service, watching(service) as client:
         await client.told("advertise")
         await client.subscribe("/sample/imu", "/camera/image", "/decision")
         await until(lambda: bool(service.endpoint.feed._wanted))
@@ -295,7 +295,7 @@ async def test_a_thread_that_is_behind_costs_events_and_never_memory(monkeypatch
 
 async def test_without_the_token_nothing_is_reported(tmp_path: Path) -> None:
     (tmp_path / "token").write_text(TOKEN)
-    async with serving(token_file=str(tmp_path / "token")) as service:
+    async with serve_live(token_file=str(tmp_path / "token")) as service:
         for query, headers in (
             ("", {}),
             ("?token=wrong-token-of-sixteen", {}),
@@ -314,7 +314,7 @@ async def test_without_the_token_nothing_is_reported(tmp_path: Path) -> None:
 
 
 async def test_a_page_that_is_not_named_cannot_connect_from_a_browser_here() -> None:
-    async with serving() as service:
+    async with serve_live() as service:
         for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "https://app.foxglove.dev.evil.example"):
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 async with watching(service, Origin=origin):
@@ -326,7 +326,7 @@ async def test_a_page_that_is_not_named_cannot_connect_from_a_browser_here() -> 
 
 
 async def test_a_connection_of_another_protocol_or_one_too_many_is_refused() -> None:
-    async with serving(viewers_max=1) as service:
+    async with serve_live(viewers_max=1) as service:
         for protocols, status in (((), 426), (("mqtt",), 426)):
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
                 async with watching(service, protocols=protocols):

@@ -27,7 +27,7 @@ STEP_S = 0.005
 TICK_S = 0.01
 
 
-async def settled(one: Links, other: Links, also: Callable[[], bool], over: Callable[[], bool]) -> None:
+async def wait_until_calm(one: Links, other: Links, also: Callable[[], bool], over: Callable[[], bool]) -> None:
     """Wait, in real time, until what one side sent the other has received, and `also` is so, or all is `over`."""
     calm = 0
     async with asyncio.timeout(60):

@@ -23,15 +23,12 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs
 from tests.companion.mavlink.border import HOST, frame
+from tests.make import stamp_at
 from tests.support.waiting import PATIENCE_S, free_port, until
 
 S = 1_000_000_000
-
-
-def stamp(at: MonoNs) -> Stamp:
-    return Stamp(at, at, 0.001, "synced")
 
 
 class Station:
@@ -60,12 +57,12 @@ class Station:
         for n in range(round(seconds * 50)):
             self.now = MonoNs(self.now + S // 50)
             if n % 10 == 0:
-                self.bridge.on_sample(VehicleStatus(stamp(self.now), flying, mode, 0.66, False, True))
+                self.bridge.on_sample(VehicleStatus(stamp_at(self.now), flying, mode, 0.66, False, True))
             body = Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg))
-            self.bridge.on_sample(Attitude(stamp(self.now), body, np.eye(3) * 1e-4))
-            self.bridge.on_sample(Imu(stamp(self.now), np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -9.8])))
-            self.bridge.on_sample(BodyVelocity(stamp(self.now), np.array([0.5, 0.0, 0.0]), np.eye(3) * 0.01))
-            self.bridge.on_sample(Range(stamp(self.now), 1.2, 0.02))
+            self.bridge.on_sample(Attitude(stamp_at(self.now), body, np.eye(3) * 1e-4))
+            self.bridge.on_sample(Imu(stamp_at(self.now), np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -9.8])))
+            self.bridge.on_sample(BodyVelocity(stamp_at(self.now), np.array([0.5, 0.0, 0.0]), np.eye(3) * 0.01))
+            self.bridge.on_sample(Range(stamp_at(self.now), 1.2, 0.02))
             self.bridge.tick(self.now)
 
     def tell(self, command: int, *params: float) -> int:
@@ -131,7 +128,7 @@ async def bridged(operators: str = "", **options: Any) -> AsyncIterator[tuple[Br
         running = group.create_task(part.run())
         await until(lambda: part._links is not None and part._links.all[0].local is not None)
         now = clock.now()
-        part.on_sample(VehicleStatus(stamp(now), True, "hovering", 0.5, False, True))
+        part.on_sample(VehicleStatus(stamp_at(now), True, "hovering", 0.5, False, True))
         assert part._links is not None
         yield part, part._links, orders
         running.cancel()
@@ -219,7 +216,7 @@ async def test_mavsdk_flies_it() -> None:
         async def live() -> None:
             while True:
                 now = clock.now()
-                part.on_sample(VehicleStatus(stamp(now), flying, "hovering" if flying else "landed", 0.5, False, True))
+                part.on_sample(VehicleStatus(stamp_at(now), flying, "hovering" if flying else "landed", 0.5, False, True))
                 await asyncio.sleep(0.02)
 
         tasks = [group.create_task(live()), group.create_task(part.run())]

@@ -25,11 +25,11 @@ def stranger() -> Iterator[socket.socket]:
         yield wire
 
 
-def command(number: int, *params: float) -> Message:
+def command_message(number: int, *params: float) -> Message:
     return mav.MAVLink_command_long_message(*US, number, 0, *[*params, 0, 0, 0, 0, 0, 0, 0][:7])
 
 
-EVERY_COMMAND = [command(n) for n in (21, 193, 191, 31010, 2510, 2511, 511, 512)] + [
+EVERY_COMMAND = [command_message(n) for n in (21, 193, 191, 31010, 2510, 2511, 511, 512)] + [
     mav.MAVLink_param_set_message(*US, b"PID_H_KP", 0.9, 9)
 ]
 
@@ -127,7 +127,7 @@ async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) ->
 
 async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() -> None:
     async with bordered() as border:
-        await border.send(command(193, 0), source=STATION)
+        await border.send(command_message(193, 0), source=STATION)
         assert border.tower.handlers == ["pause"]
 
 
@@ -135,9 +135,9 @@ async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone
     async with bordered(operators="255") as border:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
-            await border.send(command(193, 0), wire=station, source=STATION)
+            await border.send(command_message(193, 0), wire=station, source=STATION)
             assert border.tower.handlers == ["pause"]
-            await border.send(command(191), wire=stranger, source=STATION)
+            await border.send(command_message(191), wire=stranger, source=STATION)
             assert border.tower.handlers == ["pause"]
             assert (193, ACCEPTED) in {(m.command, m.result) for m in border.answers(station) if m.get_type() == "COMMAND_ACK"}
             await border.told_of_the_pad()
@@ -170,7 +170,7 @@ async def test_what_grows_by_what_is_sent_is_bounded() -> None:
     async with bordered() as border:
         for n in range(300):
             source = (1 + n % 250, 1 + n // 250)
-            await border.send(command(512, 396), wire=border.wire, source=source)
+            await border.send(command_message(512, 396), wire=border.wire, source=source)
             await border.send(mav.MAVLink_param_value_message(f"P{n}".encode(), 0.0, 9, 1, 1))
             await border.send(mav.MAVLink_param_set_message(*US, f"NO{n}".encode(), 1.0, 9))
         component, links = border.component, border.links

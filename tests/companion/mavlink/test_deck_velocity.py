@@ -59,7 +59,7 @@ class Scene:
         return RelativeState(now, "ekf", np.array([0.1, 0.2, 3.0]), v, 0.3, np.eye(7) * self.sigma_m_s**2, sighted, True)
 
 
-def run(way: DeckVelocity, scene: Scene, seconds: float) -> F64:
+def run_for(way: DeckVelocity, scene: Scene, seconds: float) -> F64:
     found = np.zeros(3)
     for _ in range(round(50 * seconds)):
         scene.t_s += 0.02
@@ -70,42 +70,42 @@ def run(way: DeckVelocity, scene: Scene, seconds: float) -> F64:
 def test_a_ship_under_way_is_found_whatever_the_body_does() -> None:
     scene = Scene(np.array([1.2, -0.9, 0.0]))
     way = DeckVelocity(scene.believe, scene)
-    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
     scene.v_body_ned = np.array([-2.0, 1.0, 0.5])
-    assert run(way, scene, 0.1)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, 0.1)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
 def test_heave_is_followed_at_once_and_not_without_sight() -> None:
     scene = Scene(np.array([1.2, -0.9, 0.0]))
     way = DeckVelocity(scene.believe, scene)
-    run(way, scene, 3.0)
+    run_for(way, scene, 3.0)
     scene.v_pad_ned = np.array([1.2, -0.9, -0.8])
-    assert run(way, scene, 0.6)[2] == pytest.approx(-0.8, abs=0.12)
+    assert run_for(way, scene, 0.6)[2] == pytest.approx(-0.8, abs=0.12)
     scene.sighted_s = scene.t_s
-    assert run(way, scene, 1.0) == pytest.approx([1.2, -0.9, 0.0], abs=0.06)
+    assert run_for(way, scene, 1.0) == pytest.approx([1.2, -0.9, 0.0], abs=0.06)
 
 
 def test_a_velocity_that_is_hardly_known_is_nobodys_way() -> None:
     """WHY: a hold that goes with a velocity known to 1 m/s leaves the deck."""
     scene = Scene(np.array([1.2, -0.9, 0.0]), sigma_m_s=1.0)
     way = DeckVelocity(scene.believe, scene)
-    assert run(way, scene, 3.0).tolist() == [0.0, 0.0, 0.0]
+    assert run_for(way, scene, 3.0).tolist() == [0.0, 0.0, 0.0]
     scene.sigma_m_s = 0.1
-    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
 def test_it_is_held_without_sight_then_kept_as_the_ship_s_way_and_forgotten_in_the_end() -> None:
     """A vehicle that gave up must not stay over the ground while the ship sails away from under it."""
     scene = Scene(np.array([1.5, 0.0, 0.0]))
     way = DeckVelocity(scene.believe, scene)
-    run(way, scene, 3.0)
+    run_for(way, scene, 3.0)
     scene.sighted_s = scene.t_s
-    held = run(way, scene, 5.0)
+    held = run_for(way, scene, 5.0)
     assert held == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
-    assert run(way, scene, FORGET_S) == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
+    assert run_for(way, scene, FORGET_S) == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
     scene.t_s += KEEP_S - FORGET_S - 6.0
-    assert run(way, scene, 0.1)[0] == pytest.approx(1.5, abs=0.06)
-    assert np.all(run(way, scene, 2.0) == 0.0)
+    assert run_for(way, scene, 0.1)[0] == pytest.approx(1.5, abs=0.06)
+    assert np.all(run_for(way, scene, 2.0) == 0.0)
 
 
 def test_waves_are_averaged() -> None:
@@ -151,21 +151,21 @@ def test_the_ship_s_report_stands_for_it_where_the_pad_was_never_seen_and_gives_
     scene = Scene(np.array([1.2, -0.9, 0.0]))
     seen = False
     way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene, lambda now: np.array([3.0, 1.0]))
-    assert run(way, scene, 1.0) == pytest.approx([3.0, 1.0, 0.0])
+    assert run_for(way, scene, 1.0) == pytest.approx([3.0, 1.0, 0.0])
     seen = True
-    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
     seen = False
-    assert run(way, scene, 5.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
-    assert run(way, scene, FORGET_S) == pytest.approx([3.0, 1.0, 0.0])
+    assert run_for(way, scene, 5.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, FORGET_S) == pytest.approx([3.0, 1.0, 0.0])
 
 
 def test_the_way_of_the_deck_from_which_it_took_off_is_kept_until_the_pad_is_seen() -> None:
     scene, seen = Scene(np.array([1.2, -0.9, 0.0])), False
     scene.rested = Rested(scene.now, np.array([1.1, -0.8, 0.0]), np.zeros(3))
     way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene)
-    assert run(way, scene, 0.9 * KEEP_S) == pytest.approx([1.1, -0.8, 0.0])
+    assert run_for(way, scene, 0.9 * KEEP_S) == pytest.approx([1.1, -0.8, 0.0])
     seen = True
-    assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
+    assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
 @pytest.mark.parametrize(("beside_m", "found"), [(2.0, [1.25, -0.9, 0.0]), (40.0, [1.5, -0.6, 0.0])])
@@ -181,4 +181,4 @@ def test_the_way_since_the_take_off_is_the_ship_s_for_a_vehicle_back_over_her(be
     assert known == pytest.approx(found, abs=0.01)
     scene.steered = True
     scene.p_body_ned = scene.p_body_ned + 10.0
-    assert run(way, scene, 5.0) == pytest.approx(found, abs=0.01), "its own search says nothing of the ship"
+    assert run_for(way, scene, 5.0) == pytest.approx(found, abs=0.01), "its own search says nothing of the ship"

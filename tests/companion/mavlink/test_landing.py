@@ -19,7 +19,7 @@ from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
+from tests.companion.mavlink.aircraft import TICK_S, Aircraft, wait_until_calm
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -79,7 +79,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
                     autopilot.frames.offer(craft.frame())
                 if tick == 300:
                     craft.send(mav.MAVLink_command_long_message(7, 191, mav.MAV_CMD_NAV_LAND, 0, 0, 0, 0, 0, 0, 0, 0))
-                await settled(
+                await wait_until_calm(
                     craft.links,
                     autopilot.links,
                     also=lambda: sum(daemon.health.frames.values()) == craft.images,

@@ -29,7 +29,7 @@ KEY = SigningKey(bytes(range(32)))
 
 
 @asynccontextmanager
-async def watched(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) -> AsyncIterator[tuple[Health, tuple[str, int]]]:
+async def watch_links(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) -> AsyncIterator[tuple[Health, tuple[str, int]]]:
     """Yield a watch ten times as fast as in flight, beside the links."""
     for name in ("_EACH_S", "_WINDOW_S", "_FIRST_S"):
         monkeypatch.setattr(make, name, 0.1 * getattr(make, name))
@@ -53,7 +53,7 @@ def behind() -> Callable[[], bytes]:
     return lambda: heartbeat(codec)
 
 
-def plain() -> Callable[[], bytes]:
+def plain_message() -> Callable[[], bytes]:
     codec = Codec(1, 1)
     return lambda: heartbeat(codec)
 
@@ -67,16 +67,16 @@ def old() -> Callable[[], bytes]:
     ("data", "signed", "said"),
     [
         (behind(), True, "the time of their signature, which is 3.0 days behind ours"),
-        (plain(), True, "refused for their signature"),
+        (plain_message(), True, "refused for their signature"),
         (lambda: bytes(range(90, 250)), False, "set the same speed on both sides"),
-        (plain(), False, "answers nothing: no parameter, no stream, no TIMESYNC"),
+        (plain_message(), False, "answers nothing: no parameter, no stream, no TIMESYNC"),
         (old(), False, "it speaks MAVLink 1, and something between drops MAVLink 2"),
         (lambda: b"", False, "not one byte"),
     ],
     ids=["time", "key", "speed", "one way", "MAVLink 1", "silent"],
 )
 async def test_a_fault_is_reported_once(data, signed, said, monkeypatch, caplog):
-    async with watched(monkeypatch, signed=signed) as (health, address):
+    async with watch_links(monkeypatch, signed=signed) as (health, address):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
 
             async def send() -> None:
@@ -95,7 +95,7 @@ async def test_a_fault_is_reported_once(data, signed, said, monkeypatch, caplog)
 
 async def test_a_good_link_reports_nothing_and_a_fault_that_is_over_no_more(monkeypatch, caplog):
     caplog.set_level(logging.INFO)
-    async with watched(monkeypatch) as (health, address):
+    async with watch_links(monkeypatch) as (health, address):
         await until(lambda: PART in health.parts)
         async with MiniatureAutopilot().talking_to("udpout://{}:{}".format(*address)):
             await until(lambda: health.parts[PART].up)

@@ -41,7 +41,7 @@ def v_ned(t: float) -> F64:
     return (d_ned(t + 1e-4) - d_ned(t - 1e-4)) / 2e-4
 
 
-def belief(t: float, d: F64 | None = None) -> RelativeState:
+def estimate_at(t: float, d: F64 | None = None) -> RelativeState:
     to_level = Rotation.from_rpy(0, 0, rpy(t)[2]).inv
     return RelativeState(
         instant(t), "dead_reckoning", to_level @ (d_ned(t) if d is None else d), to_level @ v_ned(t), 0.3, np.eye(7) * 1e-4,
@@ -49,7 +49,7 @@ def belief(t: float, d: F64 | None = None) -> RelativeState:
     )  # fmt: skip
 
 
-def attitude(t: float) -> Attitude:
+def attitude_at(t: float) -> Attitude:
     return Attitude(Stamp(instant(t), instant(t), 0.0005, "synced"), Rotation.from_rpy(*rpy(t)), np.eye(3) * 1e-6)
 
 
@@ -99,11 +99,11 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
     for n in range(round(seconds * 25)):
         now = n / 25 + 0.003
         while next_attitude is not None and next_attitude + 0.006 <= now:
-            track.on_attitude(attitude(next_attitude))
+            track.on_attitude(attitude_at(next_attitude))
             next_attitude = next(attitudes, None)
         while next_belief is not None and next_belief <= now - 0.002:
             # What the estimator knows is good to a centimetre
-            track.believe(belief(next_belief, d_ned(next_belief) + rng.normal(0.0, 0.003, 3)))
+            track.believe(estimate_at(next_belief, d_ned(next_belief) + rng.normal(0.0, 0.003, 3)))
             next_belief = next(beliefs, None)
         seen = lag_locked(track, instant(now), lag_s, TRANSIT_S)
         message = None
@@ -122,9 +122,9 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
 def filled(rate_hz: float = 50.0, seconds: float = 1.0) -> TargetTrack:
     track = TargetTrack()
     for k in range(round(seconds * 100) + 5):
-        track.on_attitude(attitude(k / 100))
+        track.on_attitude(attitude_at(k / 100))
     for k in range(round(seconds * rate_hz) + 1):
-        track.believe(belief(k / rate_hz))
+        track.believe(estimate_at(k / rate_hz))
     return track
 
 
@@ -153,7 +153,7 @@ def test_nothing_is_reported_where_nothing_is_known() -> None:
 
 def test_an_ambiguous_heading_is_not_passed_on() -> None:
     track = filled()
-    state = belief(1.02)
+    state = estimate_at(1.02)
     ambiguous = RelativeState(
         state.at, "dead_reckoning", state.d_body_pad_level, state.v_pad_level, 0.3, state.cov, state.sighted, True,
         (("yaw_ambiguous", 1.0),),

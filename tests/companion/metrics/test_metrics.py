@@ -104,24 +104,24 @@ def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
 
 
 @asynccontextmanager
-async def serving(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[HttpServer]:
+async def serve(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[HttpServer]:
     endpoint = HttpServer(HttpSettings(endpoint="http", port=0, token_file=token_file, page=False), health, limits)
     MetricsEndpoint(endpoint, health)
-    ended = asyncio.Event()
+    over = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(
-            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"http": endpoint.run})
+            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=over, beside={"http": endpoint.run})
         )
         await until(lambda: endpoint.port is not None)
         try:
             yield endpoint
         finally:
-            ended.set()
+            over.set()
 
 
 async def test_the_endpoint_serves_the_page_and_a_yes_or_no() -> None:
     health = Health(SystemClock())
-    async with serving(health) as endpoint, aiohttp.ClientSession(f"http://127.0.0.1:{endpoint.port}") as client:
+    async with serve(health) as endpoint, aiohttp.ClientSession(f"http://127.0.0.1:{endpoint.port}") as client:
         async with client.get("/metrics") as answer:
             assert answer.headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
             assert value(await answer.read(), "decklander_part_up", part="http") == 1
@@ -159,7 +159,7 @@ async def dialled(endpoint: HttpServer, said: bytes) -> tuple[asyncio.StreamRead
     return reader, writer
 
 
-async def ended(reader: asyncio.StreamReader) -> bytes:
+async def over(reader: asyncio.StreamReader) -> bytes:
     """Everything until the endpoint closes."""
     try:
         async with asyncio.timeout(60):
@@ -173,9 +173,9 @@ async def ended(reader: asyncio.StreamReader) -> bytes:
 )
 async def test_a_request_that_never_ends_is_closed_in_time(said: bytes) -> None:
     limits = ConnectionLimits(connection_s=0.1)
-    async with serving(Health(SystemClock()), limits) as endpoint:
+    async with serve(Health(SystemClock()), limits) as endpoint:
         reader, writer = await dialled(endpoint, said)
-        await ended(reader)
+        await over(reader)
         writer.close()
         assert not limits.open
         assert limits.overdue == 1 or said.startswith(b"POST"), "a POST is answered at once"
@@ -184,25 +184,25 @@ async def test_a_request_that_never_ends_is_closed_in_time(said: bytes) -> None:
 async def test_many_half_open_requests_neither_pile_up_nor_shut_out_a_whole_one() -> None:
     limits = ConnectionLimits(connections=8, connection_s=30.0)
     health = Health(SystemClock())
-    async with serving(health, limits) as endpoint:
+    async with serve(health, limits) as endpoint:
         lines = [await dialled(endpoint, b"GET /metrics HTTP/1.1\r\n") for _ in range(60)]
         for reader, _ in lines[: 60 - 8]:
-            await ended(reader)
+            await over(reader)
         assert len(limits.open) == 8
         assert health.snapshot().counters["http"]["connections_evicted"] == 52
         reader, whole = await dialled(endpoint, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
-        assert (await ended(reader)).startswith(b"HTTP/1.1 200")
+        assert (await over(reader)).startswith(b"HTTP/1.1 200")
         for _, writer in (*lines, (reader, whole)):
             writer.close()
 
 
 async def test_an_endless_request_is_cut_off() -> None:
     limits = ConnectionLimits()
-    async with serving(Health(SystemClock()), limits) as endpoint:
+    async with serve(Health(SystemClock()), limits) as endpoint:
         reader, writer = await dialled(endpoint, b"GET /health HTTP/1.1\r\n")
         for k in range(10):
             writer.write(b"X-%d: %s\r\n" % (k, b"y" * 4000))
-        assert await ended(reader) == b""
+        assert await over(reader) == b""
         writer.close()
     assert limits.oversized == 1
 
@@ -210,7 +210,7 @@ async def test_an_endless_request_is_cut_off() -> None:
 async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixture) -> None:
     """Asyncio itself stops accepting for a second; the endpoint goes on afterwards."""
     health = Health(SystemClock())
-    async with serving(health) as endpoint:
+    async with serve(health) as endpoint:
         with socket.socket() as client:
             client.setblocking(False)
             with no_descriptors():
@@ -230,7 +230,7 @@ async def test_with_a_token_nothing_is_reported_without_it(tmp_path: Path) -> No
     health.vital("vehicle")
     health.down("vehicle", Recoverable("no route to 10.0.0.7"))
     async with (
-        serving(health, token_file=str(file)) as endpoint,
+        serve(health, token_file=str(file)) as endpoint,
         aiohttp.ClientSession(f"http://127.0.0.1:{endpoint.port}") as client,
     ):
         for wrong in ({}, {"Authorization": "Bearer 0123456789abcdeF"}, {"Authorization": "Basic 0123456789abcdef"}):

@@ -20,13 +20,13 @@ NOW = MonoNs(5_000_000_000)
 TOPICS = Topics("deck")
 
 
-def report(**changes: object) -> bytes:
+def ship_report(**changes: object) -> bytes:
     fields = {"run": RUN, "at_ns": NOW - 300_000_000, "latitude_deg": 54.4, "longitude_deg": 10.2, **changes}
     return json.dumps({key: value for key, value in fields.items() if value is not ...}).encode()
 
 
 def test_each_field_goes_where_it_belongs() -> None:
-    whole = report(height_m=6.5, sigma_m=2.5, speed_m_s=2.0, course_deg=30.0, heading_deg=20.0)
+    whole = ship_report(height_m=6.5, sigma_m=2.5, speed_m_s=2.0, course_deg=30.0, heading_deg=20.0)
     fix, moving = ShipReportReader(TOPICS, RUN).samples(whole, NOW)
     assert isinstance(fix, GeoFix)
     assert isinstance(moving, VesselReport)
@@ -42,10 +42,10 @@ def test_each_field_goes_where_it_belongs() -> None:
 
 
 def test_what_is_left_out_is_not_made_up() -> None:
-    (fix,) = ShipReportReader(TOPICS, RUN).samples(report(), NOW)
+    (fix,) = ShipReportReader(TOPICS, RUN).samples(ship_report(), NOW)
     assert isinstance(fix, GeoFix)
     assert (fix.v_ned, fix.place.height_m) == (None, None)
-    _, bow = ShipReportReader(TOPICS, RUN).samples(report(heading_deg=0.0), NOW)
+    _, bow = ShipReportReader(TOPICS, RUN).samples(ship_report(heading_deg=0.0), NOW)
     assert isinstance(bow, VesselReport)
     assert (bow.v_vessel_ned, bow.heading_rad) == (None, 0.0)
 
@@ -55,19 +55,19 @@ def test_what_is_left_out_is_not_made_up() -> None:
     [
         (b"", False, "malformed"),
         (b"$GPRMC,081836", False, "malformed"),
-        (report(latitude_deg=...), False, "malformed"),
-        (report(latitude_deg=90.1), False, "malformed"),
-        (report(longitude_deg="10.2"), False, "malformed"),
-        (report(longitude_deg=math.nan), False, "malformed"),
-        (report(sigma_m=0.0), False, "malformed"),
-        (report(speed_m_s=2.0), False, "malformed"),
-        (report(knots=2.0), False, "malformed"),
-        (report(at_ns=-1), False, "malformed"),
-        (report() + b" " * REPORT_MAX_BYTES, False, "too_long"),
-        (report(), True, "retained"),
-        (report(run="another"), False, "other_run"),
-        (report(run="\ud800"), False, "malformed"),
-        (report(at_ns=NOW + 1), False, "ahead"),
+        (ship_report(latitude_deg=...), False, "malformed"),
+        (ship_report(latitude_deg=90.1), False, "malformed"),
+        (ship_report(longitude_deg="10.2"), False, "malformed"),
+        (ship_report(longitude_deg=math.nan), False, "malformed"),
+        (ship_report(sigma_m=0.0), False, "malformed"),
+        (ship_report(speed_m_s=2.0), False, "malformed"),
+        (ship_report(knots=2.0), False, "malformed"),
+        (ship_report(at_ns=-1), False, "malformed"),
+        (ship_report() + b" " * REPORT_MAX_BYTES, False, "too_long"),
+        (ship_report(), True, "retained"),
+        (ship_report(run="another"), False, "other_run"),
+        (ship_report(run="\ud800"), False, "malformed"),
+        (ship_report(at_ns=NOW + 1), False, "ahead"),
     ],
 )
 def test_a_refusal_is_counted_by_its_reason(payload: bytes, retained: bool, reason: str) -> None:
@@ -78,19 +78,19 @@ def test_a_refusal_is_counted_by_its_reason(payload: bytes, retained: bool, reas
 
 def test_a_copy_and_an_overtaken_report_are_refused() -> None:
     reader = ShipReportReader(TOPICS, RUN)
-    assert reader.samples(report(), NOW)
-    assert reader.samples(report(), NOW) == []
-    assert reader.samples(report(at_ns=NOW - 400_000_000), NOW) == []
-    assert reader.samples(report(at_ns=NOW), NOW)
+    assert reader.samples(ship_report(), NOW)
+    assert reader.samples(ship_report(), NOW) == []
+    assert reader.samples(ship_report(at_ns=NOW - 400_000_000), NOW) == []
+    assert reader.samples(ship_report(at_ns=NOW), NOW)
     assert reader.counts == {"taken": 2, "not_newer": 2}
 
 
 def test_with_a_key_the_signature_must_be_of_this_topic() -> None:
     reader = ShipReportReader(TOPICS, RUN, KEY)
-    assert reader.samples(report(), NOW) == []
-    assert reader.samples(signed(KEY, TOPICS.command, report()), NOW) == []
-    assert reader.samples(signed(bytes(32), TOPICS.vessel, report()), NOW) == []
-    assert reader.samples(signed(KEY, TOPICS.vessel, report()), NOW)
+    assert reader.samples(ship_report(), NOW) == []
+    assert reader.samples(signed(KEY, TOPICS.command, ship_report()), NOW) == []
+    assert reader.samples(signed(bytes(32), TOPICS.vessel, ship_report()), NOW) == []
+    assert reader.samples(signed(KEY, TOPICS.vessel, ship_report()), NOW)
     assert reader.counts == {"unsigned": 1, "bad_signature": 2, "taken": 1}
     assert KEY.hex() not in repr(reader)
 
@@ -104,7 +104,7 @@ FIELDS = st.fixed_dictionaries(
 )
 
 
-@given(st.one_of(st.binary(max_size=60), FIELDS.map(lambda changes: report(**changes))))
+@given(st.one_of(st.binary(max_size=60), FIELDS.map(lambda changes: ship_report(**changes))))
 def test_any_bytes_are_a_place_on_the_earth_or_one_counted_refusal(payload: bytes) -> None:
     reader = ShipReportReader(TOPICS, RUN)
     for sample in reader.samples(payload, NOW):

@@ -13,7 +13,7 @@ from companion.parts.mqtt.spool import FILES, UNWRITTEN, Spool
 from estimator.contracts.errors import BadInput
 
 
-def body(n: int) -> bytes:
+def payload(n: int) -> bytes:
     return b'{"n":%d}' % n
 
 
@@ -40,7 +40,7 @@ class AgainstAModel(RuleBasedStateMachine):
     def append(self, count: int) -> None:
         if self.spool.size_bytes > 7 * 100:
             return
-        bodies = [body(self.told + k) for k in range(count)]
+        bodies = [payload(self.told + k) for k in range(count)]
         self.told += count
         self.model += bodies
         self.spool.append(bodies)
@@ -94,29 +94,29 @@ def test_it_is_a_queue_that_survives_being_opened_again(tmp_path: Path) -> None:
 def test_a_torn_end_costs_the_torn_records_alone(tmp_path_factory: pytest.TempPathFactory, cut: int, junk: bytes) -> None:
     folder = tmp_path_factory.mktemp("spool")
     spool = Spool(folder, 8000)
-    spool.append([body(n) for n in range(5)])
+    spool.append([payload(n) for n in range(5)])
     spool.close()
     (file,) = folder.glob("events-*.log")
     whole = file.read_bytes()
     file.write_bytes(whole[:-cut] + junk)
     again = Spool(folder, 8000)
     kept = everything(again)
-    assert kept == [body(n) for n in range(len(kept))]
+    assert kept == [payload(n) for n in range(len(kept))]
     assert len(kept) == (whole[:-cut] + junk).count(b"\n") or junk
     assert len(kept) >= whole[:-cut].count(b"\n")
-    again.append([body(9)])
-    assert everything(again) == [body(9)]
+    again.append([payload(9)])
+    assert everything(again) == [payload(9)]
     again.close()
 
 
 def test_a_lost_or_damaged_mark_means_copies_not_losses(tmp_path: Path) -> None:
     spool = Spool(tmp_path, 8000)
-    spool.append([body(n) for n in range(4)])
+    spool.append([payload(n) for n in range(4)])
     spool.deliver(2)
     spool.close()
     (tmp_path / "delivered").write_bytes(b"00000000 4\n")
     again = Spool(tmp_path, 8000)
-    assert everything(again) == [body(n) for n in range(4)]
+    assert everything(again) == [payload(n) for n in range(4)]
     again.close()
 
 
@@ -124,20 +124,20 @@ def test_the_oldest_go_first_and_are_counted(tmp_path: Path) -> None:
     spool = Spool(tmp_path, 4096)
     reported = 1000
     for n in range(reported):
-        spool.append([body(n)])
+        spool.append([payload(n)])
     on_disk = sum(f.stat().st_size for f in tmp_path.glob("events-*.log"))
     assert on_disk == spool.size_bytes <= 4096
     assert len(list(tmp_path.glob("events-*.log"))) <= FILES
     assert spool.dropped > 0
     kept = everything(spool)
-    assert kept == [body(n) for n in range(reported - len(kept), reported)]
+    assert kept == [payload(n) for n in range(reported - len(kept), reported)]
     assert len(kept) + spool.dropped == reported
     spool.close()
 
 
 def test_a_disk_that_refuses_is_waited_for_in_memory(tmp_path, monkeypatch, caplog):
     spool = Spool(tmp_path, 80_000)
-    spool.append([body(0)])
+    spool.append([payload(0)])
     real = os.pwrite
 
     def full(descriptor: int, data: bytes, offset: int) -> int:
@@ -145,28 +145,28 @@ def test_a_disk_that_refuses_is_waited_for_in_memory(tmp_path, monkeypatch, capl
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", full)
-    spool.append([body(1), body(2)])
-    spool.append([body(3)])
+    spool.append([payload(1), payload(2)])
+    spool.append([payload(3)])
     assert spool.write_errors >= 2
     assert [r.getMessage().partition(": ")[2] for r in caplog.records] == [
         f"{tmp_path}: No space left on device: events wait in memory, {UNWRITTEN} at most"
     ], "said once"
     assert spool.waiting == 4
-    assert [r.body for r in spool.peek(9)] == [body(n) for n in range(4)]
+    assert [r.body for r in spool.peek(9)] == [payload(n) for n in range(4)]
     monkeypatch.setattr("companion.parts.mqtt.spool.os.pwrite", real)
-    spool.append([body(4)])
+    spool.append([payload(4)])
     assert "takes events again" in caplog.text
     spool.close()
     again = Spool(tmp_path, 80_000)
-    assert (again.torn, everything(again)) == (0, [body(n) for n in range(5)])
+    assert (again.torn, everything(again)) == (0, [payload(n) for n in range(5)])
     again.close()
 
 
 def test_memory_alone_is_bounded_too() -> None:
     spool = Spool(None, 8000)
-    spool.append([body(n) for n in range(UNWRITTEN + 5)])
+    spool.append([payload(n) for n in range(UNWRITTEN + 5)])
     assert spool.dropped == 5
-    assert everything(spool) == [body(n) for n in range(5, UNWRITTEN + 5)]
+    assert everything(spool) == [payload(n) for n in range(5, UNWRITTEN + 5)]
     assert spool.write_errors == 0
 
 

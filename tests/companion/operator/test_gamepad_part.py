@@ -91,7 +91,7 @@ class Rig:
 
 
 @asynccontextmanager
-async def rig(monkeypatch: pytest.MonkeyPatch, wanted: str = "any") -> AsyncIterator[Rig]:
+async def gamepad_rig(monkeypatch: pytest.MonkeyPatch, wanted: str = "any") -> AsyncIterator[Rig]:
     monkeypatch.setattr("companion.parts.operator.gamepad_part._SCAN_S", 0.05)
     made = Rig(wanted)
     async with asyncio.TaskGroup() as group:
@@ -102,7 +102,7 @@ async def rig(monkeypatch: pytest.MonkeyPatch, wanted: str = "any") -> AsyncIter
 
 
 async def test_it_flies_by_hand_holds_when_unplugged_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with rig(monkeypatch) as flown:
+    async with gamepad_rig(monkeypatch) as flown:
         pad = PipeDevice()
         flown.plugged.append(pad)
         await until(lambda: flown.part.counted()["plugged"])
@@ -134,7 +134,7 @@ async def test_it_flies_by_hand_holds_when_unplugged_and_comes_back(monkeypatch:
 
 
 async def test_lost_events_are_read_again_and_the_wanted_gamepad_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with rig(monkeypatch, "wireless") as flown:
+    async with gamepad_rig(monkeypatch, "wireless") as flown:
         other, pad = PipeDevice("Other"), PipeDevice()
         flown.plugged += [other, pad]
         await until(lambda: flown.part.counted()["plugged"])

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from tests.companion.live.test_live import TOKEN, serving
+from tests.companion.live.test_live import TOKEN, serve_live
 from tests.support.waiting import until
 
 pytest.importorskip("rosbags", reason="needs the extra ros2")
@@ -51,14 +51,14 @@ async def test_a_flight_is_published_while_it_is_flown_and_again_after_the_servi
     token.write_text(TOKEN)
     token.chmod(0o600)
     with ExitStack() as stack:
-        async with serving(token_file=str(token)) as service:
+        async with serve_live(token_file=str(token)) as service:
             bridge = stack.enter_context(started(service.address, file, "--token-file", str(token), "--config", "sim"))
             await until(lambda: service.counted("viewers") == 1)
             await service.fly(4.0)
             await until(lambda: file.exists() and b"/rosout" in file.read_bytes())
             port = service.server.port
         before = file.read_bytes().count(b"/tf_static")
-        async with serving(token_file=str(token), port=port) as again:
+        async with serve_live(token_file=str(token), port=port) as again:
             await until(lambda: again.counted("viewers") == 1)
             await again.fly(0.5)
             await until(lambda: file.read_bytes().count(b"/tf_static") > before)
@@ -85,7 +85,7 @@ async def test_a_wrong_token_ends_it_and_nobody_there_is_waited_for(tmp_path: Pa
     token = tmp_path / "token"
     token.write_text(TOKEN)
     token.chmod(0o600)
-    async with serving(token_file=str(token)) as service:
+    async with serve_live(token_file=str(token)) as service:
         address = service.address
         with started(address, tmp_path / "published") as bridge:
             _, output = await asyncio.to_thread(bridge.communicate, timeout=60)

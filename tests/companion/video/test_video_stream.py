@@ -71,7 +71,7 @@ def stripes(step: int) -> NDArray[np.uint8]:
     return image
 
 
-def watched(port: int, folder: Path, pictures: int, begun: threading.Event, into: list[NDArray[np.uint8]]) -> None:
+def watch_stream(port: int, folder: Path, pictures: int, begun: threading.Event, into: list[NDArray[np.uint8]]) -> None:
     """Watch as a ground station does: a session description, and FFmpeg's own receiver."""
     file = folder / "stream.sdp"
     file.write_text(
@@ -89,7 +89,7 @@ def watched(port: int, folder: Path, pictures: int, begun: threading.Event, into
 def test_a_receiver_that_comes_late_sees_the_pictures(closed_port: int, tmp_path: Path) -> None:
     stream = RtpStream(VideoStreamOptions(to=f"{HOST}:{closed_port}", rate_hz=RATE_HZ), SIZE)
     begun, got = threading.Event(), list[NDArray[np.uint8]]()
-    receiver = threading.Thread(target=watched, args=(closed_port, tmp_path, 5, begun, got), daemon=True)
+    receiver = threading.Thread(target=watch_stream, args=(closed_port, tmp_path, 5, begun, got), daemon=True)
     sent = 0
     for _k in range(400):
         assert stream.send(stripes(sent % 12), MonoNs(S + round(sent * S / RATE_HZ)))

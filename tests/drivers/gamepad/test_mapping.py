@@ -24,7 +24,7 @@ def press(name: str, value: int = 1) -> InputEvent:
     return InputEvent(EV_KEY, BUTTONS[name], value)
 
 
-def moved(name: str, value: int) -> InputEvent:
+def moved_stick(name: str, value: int) -> InputEvent:
     return InputEvent(EV_ABS, AXES[name], value)
 
 
@@ -53,7 +53,7 @@ def test_the_requests_are_the_kernels() -> None:
     ],
 )
 def test_the_sticks_are_those_of_the_thesis(axis: str, value: int, stick: str, position: float) -> None:
-    memory, _ = step(start(THESIS, RANGES), moved(axis, value))
+    memory, _ = step(start(THESIS, RANGES), moved_stick(axis, value))
     assert positions(THESIS, memory) == {**dict.fromkeys(("climb", "turn", "forward", "right"), 0.0), stick: position}
 
 
@@ -85,7 +85,7 @@ def test_an_axis_that_was_never_near_its_centre_does_not_count() -> None:
     ranges = {code: AxisRange(0, 0, 255) for code in RANGES}
     memory = start(THESIS, ranges)
     assert set(positions(THESIS, memory).values()) == {0.0}, "some gamepads report an end until they are moved"
-    memory, _ = step(memory, moved("ABS_X", 0), moved("ABS_RX", 128), moved("ABS_RX", 255))
+    memory, _ = step(memory, moved_stick("ABS_X", 0), moved_stick("ABS_RX", 128), moved_stick("ABS_RX", 255))
     assert positions(THESIS, memory) == {"climb": 0.0, "turn": 0.0, "forward": 0.0, "right": 1.0}
 
 
@@ -93,11 +93,11 @@ def test_an_axis_that_was_never_near_its_centre_does_not_count() -> None:
 def test_a_stick_is_monotonic_bounded_and_centred_in_its_dead_zone(values: list[int]) -> None:
     found = []
     for value in sorted(values):
-        memory, _ = step(start(THESIS, RANGES), moved("ABS_X", value))
+        memory, _ = step(start(THESIS, RANGES), moved_stick("ABS_X", value))
         found.append(positions(THESIS, memory)["turn"])
         StickPositions(turn=found[-1])
     assert all(a <= b for a, b in pairwise(found))
-    assert positions(THESIS, step(start(THESIS, RANGES), moved("ABS_X", 135))[0])["turn"] == 0.0
+    assert positions(THESIS, step(start(THESIS, RANGES), moved_stick("ABS_X", 135))[0])["turn"] == 0.0
 
 
 @given(st.lists(st.binary(max_size=100), max_size=8), st.integers(-3, 3), st.integers(-3, 300))

@@ -23,7 +23,7 @@ MOUNTED = Rotation.from_rpy(*np.radians([10.0, -80.0, 30.0]))
 US, MANAGER = (1, 191), (1, 1)
 
 
-def status(
+def gimbal_status(
     rotation: Rotation = TURNED, flags: int = VEHICLE, *, ms: int = 0, failure: int = 0, delta: float = math.nan
 ) -> Message:
     return mav.MAVLink_gimbal_device_attitude_status_message(
@@ -39,14 +39,14 @@ def taken(message: Message, report: GimbalReport = "auto") -> tuple[GimbalAttitu
 @pytest.mark.parametrize(
     ("message", "frame", "rotation"),
     [
-        (status(flags=VEHICLE), "level", TURNED),
-        (status(flags=0), "level", TURNED),
-        (status(flags=EARTH), "ned", TURNED),
-        (status(flags=LOCK), "ned", TURNED),
-        (status(flags=LOCK | VEHICLE), "level", TURNED),
-        (status(flags=EARTH, delta=0.4), "level", Rotation.from_rpy(0.0, 0.0, -0.4) @ TURNED),
-        (status(flags=EARTH, delta=0.0), "ned", TURNED),
-        (status(flags=LOCK, delta=0.4), "ned", TURNED),
+        (gimbal_status(flags=VEHICLE), "level", TURNED),
+        (gimbal_status(flags=0), "level", TURNED),
+        (gimbal_status(flags=EARTH), "ned", TURNED),
+        (gimbal_status(flags=LOCK), "ned", TURNED),
+        (gimbal_status(flags=LOCK | VEHICLE), "level", TURNED),
+        (gimbal_status(flags=EARTH, delta=0.4), "level", Rotation.from_rpy(0.0, 0.0, -0.4) @ TURNED),
+        (gimbal_status(flags=EARTH, delta=0.0), "ned", TURNED),
+        (gimbal_status(flags=LOCK, delta=0.4), "ned", TURNED),
         (mav.MAVLink_mount_orientation_message(0, 10.0, -80.0, 30.0, 90.0), "level", MOUNTED),
         (
             mav.MAVLink_mount_orientation_message(0, 10.0, -80.0, math.nan, 90.0),
@@ -74,9 +74,9 @@ def test_mount_status_is_hundredths_of_a_degree_of_pitch_roll_and_yaw_on_the_veh
 @pytest.mark.parametrize(
     ("message", "why"),
     [
-        (status(flags=VEHICLE | EARTH), "frame"),
-        (status(failure=32), "failure"),
-        (status(failure=8 | 2), "failure"),
+        (gimbal_status(flags=VEHICLE | EARTH), "frame"),
+        (gimbal_status(failure=32), "failure"),
+        (gimbal_status(failure=8 | 2), "failure"),
         (mav.MAVLink_gimbal_device_attitude_status_message(1, 0, 0, VEHICLE, [math.nan] * 4, 0, 0, 0, 0, 0, 0), "rotation"),
         (mav.MAVLink_gimbal_device_attitude_status_message(1, 0, 0, VEHICLE, [0.0] * 4, 0, 0, 0, 0, 0, 0), "rotation"),
         (mav.MAVLink_gimbal_device_attitude_status_message(1, 0, 0, VEHICLE, [0.5, 0, 0, 0], 0, 0, 0, 0, 0, 0), "rotation"),
@@ -94,7 +94,7 @@ def test_the_older_message_counts_only_while_the_newer_one_does_not_come() -> No
     sampler = GimbalSampler(GimbalOptions(154))
     older = mav.MAVLink_mount_orientation_message(0, 0.0, -90.0, 0.0, 0.0)
     assert sampler.sample(older, NOW, None) is not None
-    assert sampler.sample(status(), MonoNs(NOW + 1), None) is not None
+    assert sampler.sample(gimbal_status(), MonoNs(NOW + 1), None) is not None
     assert sampler.sample(older, MonoNs(NOW + NS_PER_S // 2), None) is None
     assert sampler.sample(older, MonoNs(NOW + 3 * NS_PER_S), None) is not None
     assert sampler.refused == {}
@@ -103,14 +103,14 @@ def test_the_older_message_counts_only_while_the_newer_one_does_not_come() -> No
 def test_a_report_that_was_overtaken_is_refused_and_the_latency_is_taken_off() -> None:
     sampler = GimbalSampler(GimbalOptions(154, latency_s=0.1, latency_sigma_s=0.03))
     clock = BootClock(TimeSync(TimeSyncOptions()))
-    first = sampler.sample(status(ms=1000), NOW, clock)
+    first = sampler.sample(gimbal_status(ms=1000), NOW, clock)
     assert first is not None
     assert 0.1 <= (NOW - first.stamp.measured_at) * 1e-9 < 0.11
     assert first.stamp.sigma_s >= 0.03
-    assert sampler.sample(status(ms=1000), MonoNs(NOW + 1000), clock) is None
-    assert sampler.sample(status(ms=980), MonoNs(NOW + 2000), clock) is None
+    assert sampler.sample(gimbal_status(ms=1000), MonoNs(NOW + 1000), clock) is None
+    assert sampler.sample(gimbal_status(ms=980), MonoNs(NOW + 2000), clock) is None
     assert sampler.refused == {"old": 2}
-    assert sampler.sample(status(ms=1020), MonoNs(NOW + 20_000_000), clock) is not None
+    assert sampler.sample(gimbal_status(ms=1020), MonoNs(NOW + 20_000_000), clock) is not None
 
 
 numbers = st.floats(width=32)
@@ -130,26 +130,26 @@ TOLD = (
 @given(st.lists(st.tuples(TOLD, st.integers(0, NS_PER_S)), max_size=6), st.sampled_from(["auto", "mount_status"]), st.booleans())
 @settings(max_examples=150, deadline=None)
 def test_no_message_raises_and_each_of_the_chosen_kind_is_a_sample_or_counted(told, report, own):
-    sampler, at, given_out = GimbalSampler(GimbalOptions(1, report=report)), int(NOW), []
+    sampler, instant, given_out = GimbalSampler(GimbalOptions(1, report=report)), int(NOW), []
     boot = BootClock(TimeSync(TimeSyncOptions())) if own else None
     for message, later in told:
-        at += later
-        sample = sampler.sample(message, MonoNs(at), boot)
+        instant += later
+        sample = sampler.sample(message, MonoNs(instant), boot)
         if sample is not None:
             given_out.append(sample)
             assert np.all(np.isfinite(sample.R_frame_gimbal.matrix))
-            assert sample.stamp.measured_at <= at
+            assert sample.stamp.measured_at <= instant
     times = [s.stamp.measured_at for s in given_out]
     assert times == sorted(set(times))
     assert len(given_out) + sampler.refused.total() <= len(told)
 
 
-def at(seconds: float) -> MonoNs:
+def instant(seconds: float) -> MonoNs:
     return MonoNs(NOW + round(seconds * NS_PER_S))
 
 
-def asked(pointer: GimbalPointer, seconds: float, off_rad: float | None) -> tuple[int, list[float]] | None:
-    messages = pointer.due(at(seconds), US, MANAGER, off_rad)
+def requested(pointer: GimbalPointer, seconds: float, off_rad: float | None) -> tuple[int, list[float]] | None:
+    messages = pointer.due(instant(seconds), US, MANAGER, off_rad)
     if not messages:
         return None
     (m,) = messages
@@ -159,29 +159,29 @@ def asked(pointer: GimbalPointer, seconds: float, off_rad: float | None) -> tupl
 
 def test_it_takes_control_points_down_and_does_so_again_when_the_gimbal_has_left() -> None:
     pointer = GimbalPointer(154)
-    assert asked(pointer, 0.0, None) == (1001, [1.0, 191.0, 0.0, 154.0])
-    assert asked(pointer, 0.5, None) is None, "it waits for the answer"
-    assert asked(pointer, 1.1, None) == (1001, [1.0, 191.0, 0.0, 154.0]), "and asks again without one"
-    pointer.on_ack(1000, 0, at(1.15))
+    assert requested(pointer, 0.0, None) == (1001, [1.0, 191.0, 0.0, 154.0])
+    assert requested(pointer, 0.5, None) is None, "it waits for the answer"
+    assert requested(pointer, 1.1, None) == (1001, [1.0, 191.0, 0.0, 154.0]), "and asks again without one"
+    pointer.on_ack(1000, 0, instant(1.15))
     assert pointer.step is Step.CONTROL, "an answer to another command"
-    pointer.on_ack(1001, 0, at(1.2))
-    assert asked(pointer, 1.2, 1.5) == (1000, [-90.0, 0.0, 44.0, 154.0])
-    pointer.on_ack(1000, 0, at(1.3))
-    assert asked(pointer, 2.0, 1.5) is None, "it is on its way"
-    assert asked(pointer, 9.0, 0.1) is None
-    assert asked(pointer, 10.0, 0.3) == (1001, [1.0, 191.0, 0.0, 154.0])
+    pointer.on_ack(1001, 0, instant(1.2))
+    assert requested(pointer, 1.2, 1.5) == (1000, [-90.0, 0.0, 44.0, 154.0])
+    pointer.on_ack(1000, 0, instant(1.3))
+    assert requested(pointer, 2.0, 1.5) is None, "it is on its way"
+    assert requested(pointer, 9.0, 0.1) is None
+    assert requested(pointer, 10.0, 0.3) == (1001, [1.0, 191.0, 0.0, 154.0])
     assert pointer.counts == {"pointed": 1, "left": 1}
 
 
 def test_a_refusal_is_counted_and_requested_again_later(caplog: pytest.LogCaptureFixture) -> None:
     pointer = GimbalPointer(1)
     for n, t in enumerate((0.0, 10.0)):
-        assert asked(pointer, t, None) is not None
-        pointer.on_ack(1001, 2, at(t + 0.1))
-        assert asked(pointer, t + 3.0, None) is None
+        assert requested(pointer, t, None) is not None
+        pointer.on_ack(1001, 2, instant(t + 0.1))
+        assert requested(pointer, t + 3.0, None) is None
         assert pointer.counts["refused"] == n + 1
     assert [r.getMessage() for r in caplog.records] == ["gimbal 1: its manager refuses control (result 2); asking again"]
-    assert asked(pointer, 20.0, None) is not None
-    pointer.on_ack(1001, 3, at(20.1))
-    assert asked(pointer, 20.2, None) is not None
+    assert requested(pointer, 20.0, None) is not None
+    pointer.on_ack(1001, 3, instant(20.1))
+    assert requested(pointer, 20.2, None) is not None
     assert pointer.step is Step.POINT, "a manager that knows no control may still point"

@@ -31,7 +31,7 @@ def autopilot(*, settled: bool = True) -> Any:
     )
 
 
-def report(number: int = 0) -> Message:
+def gimbal_report(number: int = 0) -> Message:
     return mav.MAVLink_gimbal_device_attitude_status_message(1, 0, 0, 32, [1, 0, 0, 0], 0, 0, 0, 0, math.nan, math.nan, number)
 
 
@@ -49,22 +49,22 @@ def taken(gimbal: Gimbal, *args: Any, **more: Any) -> bool:
 
 def test_only_reports_of_the_vehicle_s_own_gimbal_from_one_place_count() -> None:
     gimbal = Gimbal(GimbalOptions(154), SystemClock())
-    assert not taken(gimbal, report(), 171, 0.0), "another gimbal"
-    assert not taken(gimbal, report(1), 1, 0.1), "one that the autopilot drives"
-    assert not taken(gimbal, report(), 154, 0.2, system=2), "another vehicle's"
-    assert not taken(gimbal, report(), 154, 0.3, level=AccessLevel.UNKNOWN)
-    assert taken(gimbal, report(), 154, 0.4)
-    assert not taken(gimbal, report(), 154, 0.5, source=ELSEWHERE), "its ids from another place"
-    assert taken(gimbal, report(), 154, 0.6)
-    assert taken(gimbal, report(), 154, 5.0, source=ELSEWHERE), "the first has been silent"
+    assert not taken(gimbal, gimbal_report(), 171, 0.0), "another gimbal"
+    assert not taken(gimbal, gimbal_report(1), 1, 0.1), "one that the autopilot drives"
+    assert not taken(gimbal, gimbal_report(), 154, 0.2, system=2), "another vehicle's"
+    assert not taken(gimbal, gimbal_report(), 154, 0.3, level=AccessLevel.UNKNOWN)
+    assert taken(gimbal, gimbal_report(), 154, 0.4)
+    assert not taken(gimbal, gimbal_report(), 154, 0.5, source=ELSEWHERE), "its ids from another place"
+    assert taken(gimbal, gimbal_report(), 154, 0.6)
+    assert taken(gimbal, gimbal_report(), 154, 5.0, source=ELSEWHERE), "the first has been silent"
     assert gimbal.counted()["reports"] == 3
 
 
 def test_a_gimbal_that_the_autopilot_drives_is_reported_by_its_number_and_an_old_autopilot_gives_none() -> None:
     first, second = (Gimbal(GimbalOptions(n), SystemClock()) for n in (1, 2))
     for number, who in ((0, [True, False]), (1, [True, False]), (2, [False, True])):
-        assert [taken(g, report(number), 1, float(number)) for g in (first, second)] == who
-    assert not taken(first, report(1), 154, 3.0)
+        assert [taken(g, gimbal_report(number), 1, float(number)) for g in (first, second)] == who
+    assert not taken(first, gimbal_report(1), 154, 3.0)
 
 
 def test_the_autopilot_is_queried_when_its_other_streams_are_settled_and_a_gimbal_at_once() -> None:

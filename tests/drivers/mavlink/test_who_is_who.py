@@ -98,7 +98,7 @@ class _Back(asyncio.DatagramProtocol):
         self._router.back(data)
 
 
-def names(autopilot: Autopilot) -> dict[str, bool]:
+def who_names(autopilot: Autopilot) -> dict[str, bool]:
     return {conflict.name: conflict.blocks for conflict in autopilot.id_conflicts}
 
 
@@ -131,7 +131,7 @@ async def test_of_two_with_one_id_the_first_is_listened_to_and_nobody_commanded(
         standing.intervals = dict(flying.intervals)  # its count alone, near the other's by chance, tells nobody apart
         time.sleep(0.7)  # noqa: ASYNC251 - the whole process stands still, which is no silence of the autopilot
         await stack.enter_async_context(standing.talking_to(url))
-        await until(lambda: names(autopilot) == {"autopilot-id-twice": True})
+        await until(lambda: who_names(autopilot) == {"autopilot-id-twice": True})
         with pytest.raises(Recoverable, match=r"two autopilots have one id.*vehicle\.system_id"):
             autopilot.command(AHEAD)
         autopilot.links.send(mav.MAVLink_statustext_message(6, b"all setpoints before have arrived"))
@@ -155,7 +155,7 @@ async def test_of_two_that_fly_the_chosen_one_is_commanded(monkeypatch: pytest.M
     async with routed() as (autopilot, _, url), one.talking_to(url):
         await until(lambda: autopilot.attitude is not None)
         async with other.talking_to(url):
-            await until(lambda: names(autopilot) == {"several-autopilots": True})
+            await until(lambda: who_names(autopilot) == {"several-autopilots": True})
             with pytest.raises(Recoverable, match=r"system 1 .* system 2 .*vehicle\.system_id \(1 or 2\)"):
                 autopilot.command(AHEAD)
             await asyncio.sleep(0.1)
@@ -199,7 +199,7 @@ async def test_another_program_with_our_ids_is_named_and_an_echo_is_none() -> No
         codec._spoken[191] = 100
         for _ in range(4):
             router.send(codec.pack(mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)))
-        await until(lambda: names(autopilot) == {"component-id-twice": False})
+        await until(lambda: who_names(autopilot) == {"component-id-twice": False})
         autopilot.command(AHEAD)  # it is clear who is meant
 
 

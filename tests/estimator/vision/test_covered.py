@@ -22,7 +22,7 @@ from tests.support.pad_claims import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, pad_scene
 
 
-def seen(camera: Camera, pad: Pad, condition: str, height_m: float, seed: int) -> PadScene:
+def covered_scene(camera: Camera, pad: Pad, condition: str, height_m: float, seed: int) -> PadScene:
     return pad_scene(np.random.default_rng([seed, 0xC07]), camera, pad, height_m, condition)
 
 
@@ -38,7 +38,7 @@ def kept_share(camera: Camera, pad: Pad, scene: PadScene, cut: F64) -> float:
 def test_the_border_of_what_covers_a_pad_is_found_and_the_rest_is_verified(camera: Camera, pad: Pad, height_m: float) -> None:
     good = 0
     for seed in range(4):
-        scene = seen(camera, pad, "half covered", height_m, seed)
+        scene = covered_scene(camera, pad, "half covered", height_m, seed)
         assert scene.truth is not None
         cut = cut_at(FrameView(Pyramid(scene.px), camera, pad), scene.truth)
         assert cut is not None
@@ -56,7 +56,7 @@ def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) ->
     gains = []
     for seed, condition in enumerate(c for c in CONDITIONS if c not in ("occluded", "glare")):
         for height_m in (1.0, 3.0, 8.0):
-            scene = seen(camera, pad, condition, height_m, seed)
+            scene = covered_scene(camera, pad, condition, height_m, seed)
             assert scene.truth is not None
             found = cover(FrameView(Pyramid(scene.px), camera, pad), scene.truth)
             gains.append(-1.0 if found is None else found.gain)
@@ -64,7 +64,7 @@ def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) ->
 
 
 def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera: Camera, pad: Pad) -> None:
-    scene = seen(camera, pad, "plain", 2.0, 1)
+    scene = covered_scene(camera, pad, "plain", 2.0, 1)
     assert scene.truth is not None
     middle = scene.truth.t_cam_pad[:2] / scene.truth.t_cam_pad[2]
     cut = np.array([1.0, 0.0, -middle[0]])
@@ -94,7 +94,7 @@ def test_half_covered_pads_are_found_from_cold(camera: Camera, pad: Pad) -> None
     found = 0
     for seed in range(3):
         for height_m in (0.5, 1.0, 3.0, 5.0):
-            scene = seen(camera, pad, "half covered", height_m, 100 + seed)
+            scene = covered_scene(camera, pad, "half covered", height_m, 100 + seed)
             for candidate in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
                 of = verified(FrameView(Pyramid(scene.px), camera, pad), candidate.pose, Orientation.of(None), cut=candidate.cut)
                 if of is not None and of.confidence >= SURE:
@@ -113,7 +113,7 @@ def heading_off(pose: PadPose, truth: PadPose) -> float:
 def test_what_covers_a_distant_pad_does_not_turn_it(camera: Camera, pad: Pad) -> None:
     covered = right = turned_right = 0
     for seed in range(20):
-        scene = seen(camera, pad, "half covered", 15.0, seed)
+        scene = covered_scene(camera, pad, "half covered", 15.0, seed)
         assert scene.truth is not None
         pyramid, start = Pyramid(scene.px), scene.truth.turned(math.radians(75.0))
         found = align_uncovered(FrameView(pyramid, camera, pad), start, SIGMA_TILT_RAD, 4)
@@ -131,7 +131,7 @@ def test_half_a_distant_pad_at_the_frames_edge_is_found_within_three_frames_of_a
     # With each kind of guesses tried to its end before the next, three of these were found.
     found = 0
     for seed in range(12):
-        scene, memory = seen(camera, pad, "half cut", 15.0, 300 + seed), SearchMemory()
+        scene, memory = covered_scene(camera, pad, "half cut", 15.0, 300 + seed), SearchMemory()
         assert scene.truth is not None
         for _ in range(3):
             of = search(FrameView(Pyramid(scene.px), camera, pad), scene.R_level_body, memory=memory, budget=FRAME_WORK)
@@ -195,7 +195,7 @@ def test_a_pad_whose_arrowhead_is_not_where_it_is_in_view_is_turned_by_half_a_tu
 def test_a_search_over_frames_leaves_every_kind_of_guesses_again(camera: Camera, pad: Pad, first: int) -> None:
     """Some kinds have more guesses than a search remembers to have refused. The lens was covered before."""
     rng = np.random.default_rng([first, 0xC08])
-    scene = seen(camera, pad, "plain", 2.0, 1)
+    scene = covered_scene(camera, pad, "plain", 2.0, 1)
     memory, best = SearchMemory(first, ()), 0.0
     for _ in range(10):
         px = (scene.px + rng.normal(0.0, 2.0, scene.px.shape)).clip(0, 255).astype(np.uint8)

@@ -33,7 +33,7 @@ NEST = tomllib.loads((CONFIGS / "pads" / "apriltag_nest.toml").read_text())
 NAMES = ("apriltag_nest", "aruco_board")
 
 
-def changed(region: int, **keys: Any) -> dict[str, Any]:
+def alter(region: int, **keys: Any) -> dict[str, Any]:
     data = copy.deepcopy(NEST)
     data["regions"][region] |= keys
     return data
@@ -48,21 +48,21 @@ def beside(**region: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (changed(1, dictionary="apriltag_25h9"), "regions[1].dictionary 'apriltag_25h9' is none of OpenCV's aruco module"),
-        (changed(1, id=35), "regions[1].id must be 0 to 34, the ids of DICT_APRILTAG_25h9, got 35"),
-        (changed(1, turn_deg=45), "regions[1].turn_deg must be 0, 90, 180 or 270, got 45"),
-        (changed(1, size_m=700), "regions[1].size_m must be 0.001 to 20 m, got 700.0: is it in millimetres? Write metres, 0.7"),
-        (changed(1, at_m=[120, 0]), "regions[1].at_m must be at most 20 m from the centre, got (120.0, 0.0): is it in mill"),
-        (changed(1, size_m=0.8), "needs a border of one cell (0.1143 m) on the panel and lacks 0.0909 m: make the panel larger"),
-        (changed(2, id=1), "regions[2] is DICT_APRILTAG_25h9 1, which is there already as regions[1]: give each"),
-        (changed(2, size_m=0.07), "at most 0.6 of it"),
-        (changed(2, at_m=[0.0, 0.1]), "regions[1]: regions[2] reaches into the fiducial or its border of light, one"),
+        (alter(1, dictionary="apriltag_25h9"), "regions[1].dictionary 'apriltag_25h9' is none of OpenCV's aruco module"),
+        (alter(1, id=35), "regions[1].id must be 0 to 34, the ids of DICT_APRILTAG_25h9, got 35"),
+        (alter(1, turn_deg=45), "regions[1].turn_deg must be 0, 90, 180 or 270, got 45"),
+        (alter(1, size_m=700), "regions[1].size_m must be 0.001 to 20 m, got 700.0: is it in millimetres? Write metres, 0.7"),
+        (alter(1, at_m=[120, 0]), "regions[1].at_m must be at most 20 m from the centre, got (120.0, 0.0): is it in mill"),
+        (alter(1, size_m=0.8), "needs a border of one cell (0.1143 m) on the panel and lacks 0.0909 m: make the panel larger"),
+        (alter(2, id=1), "regions[2] is DICT_APRILTAG_25h9 1, which is there already as regions[1]: give each"),
+        (alter(2, size_m=0.07), "at most 0.6 of it"),
+        (alter(2, at_m=[0.0, 0.1]), "regions[1]: regions[2] reaches into the fiducial or its border of light, one"),
         (beside(id=3, size_m=0.05, at_m=[0.36, 0.0]), "reaches into the fiducial or its border of light"),
         (beside(id=0, size_m=0.04, at_m=[-0.2, 0.0], dictionary="DICT_5X5_50"), "regions[3]"),
         ({**NEST, "paints": NEST["paints"] | {"black": [240, 240, 240]}}, "of luminance darker than 'white' below it"),
         ({**NEST, "regions": NEST["regions"][1:]}, "regions[0] (fiducial) lies on the bare deck"),
         ({**NEST, "regions": [*NEST["regions"], {"shape": "disc", "paint": "white", "radius_m": 0.6}]}, "a panel and a disc"),
-        (changed(0, length_m=900), "regions[0].length_m must be 0.001 to 20 m, got 900.0: is it in millimetres?"),
+        (alter(0, length_m=900), "regions[0].length_m must be 0.001 to 20 m, got 900.0: is it in millimetres?"),
     ],
 )  # fmt: skip
 def test_a_fiducial_that_cannot_be_read_is_refused_with_path_value_and_cure(data: dict[str, Any], said: str) -> None:

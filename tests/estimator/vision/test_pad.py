@@ -43,7 +43,7 @@ SHIPPED = sorted(path.stem for path in (CONFIGS / "pads").glob("*.toml"))
 STROKE = {"shape": "stroke", "width_m": 0.04}
 
 
-def changed(region: int, **keys: Any) -> dict[str, Any]:
+def alter(region: int, **keys: Any) -> dict[str, Any]:
     data = copy.deepcopy(THESIS)
     data["regions"][region] |= keys
     return data
@@ -75,19 +75,19 @@ def triangle(**keys: Any) -> dict[str, Any]:
         ({**THESIS, "sigma_m": 3}, "sigma_m is not a known key; did you mean size_sigma_m?"),
         ({**THESIS, "title": "mine"}, "title is not a known key; known here are name, paints, regions, lamps, size_sigma_m"),
         ({key: value for key, value in THESIS.items() if key != "paints"}, "paints is missing"),
-        (changed(0, radus_m=0.39), "regions[0]: radus_m is not a known key; did you mean radius_m?"),
+        (alter(0, radus_m=0.39), "regions[0]: radus_m is not a known key; did you mean radius_m?"),
         (beside(shape="disc", paint="white"), "regions[4]: radius_m is missing"),
         (beside(paint="white"), "regions[4]: Object missing required field `shape`"),
-        (changed(0, radius_m="wide"), "regions[0].radius_m: Expected `float`, got `str`, got 'wide'"),
-        (changed(0, radius_m=390), "regions[0].radius_m must be 0.001 to 20 m, got 390.0: is it in millimetres? Write metres"),
-        (changed(0, radius_m=10**400), "regions[0].radius_m: Number out of range, got 1000"),
-        (changed(1, inner_m=0.3), "regions[1]: inner_m must be less than outer_m, got 0.3 and 0.261"),
-        (changed(3, paint="pink"), "regions[3].paint 'pink' is not in [paints], which has 'green, orange, white'"),
-        (changed(3, paint="green"), "regions[3] lies in regions[0], which has the same paint 'green': it cannot be seen"),
-        (changed(3, length_m=0.6), "lettering must fit inside of the ring, whose inner_m is 0.243"),
-        (changed(3, stroke_m=0.11), "regions[3]: stroke_m 0.11 or bar_m 0.11 leaves no room"),
-        (changed(2, tip_m=0.41), r"regions[2] (arrow) crosses the border of regions[0] (disc)"),
-        (changed(2, tip_m=0.25), "must have the ring's paint and point beyond it: its tip_m is 0.25"),
+        (alter(0, radius_m="wide"), "regions[0].radius_m: Expected `float`, got `str`, got 'wide'"),
+        (alter(0, radius_m=390), "regions[0].radius_m must be 0.001 to 20 m, got 390.0: is it in millimetres? Write metres"),
+        (alter(0, radius_m=10**400), "regions[0].radius_m: Number out of range, got 1000"),
+        (alter(1, inner_m=0.3), "regions[1]: inner_m must be less than outer_m, got 0.3 and 0.261"),
+        (alter(3, paint="pink"), "regions[3].paint 'pink' is not in [paints], which has 'green, orange, white'"),
+        (alter(3, paint="green"), "regions[3] lies in regions[0], which has the same paint 'green': it cannot be seen"),
+        (alter(3, length_m=0.6), "lettering must fit inside of the ring, whose inner_m is 0.243"),
+        (alter(3, stroke_m=0.11), "regions[3]: stroke_m 0.11 or bar_m 0.11 leaves no room"),
+        (alter(2, tip_m=0.41), r"regions[2] (arrow) crosses the border of regions[0] (disc)"),
+        (alter(2, tip_m=0.25), "must have the ring's paint and point beyond it: its tip_m is 0.25"),
         (beside(shape="disc", paint="white", radius_m=0.1), "regions[4] is a second disc beside regions[0]"),
         (beside({**STROKE, "paint": "orange", "from_m": [0.1, 0.05], "to_m": [0.2, 0.05]}), "crosses the border of regions[3]"),
         (

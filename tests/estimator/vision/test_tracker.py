@@ -46,12 +46,12 @@ def stage(seed: int = 1) -> Stage:
     return Stage(CAMERA, PAD, Surroundings(), Light(), seed=seed)
 
 
-def attitude(view: RenderedView) -> Attitude:
+def attitude_of(view: RenderedView) -> Attitude:
     R = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.7)
     return Attitude(view.frame().stamp, R, 1e-6 * np.eye(3))
 
 
-def belief(view: RenderedView, off_m: tuple[float, float, float] = (0, 0, 0), sigma_m: float = 0.02) -> RelativeState:
+def estimate_of(view: RenderedView, off_m: tuple[float, float, float] = (0, 0, 0), sigma_m: float = 0.02) -> RelativeState:
     at = view.frame().stamp.measured_at
     cov = np.diag([sigma_m**2] * 3 + [0.01] * 3 + [0.02**2])
     return RelativeState(at, "ekf", view.d_body_pad_level + np.array(off_m), np.zeros(3), view.yaw_rad, cov, at, True)
@@ -72,11 +72,11 @@ def right(sighting: Sighting | None, view: RenderedView) -> bool:
 @pytest.mark.parametrize("method", ["fused", "registration"])
 def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, method: TrackerMethod) -> None:
     view = stage().view(height_m)
-    searched, memory = track(tracker(method), TrackerMemory(), view.frame(), attitude(view))
+    searched, memory = track(tracker(method), TrackerMemory(), view.frame(), attitude_of(view))
     assert right(searched.selected, view)
     assert searched.selected is not None
     assert searched.selected.confidence > (0.5 if height_m >= 0.5 else 0.2)
-    followed, _ = track(tracker(method), memory, view.frame(), attitude(view), belief(view, (0.02, -0.01, 0.01)))
+    followed, _ = track(tracker(method), memory, view.frame(), attitude_of(view), estimate_of(view, (0.02, -0.01, 0.01)))
     assert right(followed.selected, view)
     assert followed.selected is not None
     assert followed.selected.method == method
@@ -87,7 +87,7 @@ def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, 
 @pytest.mark.parametrize("method", ["fused", "registration"])
 def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerMethod, off_m: tuple[float, float, float]) -> None:
     view = stage().view(3.0)
-    seen, _ = track(tracker(method), TrackerMemory(), view.frame(), attitude(view), belief(view, off_m))
+    seen, _ = track(tracker(method), TrackerMemory(), view.frame(), attitude_of(view), estimate_of(view, off_m))
     if off_m[0] == 0.3:
         assert right(seen.selected, view), "no other pad can be so near"
         assert seen.elsewhere is None
@@ -102,13 +102,13 @@ def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(method: TrackerM
 )
 def test_an_estimate_that_is_old_inconsistent_or_inaccurate_excludes_no_place(age_s, consistent, alerts, sigma_m):
     view = stage().view(3.0)
-    sharp = belief(view, (0.0, -1.1, 0.0), sigma_m)
+    sharp = estimate_of(view, (0.0, -1.1, 0.0), sigma_m)
     of = replace(sharp, sighted=MonoNs(sharp.at - round(age_s * 1e9)), consistent=consistent, alerts=alerts)
-    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), of)
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude_of(view), of)
     assert right(seen.selected, view)
     assert seen.elsewhere is None
-    reported = replace(sharp, cov=belief(view).cov, consistent=False, alerts=(IntegrityAlert.ELSEWHERE,))
-    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), reported)
+    reported = replace(sharp, cov=estimate_of(view).cov, consistent=False, alerts=(IntegrityAlert.ELSEWHERE,))
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude_of(view), reported)
     assert right(seen.elsewhere, view), "another pad in view makes the belief no worse"
 
 
@@ -172,7 +172,7 @@ def test_a_near_track_does_not_settle_on_the_next_edge(name: str) -> None:
         reported = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * math.radians(1.0) ** 2)
         for _ in range(5):
             off_m = rng.normal(0.0, 0.03, 3)
-            estimate = belief(view, (off_m[0], off_m[1], off_m[2]), 0.03)
+            estimate = estimate_of(view, (off_m[0], off_m[1], off_m[2]), 0.03)
             estimate = replace(estimate, yaw_rad=view.yaw_rad + rng.normal(0.0, 0.02))
             found = track(config, TrackerMemory(), view.frame(), reported, estimate)[0].selected
             if found is not None and found.confidence >= 0.5:
@@ -186,7 +186,7 @@ def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> N
     rng = np.random.default_rng(0)
     sea = cv2.GaussianBlur(rng.integers(20, 90, (CAMERA.height, CAMERA.width, 3), np.uint8), (0, 0), 5)
     frame = type(view.frame())(view.frame().stamp, 0, sea)
-    seen, _ = track(tracker(), TrackerMemory(), frame, attitude(view), belief(view))
+    seen, _ = track(tracker(), TrackerMemory(), frame, attitude_of(view), estimate_of(view))
     assert seen.selected is None or seen.selected.confidence < 0.2
 
 
@@ -267,7 +267,7 @@ def descent() -> list[tuple[float, dict[Method, Sighting], Sighting, F64]]:
     stage, memory, out = Stage(CAMERA, PAD, Surroundings(), Light(), seed=4), TrackerMemory(), []
     for height_m in np.geomspace(14.0, 0.2, 30):
         view = stage.view(float(height_m), lateral=0.05, tilt_rad=math.radians(3.0))
-        seen, memory = track(tracker(), memory, view.frame(), attitude(view), belief(view, (0.01, -0.005, 0.01)))
+        seen, memory = track(tracker(), memory, view.frame(), attitude_of(view), estimate_of(view, (0.01, -0.005, 0.01)))
         assert seen.selected is not None, f"nothing at {height_m:.2f} m"
         cues = {method: cue for method, cue in seen.methods.items() if cue is not None}
         out.append((float(height_m), cues, seen.selected, view.d_body_pad_level))
@@ -310,9 +310,9 @@ def test_a_track_learns_the_tone(camera: Camera, pad: Pad, tone: str, steps: set
     for k in range(20):
         view, ns = stage.view(1.0), MonoNs(10**9 + 310_000_000 * k)
         stamp, cov = Stamp(ns, ns, 0.0, "sim"), np.diag([1e-6] * 3 + [0.01] * 3 + [4e-4])
-        belief = RelativeState(ns, "ekf", view.d_body_pad_level, np.zeros(3), view.yaw_rad, cov, ns, True)
-        attitude = Attitude(stamp, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * 1e-8)
-        seen, memory = track(tracker, memory, Frame(stamp, k, curve[view.px]), attitude, belief)
+        estimate_of = RelativeState(ns, "ekf", view.d_body_pad_level, np.zeros(3), view.yaw_rad, cov, ns, True)
+        attitude_of = Attitude(stamp, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * 1e-8)
+        seen, memory = track(tracker, memory, Frame(stamp, k, curve[view.px]), attitude_of, estimate_of)
         assert seen.selected is not None
         off_mm.append(1e3 * (math.dist(seen.selected.d_body_pad_level, (0, 0, 0)) - math.dist(view.d_body_pad_level, (0, 0, 0))))
     assert memory.tone.steps in steps
@@ -328,8 +328,8 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
     pad, exposure = shipped_pad(name), shot(height_m, (0.02, 0.03), (0.08, -0.05, yaw_rad))
     px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(3))
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
-    attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
-    found = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
+    attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+    found = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of)[0].selected
     assert found is not None
     assert found.yaw_rad is not None
     assert found.confidence > 0.9
@@ -350,8 +350,8 @@ def test_a_letter_is_not_seen_on_decks_and_sea_without_one(name: str) -> None:
         rng = np.random.default_rng([9200, i])
         scene = empty_scene(rng, config.camera, float(np.exp(rng.uniform(math.log(0.4), math.log(20.0)))))
         R = scene.R_level_body
-        attitude = None if R is None else Attitude(STAMP, R, 3e-4 * np.eye(3))
-        seen = track(config, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude)[0].selected
+        attitude_of = None if R is None else Attitude(STAMP, R, 3e-4 * np.eye(3))
+        seen = track(config, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude_of)[0].selected
         sure += seen is not None and seen.confidence >= 0.5
     assert sure == 0
 
@@ -365,15 +365,15 @@ def test_a_letter_that_is_followed_is_at_its_place_or_rejected(name: str, sigma:
     for height_m in (4.0, 7.0, 10.0):
         exposure = shot(height_m, (0.02, 0.03), (0.4, -0.3, 0.3))
         px = renderer.render(exposure, rng)
-        attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+        attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
         true = Rotation.from_rpy(0.0, 0.0, exposure.R_ned_body.rpy_rad[2]).inv @ (exposure.p_pad_ned - exposure.p_body_ned)
         heading = (exposure.R_ned_body.inv @ exposure.R_ned_pad).rpy_rad[2]
         for _ in range(5):
             sigma_m = sigma * height_m
             cov = np.diag([sigma_m**2] * 3 + [0.01] * 3 + [4e-4])
             near = true + rng.normal(0.0, sigma_m, 3)
-            belief = RelativeState(STAMP.measured_at, "ekf", near, np.zeros(3), heading, cov, STAMP.measured_at, True)
-            seen = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude, belief)[0].selected
+            estimate_of = RelativeState(STAMP.measured_at, "ekf", near, np.zeros(3), heading, cov, STAMP.measured_at, True)
+            seen = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of, estimate_of)[0].selected
             if seen is not None and seen.confidence >= 0.5:
                 sure += 1
                 assert np.linalg.norm(seen.d_body_pad_level - true) < 0.03 * height_m

@@ -35,7 +35,7 @@ from tests.support.pad_images import STAMP
 from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
 
 
-def at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:
+def align_at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> AlignedTemplate:
     aligned = align(FrameView(Pyramid(np.asarray(px, np.uint8)), camera, pad), pose, SIGMA_TILT_RAD, 0)
     assert aligned is not None
     return aligned
@@ -51,12 +51,12 @@ def test_each_part_painted_over_is_missed_by_name(camera: Camera, pad: Pad, heig
     uv = camera.project(seen.truth.points(np.array([[0.0, 0.18, 0.0]])))[0]
     green = tuple(int(c) for c in seen.px[round(uv[1]), round(uv[0])])
     paint = (green[0], green[1], green[2])
-    whole = named(at(seen.px, camera, pad, seen.truth))
-    no_h = named(at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth))
+    whole = named(align_at(seen.px, camera, pad, seen.truth))
+    no_h = named(align_at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth))
     assert no_h["h_marking"] < 0.25 * whole["h_marking"]
     assert no_h["ring"] > 0.6 * whole["ring"]
     band = np.concatenate([disc_of(0.31), disc_of(0.31)[:1], disc_of(0.225)[:1], disc_of(0.225)[::-1]])
-    no_ring = named(at(covered(seen, camera, band, paint), camera, pad, seen.truth))
+    no_ring = named(align_at(covered(seen, camera, band, paint), camera, pad, seen.truth))
     assert no_ring["ring"] < 0.35 * whole["ring"]
     assert no_ring["h_marking"] > 0.6 * whole["h_marking"]
     assert abs(no_ring["arrow"]) < 0.5
@@ -72,17 +72,17 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
         covered(seen, camera, band, paint),
         covered(seen, camera, disc_of(0.31), paint),
     ]
-    values = [confidence_of_features(at(px, camera, pad, seen.truth).features) for px in images]
+    values = [confidence_of_features(align_at(px, camera, pad, seen.truth).features) for px in images]
     assert values[0] > 0.9
     assert max(values[1:]) < 0.5
     shifted = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + np.array([0.05, 0.0, 0.0]))
-    assert confidence_of_features(at(seen.px, camera, pad, shifted).features) < 0.5
+    assert confidence_of_features(align_at(seen.px, camera, pad, shifted).features) < 0.5
 
 
 @pytest.mark.parametrize("light", [Light(3000.0), Light(9000.0), Light(white_balance=(1.2, 1.0, 0.8)), Light(exposure_ev=-2.0)])
 def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, light: Light) -> None:
     plain, other = (
-        named(at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth)) for k in (Light(), light)
+        named(align_at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth)) for k in (Light(), light)
     )
     # A quarter of the light against the same noise costs up to log 4 of a gain that is 3.3 here.
     kept = 0.55 if light.exposure_ev < 0.0 else 0.7
@@ -96,7 +96,7 @@ def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
     shape = (camera.height, camera.width, 3)
     pose = shown(camera, pad, 1.0).truth
     for px in (np.zeros(shape), np.full(shape, 255), rng.integers(0, 256, shape)):
-        values = at(px.astype(np.uint8), camera, pad, pose).features
+        values = align_at(px.astype(np.uint8), camera, pad, pose).features
         assert np.all(np.isfinite(values))
         assert confidence_of_features(values) < 0.2
 

@@ -17,7 +17,7 @@ from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
 
 
-def flight(
+def gimbal_flight(
     folder: Path, *, point_down: bool = True, limit_s: float = 90.0, perception: Any = "pixels", **gimbal: Any
 ) -> AutopilotFlight:
     scenario = load("gimbal")
@@ -34,7 +34,7 @@ def flight(
 
 @pytest.mark.timeout(600)
 async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_somebody_pointed_ahead_on_the_way(tmp_path):
-    landing = flight(tmp_path, device_id=1, yaw="earth", leaves_at_s=8.0)
+    landing = gimbal_flight(tmp_path, device_id=1, yaw="earth", leaves_at_s=8.0)
     end = await landing.fly()
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED
@@ -49,7 +49,7 @@ async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_s
 
 @pytest.mark.timeout(600)
 async def test_it_does_not_descend_while_the_gimbal_reports_nothing(tmp_path: Path) -> None:
-    landing = flight(tmp_path, limit_s=6.0, silent_at_s=1.0)
+    landing = gimbal_flight(tmp_path, limit_s=6.0, silent_at_s=1.0)
     end = await landing.fly()
     assert end.landing is None
     assert end.outcome is not FlightOutcome.LANDED

@@ -58,7 +58,7 @@ class CommandHandler:
         self.station.on_message(message, self.now)
 
 
-def commands(messages: list[Message]) -> list[tuple[int, int]]:
+def station_commands(messages: list[Message]) -> list[tuple[int, int]]:
     return [(m.command, m.target_component) for m in messages if m.get_type() == "COMMAND_LONG"]
 
 
@@ -66,14 +66,14 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     command_handler = CommandHandler()
     assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}
     command_handler.on_message(beat("stabilize", False))
-    assert set(commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
+    assert set(station_commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
     command_handler.on_message(beat("guided", False))
-    assert set(commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
+    assert set(station_commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
     command_handler.on_message(beat("guided", True))
     climbing = [m for m in command_handler.wait(1.0) if m.get_type() == "COMMAND_LONG"]
     assert [(m.command, m.param7) for m in climbing] == [(mav.MAV_CMD_NAV_TAKEOFF, 4.0)]
     command_handler.view = replace(FAR, height_m=2.0)
-    assert commands(command_handler.wait(2.0)) == [], "it climbs: nothing to repeat"
+    assert station_commands(command_handler.wait(2.0)) == [], "it climbs: nothing to repeat"
     command_handler.view = replace(FAR, height_m=3.9)
     flying = [m for m in command_handler.wait(1.0) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
     # 5 m away: 1.5 m/s towards it on top of the ship's 1.5 m/s ahead, in ned by a heading of 0.3 rad
@@ -84,9 +84,9 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     # A pad that heaves takes the start up and down with it
     there = replace(FAR, height_m=4.0, to_start_level=np.array([0.3, 0.2, 1.2]), v_rel_level=np.array([0.1, 0.1, -0.9]))
     command_handler.view = there
-    assert commands(command_handler.wait(3.0)) == [], "not on the heading yet"
+    assert station_commands(command_handler.wait(3.0)) == [], "not on the heading yet"
     command_handler.view = replace(there, turn_rad=0.05)
-    assert (mav.MAV_CMD_NAV_LAND, 191) in commands(command_handler.wait(1.6))
+    assert (mav.MAV_CMD_NAV_LAND, 191) in station_commands(command_handler.wait(1.6))
     command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_IN_PROGRESS, 191))
     assert command_handler.station.task is Task.WATCH
     assert command_handler.station.began == command_handler.now
@@ -104,7 +104,7 @@ def test_where_the_landing_begins_at_rest_the_start_comes_up_to_a_vehicle_that_s
         command_handler.view = OperatorView(d, np.array([*v_ship, 0.0]), v_rel, 0.0, 0.0, 4.0, rests=True)
         output = command_handler.wait(0.1)
         v = next((np.array([m.vx, m.vy]) for m in output if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"), v)
-        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in commands(output):
+        if ordered := (mav.MAV_CMD_NAV_LAND, 191) in station_commands(output):
             break
         start, body = start + 0.1 * v_ship, body + 0.1 * v
     assert ordered
@@ -139,7 +139,7 @@ def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
     def flown(seconds: float) -> tuple[set[tuple[int, int]], set[tuple[float, ...]]]:
         out = command_handler.wait(seconds)
         steered = [m for m in out if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
-        return set(commands(out)), {(round(m.vx, 3), round(m.vy, 3), round(m.vz, 3)) for m in steered}
+        return set(station_commands(out)), {(round(m.vx, 3), round(m.vy, 3), round(m.vz, 3)) for m in steered}
 
     beat_px4("auto.loiter", False)
     assert flown(2.0) == ({(mav.MAV_CMD_DO_SET_MODE, 1)}, {(1.5, 0.2, 0.0)})
@@ -199,7 +199,7 @@ def test_brought_back_from_the_deck_it_leaves_by_a_take_off_or_where_that_is_ref
     command_handler.on_message(ack(mav.MAV_CMD_NAV_TAKEOFF, mav.MAV_RESULT_FAILED))
     assert command_handler.station.task is Task.TAKE_OFF, "on the first time it is asked again"
     command_handler.station.again(command_handler.now, 0.05)
-    assert (mav.MAV_CMD_NAV_TAKEOFF, 1) in commands(command_handler.wait(1.0))
+    assert (mav.MAV_CMD_NAV_TAKEOFF, 1) in station_commands(command_handler.wait(1.0))
     result = mav.MAV_RESULT_ACCEPTED if stands else mav.MAV_RESULT_FAILED
     command_handler.on_message(ack(mav.MAV_CMD_NAV_TAKEOFF, result))
     assert command_handler.station.task is (Task.TAKE_OFF if stands else Task.GO)

@@ -25,14 +25,14 @@ from tests.fly import NEAR
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan
 
 
-def flown(job: Job) -> Flight:
+def fly_job(job: Job) -> Flight:
     return fly_order(Order(job, plan().base(), code_version(), fake_fly))
 
 
 def keep(folder: Path, seeds: range) -> None:
     with closing(FolderStore(folder, plan(), seeds)) as kept:
         for seed in seeds:
-            kept.keep([flown(Job(seed))], 1.0 + seed)
+            kept.keep([fly_job(Job(seed))], 1.0 + seed)
 
 
 def drive(folder: Path, *args: str, **more: Any) -> subprocess.Popen[str]:
@@ -41,7 +41,7 @@ def drive(folder: Path, *args: str, **more: Any) -> subprocess.Popen[str]:
 
 
 def test_processes_that_are_killed_cost_no_flight_and_double_none(tmp_path: Path) -> None:
-    reference = tally(map(flown, map(Job, range(12))))
+    reference = tally(map(fly_job, map(Job, range(12))))
     child = drive(tmp_path, "12", "0.2", "2", start_new_session=True)
     assert child.stdout is not None
     for _ in range(3):
@@ -72,7 +72,7 @@ def test_an_error_is_a_result_and_so_is_a_process_that_dies() -> None:
     assert flights[RAISES]["because"].startswith("ValueError: an unlucky number (fakes.py:")
     assert flights[KILLS]["because"] == "the process that flew it died"
     assert tally(flights.values()).errors == 2
-    assert flights[14]["hash"] == flown(Job(14))["hash"], "the same wherever it is flown"
+    assert flights[14]["hash"] == fly_job(Job(14))["hash"], "the same wherever it is flown"
 
 
 def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> None:
@@ -99,14 +99,14 @@ def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> 
 
 def test_a_write_that_fails_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(FolderStore(tmp_path, plan(), range(2))) as kept:
-        kept.keep([flown(Job(0))], 1.0)
+        kept.keep([fly_job(Job(0))], 1.0)
 
         def full(_: int) -> None:
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(os, "fsync", full)
         with pytest.raises(Recoverable, match="No space left on device; 1 flights are kept"):
-            kept.keep([flown(Job(1))], 2.0)
+            kept.keep([fly_job(Job(1))], 2.0)
         assert [f["seed"] for f in kept.flights()] == [0]
 
 
@@ -166,7 +166,7 @@ def test_wilsons_interval() -> None:
 
 
 def test_the_summary_does_not_depend_on_the_order(tmp_path: Path) -> None:
-    flights = [flown(Job(seed)) for seed in seeds_of(20, 9)]
+    flights = [fly_job(Job(seed)) for seed in seeds_of(20, 9)]
     one, two = tally(flights), tally(reversed([{**f, "cpu_s": 99.0} for f in flights]))
     assert one.hash == two.hash
     output = one.summary("near", "pixels", 2.0)
@@ -264,7 +264,7 @@ print(blocked >> signal.SIGINT - 1 & 1, signal.SIGINT in signal.pthread_sigmask(
 def test_the_session_keeps_before_it_reports(tmp_path: Path) -> None:
     class Workforce:
         def results(self, jobs):
-            return map(flown, jobs)
+            return map(fly_job, jobs)
 
     with closing(FolderStore(tmp_path, plan(), range(3))) as kept:
         reported = []

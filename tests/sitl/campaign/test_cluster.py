@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 @contextmanager
-def program(*args: str, ready: str, **env: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def worker_program(*args: str, ready: str, **env: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run a program of Dask until the end of the context; the text is the line in which it says that it is ready."""
     more = {**os.environ, "PYTHONPATH": os.getcwd(), **env}
     child = subprocess.Popen([sys.executable, "-m", *args], stderr=subprocess.PIPE, text=True, env=more)
@@ -40,14 +40,14 @@ def program(*args: str, ready: str, **env: str) -> Iterator[tuple[subprocess.Pop
 
 def worker(address: str, name: str, **env: str):
     command = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--name", name)
-    return program(*command, ready="Registered to", **env)
+    return worker_program(*command, ready="Registered to", **env)
 
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Yield a scheduler with one worker, and its address. The last test here ends it."""
     command = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-    with program(*command, ready="Scheduler at") as (head, line):
+    with worker_program(*command, ready="Scheduler at") as (head, line):
         address = re.search(r"tcp://\S+", line)[0]
         with worker(address, "one"):
             yield head, address

@@ -147,7 +147,7 @@ def test_a_written_file_is_the_scenario_that_was_flown(tmp_path: Path) -> None:
 
 
 def test_several_scenarios_are_flown_with_the_same_seeds_and_each_has_its_cases(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(random_faults, "verdict_of", lambda flight: "unsafe")
+    monkeypatch.setattr(random_faults, "verdict_of", lambda flight_row: "unsafe")
     monkeypatch.setattr(random_faults, "simpler", lambda faults: iter(()))
     names = []
     for name in ("one", "two"):
@@ -157,14 +157,14 @@ def test_several_scenarios_are_flown_with_the_same_seeds_and_each_has_its_cases(
     common = ["--runs", "1", "--seed", "3", "--perception", "model", "--faults", "random", "--workers", "1"]
     cli.main(["campaign", *names, *common, "--json", "--out", str(out)])
     *flights, summary = map(json.loads, capsys.readouterr().out.splitlines())
-    assert sorted(flight["scenario"] for flight in flights) == names
+    assert sorted(flight_row["scenario"] for flight_row in flights) == names
     assert flights[0]["faults"] == flights[1]["faults"]
     assert summary["summary"]["random_faults"]["counts"]["unsafe"] == 2
     assert sorted(path.name for path in out.glob("unsafe*")) == ["unsafe-one-3.toml", "unsafe-two-3.toml"]
     assert "--perception model" in (out / "unsafe-one-3.toml").read_text()
 
 
-def flight(seed: int, **over: Any) -> Flight:
+def flight_row(seed: int, **over: Any) -> Flight:
     touch = {"lateral_m": 0.1 * seed, "lateral_speed_m_s": 1.0 / (1 + seed)}
     own = {
         "scenario": "near",
@@ -181,10 +181,10 @@ def flight(seed: int, **over: Any) -> Flight:
 def test_shares_and_worst_flights_are_counted_and_reported() -> None:
     tally = FaultTally()
     for seed in range(20):
-        tally.take(flight(seed))
-    tally.take(flight(20, grade="failed", unsafe=["flew high"], contacts=[], outcome="gave up"))
-    tally.take(flight(21, grade="refused rightly", highest_m=None, contacts=[]))
-    tally.take(flight(22, grade="failed", contacts=[], highest_m=1.0))
+        tally.take(flight_row(seed))
+    tally.take(flight_row(20, grade="failed", unsafe=["flew high"], contacts=[], outcome="gave up"))
+    tally.take(flight_row(21, grade="refused rightly", highest_m=None, contacts=[]))
+    tally.take(flight_row(22, grade="failed", contacts=[], highest_m=1.0))
     output = tally.as_json()
     assert output["counts"] == {"landed": 20, "refused": 1, "undecided": 1, "unsafe": 1, "error": 0}
     assert [f["seed"] for f in output["worst"]["height"]] == [20, *range(19, 10, -1)]
@@ -198,7 +198,7 @@ def test_shares_and_worst_flights_are_counted_and_reported() -> None:
 def test_a_campaign_writes_cases_that_fly_again_and_simulate_draws_the_same(tmp_path, monkeypatch, capsys):
     scenario = tmp_path / "near.toml"
     scenario.write_text(NEAR)
-    monkeypatch.setattr(random_faults, "verdict_of", lambda flight: "unsafe")  # a safe flight stands for an unsafe one
+    monkeypatch.setattr(random_faults, "verdict_of", lambda flight_row: "unsafe")  # a safe flight stands for an unsafe one
     common = [str(scenario), "--perception", "model", "--seed", "3", "--json", "--faults", "random"]
     cli.main(["campaign", *common, "--runs", "1", "--workers", "1", "--out", str(tmp_path / "out")])
     flown, summary = map(json.loads, capsys.readouterr().out.splitlines())

@@ -9,7 +9,7 @@ import pytest
 from sitl.campaign.soak_flights import Class, Flown, Records
 
 
-def flown(n: int) -> Flown:
+def record_number(n: int) -> Flown:
     return Flown(30.0 * n, n, f"a ferry; faults/number_{n}", Class.FAILED if n % 3 else Class.ON_PAD, f"because of {n}", 12.5 + n)
 
 
@@ -17,23 +17,23 @@ def test_records_come_back_in_their_order_and_more_may_come_meanwhile() -> None:
     records = Records(Flown)
     assert list(records) == []
     for n in range(3):
-        records.append(flown(n))
+        records.append(record_number(n))
     seen = []
     for record in records:
         seen.append(record)
-        records.append(flown(10 + len(seen)))
-    assert seen == [flown(0), flown(1), flown(2)]
+        records.append(record_number(10 + len(seen)))
+    assert seen == [record_number(0), record_number(1), record_number(2)]
     assert len(records) == 6
-    assert list(records)[3:] == [flown(11), flown(12), flown(13)]
+    assert list(records)[3:] == [record_number(11), record_number(12), record_number(13)]
 
 
 def test_a_day_of_records_takes_no_memory() -> None:
     records = Records(Flown)
-    records.append(flown(0))
+    records.append(record_number(0))
     tracemalloc.start()
     try:
         for n in range(5000):
-            records.append(flown(n))
+            records.append(record_number(n))
         assert tracemalloc.get_traced_memory()[0] < 20_000, "a list of them takes two megabytes"
     finally:
         tracemalloc.stop()
@@ -62,6 +62,6 @@ def test_a_full_temporary_folder_loses_none(monkeypatch: pytest.MonkeyPatch, cap
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **keys: Full(whole(**keys)))
     records = Records(Flown)
     for n in range(6):
-        records.append(flown(n))
-    assert list(records) == [flown(n) for n in range(6)]
+        records.append(record_number(n))
+    assert list(records) == [record_number(n) for n in range(6)]
     assert capsys.readouterr().err.count("no space left; the run keeps its further records in memory\n") == 1
