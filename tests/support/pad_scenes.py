@@ -24,7 +24,6 @@ from sitl.sea.sea import SEA_STATES, Waves
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / ".." / "shared" / "data"
 DECK_PAINTS: tuple[RGB, ...] = ((112, 118, 122), (150, 152, 150), (78, 84, 90), (120, 96, 84))
-HALF_HIDDEN = ("half covered", "half cut", "half shaded")
 CONDITIONS = ("plain", "light", "glare", "wet", "shadow", "cut", "occluded")
 
 
