@@ -43,6 +43,7 @@ from estimator import ekf
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
+from estimator.options import DeadReckoningOptions
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
 from tests.support.approach_settings import DURATION_S, OPTIONS, setting
@@ -94,10 +95,10 @@ def fly(seed: int) -> Result:
     s = setting(seed)
     flight = TruthFlight(s)
     out = Result(s.sea, s.sighting_hz)
-    memory = ekf.start(OPTIONS)
+    memory = ekf.Filter(OPTIONS)
     others: dict[str, MedianMeanPath | DeadReckoningPath] = {
-        "median_mean": MedianMeanPath(),
-        "dead_reckoning": DeadReckoningPath(),
+        "median_mean": MedianMeanPath(0.5),
+        "dead_reckoning": DeadReckoningPath(0.5, DeadReckoningOptions()),
     }
     squares: dict[str, list[tuple[float, float]]] = defaultdict(list)
     nees, nis, cost = [], [], defaultdict(list)
@@ -108,7 +109,7 @@ def fly(seed: int) -> Result:
         while event.stamp.received_at >= ns(next_s):
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
             began = time.process_time()
-            answer = ekf.at(memory, ns(next_s))
+            answer = memory.at(ns(next_s))
             cost["answer"].append(time.process_time() - began)
             states = {name: path.at(ns(next_s)) for name, path in others.items()} | {"ekf": answer}
             for name, state in states.items():
@@ -123,27 +124,27 @@ def fly(seed: int) -> Result:
             if next_s >= next_forecast_s and next_s < DURATION_S - 3.5:
                 next_forecast_s += 1.0
                 began = time.process_time()
-                predicted = ekf.forecast(memory, ns(next_s), HORIZONS_S)
+                predicted = memory.forecast(ns(next_s), HORIZONS_S)
                 cost["forecast"].append(time.process_time() - began)
                 compare(predicted, flight, next_s, covered)
             next_s += 0.1
         began = time.process_time()
-        memory, outcomes = ekf.step(memory, event)
+        outcomes = memory.put([event])
         cost[type(event).__name__].append(time.process_time() - began)
         outcome = outcomes[0]
         verdicts[outcome.verdict.value] += 1
         if isinstance(event, Sighting) and outcome.verdict is Verdict.FUSED and outcome.innovation is not None and event.seq > 20:
             low, high = CHI2_NIS[outcome.innovation.size]
             nis.append((outcome.nis / outcome.innovation.size, low <= outcome.nis <= high))
-        for name, path in others.items():
-            others[name] = path.step(event)[0] if isinstance(event, Sighting) else path.step_samples([event])[0]
+        for path in others.values():
+            path.sight(event) if isinstance(event, Sighting) else path.put([event])
     for name, rows in squares.items():
         out.position[name], out.velocity[name] = (float(x) for x in np.mean(rows, axis=0))
     out.nees = float(np.mean(nees)) / 7.0
     out.nees_inside = float(np.mean([CHI2_7[0] <= x <= CHI2_7[1] for x in nees]))
     out.nis, out.nis_inside = (float(x) for x in np.mean(nis, axis=0))
     out.covered = dict(covered)
-    final = ekf.at(memory, ns(DURATION_S - 0.05))
+    final = memory.at(ns(DURATION_S - 0.05))
     if final is not None:
         named = dict(final.details)
         out.delay_error_s = named["camera_delay_s"] - s.hidden_delay_s
@@ -298,7 +299,7 @@ class OtherPath:
         self.path = path
 
     def step(self, event: Event) -> None:
-        self.path = self.path.step(event)[0] if isinstance(event, Sighting) else self.path.step_samples([event])[0]
+        self.path.sight(event) if isinstance(event, Sighting) else self.path.put([event])
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return self.path.at(now)
@@ -306,8 +307,8 @@ class OtherPath:
 
 PATHS: dict[str, Callable[[], MocapFilter | OtherPath]] = {
     "ekf": MocapFilter,
-    "dead_reckoning": lambda: OtherPath(DeadReckoningPath()),
-    "median_mean": lambda: OtherPath(MedianMeanPath()),
+    "dead_reckoning": lambda: OtherPath(DeadReckoningPath(0.5, DeadReckoningOptions())),
+    "median_mean": lambda: OtherPath(MedianMeanPath(0.5)),
 }
 
 

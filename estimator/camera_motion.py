@@ -3,10 +3,10 @@
 import numpy as np
 from msgspec import structs
 
-from estimator import pipeline
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import Stamp, after
 from estimator.gimbal_history import HeldCamera
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
 from estimator.vision.rolling import CameraMotion
 
@@ -15,7 +15,7 @@ _LEAST_S = 0.01
 
 
 def camera_motion(
-    memory: pipeline.Memory, stamp: Stamp, camera: Camera, belief: RelativeState, held: HeldCamera | None = None
+    estimator: RelativeEstimator, stamp: Stamp, camera: Camera, belief: RelativeState, held: HeldCamera | None = None
 ) -> CameraMotion | None:
     """Return the camera's motion at an exposure; None if attitude or gimbal do not cover it.
 
@@ -28,15 +28,15 @@ def camera_motion(
     """
     aside_s = max(0.5 * abs(camera.readout_s), _LEAST_S)
     earlier, later = _at(stamp, -aside_s), _at(stamp, aside_s)
-    begins, ends = pipeline.attitude_at(memory, earlier), pipeline.attitude_at(memory, later)
+    begins, ends = estimator.attitude_at(earlier), estimator.attitude_at(later)
     if begins is None or ends is None:
         return None
-    moves, _ = pipeline.motion(memory, stamp.measured_at)
+    moves, _ = estimator.motion(stamp.measured_at)
     w_body = (begins.R_ned_body.inv @ ends.R_ned_body).rotvec_rad / (2.0 * aside_s) if moves is None else moves.w_body
     R_body_cam = camera.T_body_cam.R
     w_cam = R_body_cam.inv @ w_body
     if held is not None:
-        first, last = pipeline.held_at(memory, earlier, begins), pipeline.held_at(memory, later, ends)
+        first, last = estimator.held_at(earlier, begins), estimator.held_at(later, ends)
         if first is None or last is None:
             return None
         turned = (begins.R_ned_body @ first.R_body_gimbal).inv @ (ends.R_ned_body @ last.R_body_gimbal)

@@ -12,8 +12,7 @@ exposure to any instant, and the covariance grows with the time between. A frame
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, replace
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
@@ -34,6 +33,12 @@ GATE_NIS = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
 _KEPT = 5
 """Number of innovations by which the belief is called consistent."""
+_ACCELERATION_DENSITY_M2_S3 = 1.0
+"""Spectral density of the acceleration of drone and deck along each axis."""
+_SIGMA_V_M_S = 1.0
+"""Standard deviation of the velocity at the first sighting."""
+_SIGMA_HEADING_RATE_RAD_S = 0.01
+"""Drift of the vehicle's heading against the pad's: one standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,47 +53,42 @@ class _Belief:
     """True for each of the newest innovations that lay inside the gate."""
 
 
-@dataclass(frozen=True, slots=True)
 class ConstantVelocityPath:
-    """Sightings through a Kalman filter of constant velocity."""
+    """Sightings through a Kalman filter of constant velocity.
 
-    attitudes: AttitudeHistory = field(default_factory=AttitudeHistory)
-    max_gap_s: float = 0.5
-    """Time without a fused sighting after which the filter starts again."""
-    acceleration_density_m2_s3: float = 1.0
-    """Spectral density of the acceleration of drone and deck along each axis."""
-    sigma_v_m_s: float = 1.0
-    """Standard deviation of the velocity at the first sighting."""
-    sigma_heading_rate_rad_s: float = 0.01
-    """Drift of the vehicle's heading against the pad's: one standard deviation."""
-    belief: _Belief | None = None
-    arrow: ArrowHeading | None = None
+    Args:
+        max_gap_s: time without a fused sighting after which the filter starts again.
+    """
 
-    @property
-    def name(self) -> PathName:
-        return "constant_velocity"
+    name: PathName = "constant_velocity"
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
-        attitudes = self.attitudes.add(*[s for s in samples if type(s) is Attitude])
-        return replace(self, attitudes=attitudes), [None] * len(samples)
+    def __init__(self, attitudes: AttitudeHistory, max_gap_s: float) -> None:
+        self._attitudes, self._max_gap_s = attitudes, max_gap_s
+        self._belief: _Belief | None = None
+        self._arrow: ArrowHeading | None = None
 
-    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
-        stamp, last = sighting.stamp, self.belief
+    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+        self._attitudes = self._attitudes.add(*[s for s in samples if type(s) is Attitude])
+        return [None] * len(samples)
+
+    def sight(self, sighting: Sighting) -> FusionResult:
+        stamp, last = sighting.stamp, self._belief
         result = FusionResult(self.name, "sighting", Verdict.FUSED, stamp.measured_at, stamp.received_at)
-        attitude = self.attitudes.at(stamp.measured_at, stamp)
+        attitude = self._attitudes.at(stamp.measured_at, stamp)
         if attitude is None:
-            return self, structs.replace(result, verdict=Verdict.NO_ATTITUDE)
+            return structs.replace(result, verdict=Verdict.NO_ATTITUDE)
         elapsed_s = math.inf if last is None else seconds_between(last.at, stamp.measured_at)
         if elapsed_s <= 0.0:
-            return self, structs.replace(result, verdict=Verdict.TOO_OLD)
+            return structs.replace(result, verdict=Verdict.TOO_OLD)
         heading_rad = attitude.R_ned_body.rpy_rad[2]
         R_ned_level = Rotation.from_rpy(0.0, 0.0, heading_rad).matrix
         z, R = R_ned_level @ sighting.d_body_pad_level, R_ned_level @ sighting.cov[:3, :3] @ R_ned_level.T
-        if last is None or elapsed_s > self.max_gap_s:
-            P = self.sigma_v_m_s**2 * np.eye(6)
+        if last is None or elapsed_s > self._max_gap_s:
+            P = _SIGMA_V_M_S**2 * np.eye(6)
             P[:3, :3] = R
             first = _Belief(stamp.measured_at, np.concatenate([z, np.zeros(3)]), P)
-            return replace(self, belief=first, arrow=heading_after(None, heading_rad, sighting)), result
+            self._belief, self._arrow = first, heading_after(None, heading_rad, sighting)
+            return result
 
         kalman = self._predicted(last, elapsed_s)
         kalman.update(z, R)
@@ -105,12 +105,14 @@ class ConstantVelocityPath:
         )
         agreed = (*last.agreed, nis <= GATE_NIS)[-_KEPT:]
         if nis > GATE_NIS:
-            return replace(self, belief=replace(last, agreed=agreed)), result
-        belief = _Belief(stamp.measured_at, kalman.x, kalman.P, agreed)
-        return replace(self, belief=belief, arrow=heading_after(self.arrow, heading_rad, sighting)), result
+            self._belief = replace(last, agreed=agreed)
+            return result
+        self._belief = _Belief(stamp.measured_at, kalman.x, kalman.P, agreed)
+        self._arrow = heading_after(self._arrow, heading_rad, sighting)
+        return result
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        belief = self.belief
+        belief = self._belief
         if belief is None:
             return None
         kalman = self._predicted(belief, seconds_between(belief.at, now))
@@ -119,17 +121,17 @@ class ConstantVelocityPath:
         turn, cov = np.kron(np.eye(2), R_level_ned), np.zeros((7, 7))
         d, v = (turn @ kalman.x).reshape(2, 3)
         cov[:6, :6] = turn @ kalman.P @ turn.T
-        cov[6, 6] = UNKNOWN_YAW_VAR if self.arrow is None else self.arrow.var_at(now, self.sigma_heading_rate_rad_s)
+        cov[6, 6] = UNKNOWN_YAW_VAR if self._arrow is None else self._arrow.var_at(now, _SIGMA_HEADING_RATE_RAD_S)
         return RelativeState(
             at=now,
             path=self.name,
             d_body_pad_level=d,
             v_pad_level=v,
-            yaw_rad=None if self.arrow is None else wrap_pi(heading_rad - self.arrow.heading_rad),
+            yaw_rad=None if self._arrow is None else wrap_pi(heading_rad - self._arrow.heading_rad),
             cov=0.5 * (cov + cov.T),
             sighted=belief.at,
             consistent=2 * sum(belief.agreed) >= len(belief.agreed),
-            details=(("yaw_ambiguous", float(self.arrow is not None and self.arrow.ambiguous)),),
+            details=(("yaw_ambiguous", float(self._arrow is not None and self._arrow.ambiguous)),),
         )
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
@@ -143,11 +145,11 @@ class ConstantVelocityPath:
         kalman = KalmanFilter(dim_x=6, dim_z=3)
         kalman.x, kalman.P, kalman.H = belief.x, belief.P, np.eye(3, 6)
         kalman.F = np.eye(6) + elapsed_s * np.eye(6, k=3)
-        kalman.Q = Q_continuous_white_noise(2, abs(elapsed_s), self.acceleration_density_m2_s3, 3, order_by_dim=False)
+        kalman.Q = Q_continuous_white_noise(2, abs(elapsed_s), _ACCELERATION_DENSITY_M2_S3, 3, order_by_dim=False)
         kalman.predict()
         return kalman
 
     def _heading_rad(self, now: MonoNs) -> float:
         """Return the vehicle's heading at an instant; the newest one if no attitude covers it."""
-        newest = self.attitudes.samples[-1]
-        return (self.attitudes.at(now, newest.stamp) or newest).R_ned_body.rpy_rad[2]
+        newest = self._attitudes.samples[-1]
+        return (self._attitudes.at(now, newest.stamp) or newest).R_ned_body.rpy_rad[2]

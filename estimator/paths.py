@@ -1,20 +1,18 @@
-"""The estimator paths behind one interface: `step_samples(samples)`, `step(sighting) -> path, result`, `at(now) -> belief`."""
+"""The estimator paths behind one interface: `put(samples)` and `sight(sighting)` return results, `at(now)` an estimate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
-from msgspec import Struct
 
-from estimator import dead_reckoning, ekf, filters
+from estimator import dead_reckoning, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.ekf import Forecast
-from estimator.late import Late
+from estimator.ekf import EkfOptions, Filter, Forecast
+from estimator.options import DeadReckoningOptions
 
 Event = Sample | Sighting
 
@@ -23,25 +21,24 @@ _UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude})
 
 
 class Path(Protocol):
-    """One estimator path from samples and sightings to a belief. Immutable."""
+    """One estimator path from samples and sightings to an estimate."""
 
-    @property
-    def name(self) -> PathName: ...
+    name: PathName
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
-        """Process samples in the order in which they were received; return the next path and each sample's result.
+    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+        """Process samples in the order in which they were received; return each sample's result.
 
         The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
         compares the measurement with a prediction, the innovation.
         """
         ...
 
-    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
-        """Process one sighting; return the next path and the result."""
+    def sight(self, sighting: Sighting) -> FusionResult:
+        """Process one sighting; return the result."""
         ...
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        """Return the belief at an instant; None before there is one."""
+        """Return the estimate at an instant; None before there is one."""
         ...
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
@@ -53,43 +50,44 @@ class Path(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+_SIGMA_V_M_S = 0.5
+"""Standard deviation of the relative velocity that a held value ignores."""
+
+
 class MedianMeanPath:
     """The filtered sightings alone, held until the next one.
 
     The velocity is the slope of the running medians. The covariance includes the motion of the drone since the sighting.
     """
 
-    filter: filters.MedianMean = field(default_factory=filters.MedianMean)
-    newest: filters.Filtered | None = None
-    sighting: Sighting | None = None
-    sigma_v_m_s: float = 0.5
-    """Standard deviation of the relative velocity that the held value ignores."""
+    name: PathName = "median_mean"
 
-    @property
-    def name(self) -> PathName:
-        return "median_mean"
+    def __init__(self, max_gap_s: float) -> None:
+        self._filter = filters.MedianMean(max_gap_s)
+        self._newest: filters.Filtered | None = None
+        self._sighting: Sighting | None = None
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
-        return self, [None] * len(samples)
+    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+        return [None] * len(samples)
 
-    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
+    def sight(self, sighting: Sighting) -> FusionResult:
         memory, out = filters.step(
-            self.filter, sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous
+            self._filter, sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous
         )
         if out is None:
-            return self, _uncompared(self.name, sighting, Verdict.TOO_OLD)
-        return replace(self, filter=memory, newest=out, sighting=sighting), _uncompared(self.name, sighting, Verdict.FUSED)
+            return _uncompared(self.name, sighting, Verdict.TOO_OLD)
+        self._filter, self._newest, self._sighting = memory, out, sighting
+        return _uncompared(self.name, sighting, Verdict.FUSED)
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        if self.newest is None or self.sighting is None:
+        if self._newest is None or self._sighting is None:
             return None
-        out = self.newest
+        out = self._newest
         late_s = max(0.0, seconds_between(out.holds_at, now))
-        moved_var, v_var = (self.sigma_v_m_s * late_s) ** 2, self.sigma_v_m_s**2
-        yaw_var = UNKNOWN_YAW_VAR if out.yaw_rad is None else min(UNKNOWN_YAW_VAR, float(self.sighting.cov[3, 3]))
+        moved_var, v_var = (_SIGMA_V_M_S * late_s) ** 2, _SIGMA_V_M_S**2
+        yaw_var = UNKNOWN_YAW_VAR if out.yaw_rad is None else min(UNKNOWN_YAW_VAR, float(self._sighting.cov[3, 3]))
         cov = np.diag([moved_var, moved_var, moved_var, v_var, v_var, v_var, yaw_var])
-        cov[:3, :3] += self.sighting.cov[:3, :3] * filters.VARIANCE_RATIO[out.samples - 1]
+        cov[:3, :3] += self._sighting.cov[:3, :3] * filters.VARIANCE_RATIO[out.samples - 1]
         return RelativeState(
             at=now,
             path=self.name,
@@ -109,32 +107,30 @@ class MedianMeanPath:
         return None
 
 
-@dataclass(frozen=True, slots=True)
 class DeadReckoningPath:
     """Sightings through the median and mean, then propagated with the drone's own velocity and heading."""
 
-    filter: filters.MedianMean = field(default_factory=filters.MedianMean)
-    state: dead_reckoning.DeadReckoning = field(default_factory=dead_reckoning.DeadReckoning.start)
+    name: PathName = "dead_reckoning"
 
-    @property
-    def name(self) -> PathName:
-        return "dead_reckoning"
+    def __init__(self, max_gap_s: float, options: DeadReckoningOptions) -> None:
+        self._filter = filters.MedianMean(max_gap_s)
+        self._state = dead_reckoning.DeadReckoning.start(options)
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
-        state = self.state
+    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
         for sample in samples:
-            state, _ = dead_reckoning.step(state, sample)
-        return replace(self, state=state), [None] * len(samples)
+            self._state, _ = dead_reckoning.step(self._state, sample)
+        return [None] * len(samples)
 
-    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
-        memory, smooth = filters.smooth(self.filter, sighting)
+    def sight(self, sighting: Sighting) -> FusionResult:
+        memory, smooth = filters.smooth(self._filter, sighting)
         if smooth is None:
-            return self, _uncompared(self.name, sighting, Verdict.TOO_OLD)
-        state, verdict = dead_reckoning.sighted(self.state, smooth)
-        return replace(self, filter=memory, state=state), _uncompared(self.name, sighting, verdict)
+            return _uncompared(self.name, sighting, Verdict.TOO_OLD)
+        self._filter = memory
+        self._state, verdict = dead_reckoning.sighted(self._state, smooth)
+        return _uncompared(self.name, sighting, verdict)
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        return dead_reckoning.at(self.state, now)
+        return dead_reckoning.at(self._state, now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         return None, None
@@ -143,41 +139,33 @@ class DeadReckoningPath:
         return None
 
 
-class EkfPath(Struct, frozen=True):
+class EkfPath:
     """The error-state Kalman filter: it fuses every sample and every sighting, late ones included."""
 
-    filter: ekf.Ekf
+    name: PathName = "ekf"
 
-    @property
-    def name(self) -> PathName:
-        return "ekf"
+    def __init__(self, options: EkfOptions) -> None:
+        self._filter = Filter(options)
 
-    def step_samples(self, samples: Sequence[Sample]) -> tuple[Self, Sequence[FusionResult | None]]:
-        used: list[ekf.Event] = [s for s in samples if type(s) not in _UNUSED_BY_EKF]  # type: ignore[misc]
-        if not used:
-            return self, [None] * len(samples)
-        memory, made = ekf.step_all(self.filter, used)
+    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+        used = [s for s in samples if type(s) not in _UNUSED_BY_EKF]
+        made = self._filter.put(used)  # type: ignore[arg-type]
         if len(used) == len(samples):
-            return type(self)(memory), made
+            return made
+        of_used = iter(made)
+        return [None if type(s) in _UNUSED_BY_EKF else next(of_used) for s in samples]
 
-        def results() -> list[FusionResult | None]:
-            of_used = iter(made)
-            return [None if type(s) in _UNUSED_BY_EKF else next(of_used) for s in samples]
-
-        return type(self)(memory), Late(len(samples), results)
-
-    def step(self, sighting: Sighting) -> tuple[Self, FusionResult]:
-        memory, results = ekf.step(self.filter, sighting)
-        return type(self)(memory), results[0]
+    def sight(self, sighting: Sighting) -> FusionResult:
+        return self._filter.put((sighting,))[0]
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        return ekf.at(self.filter, now)
+        return self._filter.at(now)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        return ekf.motion_at(self.filter, now)
+        return self._filter.motion(now)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
-        return ekf.forecast(self.filter, now, horizons_s)
+        return self._filter.forecast(now, horizons_s)
 
 
 def _uncompared(path: PathName, event: Event, verdict: Verdict) -> FusionResult:

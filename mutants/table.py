@@ -20,7 +20,6 @@ _BANK = (
 )
 _ANSWERS = ("tests/estimator/ekf/test_answer.py",)
 _FORECASTS = ("tests/estimator/ekf/test_forecast.py",)
-_RESULTS = ("tests/estimator/ekf/test_process_event_bounds.py", "tests/estimator/test_fusion_results.py")
 _PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
 _NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
 _INTEGRITY = "tests/estimator/integrity"
@@ -52,10 +51,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/filter/jacobian.c": _ANSWERS,
     "estimator/core/filter/forecast.c": _FORECASTS,
     "estimator/core/filter/bank_ahead.c": _FORECASTS,
-    "estimator/core/filter/run.c": (
-        *_CORE,
-        f"{_BESIDE_THE_ORACLE}::test_a_row_of_all_kinds_in_one_call_is_one_call_for_each",
-    ),
+    "estimator/core/filter/run.c": (*_CORE,),
+    "estimator/core/filter/filter.c": ("tests/estimator/ekf/test_history.py",),
+    "estimator/core/filter/begin.c": ("tests/estimator/ekf/test_process_event_bounds.py",),
     "estimator/core/filter/aiding.c": _CORE,
     "estimator/core/filter/aiding_velocity.c": _CORE,
     "estimator/core/filter/gathering.c": _CORE,
@@ -93,19 +91,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
         for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
     },
     "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
-    "estimator/ekf/gate.py": _GATE,
-    "estimator/ekf/filter.py": _ANSWERS,
-    "estimator/ekf/history.py": (
-        "tests/estimator/ekf/test_process_event_bounds.py",
-        "tests/estimator/ekf/test_noise_and_inflation.py",
-        "tests/estimator/ekf/test_put_all.py",
-        "tests/estimator/ekf/test_history.py",
-    ),
-    "estimator/ekf/outcome.py": _RESULTS,
-    "estimator/ekf/packed_event.py": (
+    "estimator/ekf/filter.py": (*_ANSWERS, "tests/estimator/ekf/test_history.py", "tests/estimator/test_fusion_results.py"),
+    "estimator/ekf/event.py": (
         _NUMBERS,
         "tests/estimator/ekf/test_process_event_bounds.py",
-        "tests/estimator/ekf/test_put_all.py",
         *_SIGHTINGS,
     ),
     "estimator/ekf/params.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_CORE),

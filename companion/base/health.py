@@ -190,7 +190,6 @@ class Health:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._counters: dict[str, Callable[[], Mapping[str, float]]] = {}
-        self._complete: Callable[[], None] = lambda: None
         self.parts: dict[str, PartHealth] = {}
         self.frames: Counter[Verdict] = Counter()
         """Frames by verdict; every frame is counted exactly once."""
@@ -256,13 +255,8 @@ class Health:
             tally = self.tallies[result.path, result.source] = FusionTally()
         tally.add(result)
 
-    def completed_by(self, complete: Callable[[], None]) -> None:
-        """Call this before results are read: it counts those that were not counted yet, many at once."""
-        self._complete = complete
-
     def fusion_states(self) -> tuple[FusionState, ...]:
         """Return the present results of each path and source, sorted by name."""
-        self._complete()
         return tuple(
             FusionState(
                 path, source, {v.value: n for v, n in tally.verdicts.items()}, tally.newest, tally.test_ratio, tally.nis_mean
@@ -345,7 +339,6 @@ class Health:
 
     def snapshot(self) -> HealthSnapshot:
         """Return the present health."""
-        self._complete()
         now = self._clock.now()
         stages = {}
         for name, delays in self.delays.items():

@@ -17,8 +17,8 @@ from companion.cli import perception_option
 from companion.cli.progress import CampaignProgress
 from companion.settings.load import shipped
 from companion.tools.report.drawing import require_drawing
-from estimator import pipeline
 from estimator.contracts.errors import BadInput, unusable
+from estimator.pipeline import RelativeEstimator
 from sitl.campaign.code import code_version
 from sitl.campaign.figures import VariedPoint, as_json, by_scenario, by_value, in_columns, in_rows, varied_point
 from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis, refuse_repeated
@@ -224,7 +224,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in args.set]
     scenario, settings = given.with_values(overrides, "--set")
-    pipeline.start(settings.estimator)  # a path that lacks its library is refused before any flight
+    RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
     plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     return plan, Overridable(scenario, settings)
 

@@ -14,9 +14,9 @@ from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, S
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.controller import Controller, FieldOfView, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.estimation import Estimation, PadSearch
 from companion.guidance.landing import LandingGuidance
 from companion.guidance.operator.arbiter import OperatorArbiter
+from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
@@ -26,19 +26,16 @@ from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Forecast
 from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 from estimator.vision.tracker_config import TrackerConfig
 
-WAITING_MOST = 256
-"""Number of waiting samples, a third of a second of an AR.Drone's, at which whoever gives them calls `Pilot.fused`."""
 _NOT_FUSED = frozenset({VehicleStatus, GeoFix})
 _OUTCOMES = {State(outcome.value): outcome for outcome in FlightOutcome}
 
@@ -89,7 +86,8 @@ class Pilot:
     ) -> None:
         given = options or PilotOptions()
         self.search = PadSearch(tracker, given.gimballed)
-        self.estimation = Estimation(estimator, given.shadows)
+        self.estimator = RelativeEstimator(estimator, given.shadows)
+        """The estimate: where the pad is, how body and deck move, and what was made of each sample."""
         self.landing = LandingGuidance(
             guidance,
             automatic=given.automatic,
@@ -174,10 +172,10 @@ class Pilot:
 
         A path that does not run yet has no belief to start from, so during an approach it is accepted only while paused.
         """
-        if self.state in FLOWN and path not in self.estimation.paths:
+        if self.state in FLOWN and path not in self.estimator.paths:
             return f"{path} does not run along; pause the approach first"
         try:
-            self.estimation.steer_by(path)
+            self.estimator.steer_by(path)
         except (ValueError, BadInput) as why:
             return str(why)
         return None
@@ -185,14 +183,14 @@ class Pilot:
     def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
         """Use other settings from now on; the present approach continues."""
         self.landing.retune(guidance)
-        self.estimation.retune(min_confidence=min_confidence, max_delay_s=max_delay_s)
+        self.estimator.retune(min_confidence=min_confidence, max_delay_s=max_delay_s)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
         That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
         """
-        believed = self.believed(now)
+        believed = self.estimator.at(now)
         if believed is None:
             return None
         if self.state is State.ANOTHER_PAD:
@@ -200,58 +198,20 @@ class Pilot:
         objection = self.landing.doubted(now)
         return believed if objection is None else _alerted(believed, objection)
 
-    def believed(self, now: MonoNs) -> RelativeState | None:
-        """Return the steering path's estimate as the estimator has it; None while there is none."""
-        return self.estimation.believed(now)
-
-    def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
-        """Return every path's estimate; the steering path's comes first if it has one."""
-        return self.estimation.all_believed(now)
-
-    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        """Return the motion of body and deck at an instant by the steering path; None for unknown parts."""
-        return self.estimation.motion(now)
-
-    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
-        """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
-        return self.estimation.forecast(now, horizons_s)
-
     def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
-        self.take_samples(samples)
-        results = {id(sample): results for sample, results in self.fused()}
-        return [results.get(id(sample), ()) for sample in samples]
-
-    def take_samples(self, samples: Sequence[Sample]) -> int:
-        """Take samples in the order in which they were received; return how many wait for `fused`.
-
-        The estimator processes them when the next answer is needed, those of several datagrams together: beliefs and results are
-        the same as one by one, and what surrounds each step costs once.
-        """
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
-        self._keep([sample for sample in samples if type(sample) not in _NOT_FUSED])
-        return self.estimation.kept
+        fused = [sample for sample in samples if type(sample) not in _NOT_FUSED]
+        results = self.estimator.put(fused)
+        if len(fused) == len(samples):
+            return results
+        of_fused = iter(results)
+        return [() if type(sample) in _NOT_FUSED else next(of_fused) for sample in samples]
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process one sample. Return its fusion results, path by path."""
         return self.on_samples((sample,))[0]
-
-    def _keep(self, samples: Sequence[Sample]) -> None:
-        """Keep samples for the estimator."""
-        self.estimation.keep(samples)
-
-    def fused(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
-        """Process what waits; return all samples that were processed since the last call, each with its results, path by path."""
-        return self.estimation.fused()
-
-    def processed(self) -> list[tuple[Sample, tuple[FusionResult, ...]]]:
-        """Return all samples that the estimator has processed since the last call, as `fused`; what waits goes on waiting."""
-        return self.estimation.processed()
-
-    def attitude_at(self, stamp: Stamp) -> Attitude | None:
-        """Return the attitude at the exposure of a frame; None when no sample covers it."""
-        return self.estimation.attitude_at(stamp)
 
     def held_at(self, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
         """Return how the gimbal held the camera at the exposure of a frame.
@@ -263,37 +223,37 @@ class Pilot:
         """
         if not self.search.gimballed:
             return None
-        return self.search.pointed_down(self.estimation.held_at(stamp, attitude), attitude)
+        return self.search.pointed_down(self.estimator.held_at(stamp, attitude), attitude)
 
     def awaits_gimbal(self, stamp: Stamp) -> bool:
         """Return whether the gimbal's report that covers the exposure of a frame may still come."""
-        return self.search.gimballed and self.estimation.awaits_gimbal(stamp)
+        return self.search.gimballed and self.estimator.awaits_gimbal(stamp)
 
-    def admit(self, frame: Frame) -> Verdict | None:
-        """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
-        return self.estimation.admit(frame)
-
-    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
-        """Search a frame for the pad, beginning where it is expected.
-
-        This may run on another thread, one call at a time: it reads only immutable estimator state and writes only its own.
+    def look_at(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Look:
+        """Return what the search of a frame begins with, for `detect`.
 
         Args:
             held: how the gimbal held the camera at the exposure; None of a camera that is fixed on the body.
         """
-        return self.search.detect(self.estimation.memory, frame, attitude, held, watches=self.state not in GROUND)
+        return self.search.begin(self.estimator, frame, attitude, held, watches=self.state not in GROUND)
 
     def assumed_at(self, stamp: Stamp) -> Attitude | None:
-        """Return what to assume for a frame that no attitude covers; None if there is nothing to `follow` in it."""
-        return None if self.search.gimballed else self.estimation.assumed_at(stamp)
+        """Return what to assume for a frame that no attitude covers; None if the pad cannot be followed in it."""
+        return None if self.search.gimballed else self.estimator.assumed_at(stamp)
 
-    def follow(self, frame: Frame, assumed: Attitude) -> Detection:
-        """Search a frame that no attitude covers for the tracked pad; otherwise as `detect`."""
-        return self.search.follow(self.estimation.memory, frame, assumed, watches=self.state not in GROUND)
+    def look_after(self, frame: Frame, assumed: Attitude) -> Look:
+        """Return what the search of a frame that no attitude covers begins with, for `detect`."""
+        return self.search.begin_following(self.estimator, frame, assumed, watches=self.state not in GROUND)
+
+    def detect(self, look: Look) -> Detection:
+        """Search a frame for the pad. This may run on another thread, one call at a time: it reads no state of the pilot's."""
+        return self.search.search(look)
 
     def on_followed(self, seen: Detection, assumed: Attitude) -> None:
         """Take note of whether the pad has left the picture. Nothing is fused."""
-        self.estimation.follow(seen, assumed)
+        sighting = seen.selected or seen.elsewhere
+        if sighting is not None:
+            self.estimator.follow(sighting, assumed, seen.alone_in)
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
         """Process the detection of a frame.
@@ -302,7 +262,7 @@ class Pilot:
             The frame's verdict, which is the steering path's, and the fusion results, path by path.
         """
         self.landing.on_pad(seen.on_pad)
-        results = self.estimation.fuse(seen)
+        results = self.estimator.put_seen(seen.selected, seen.elsewhere)
         sighting = seen.selected or seen.elsewhere
         if sighting is None:
             return Verdict.NO_PAD, ()
@@ -312,8 +272,8 @@ class Pilot:
     def decide(self, now: MonoNs) -> Decision:
         """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone."""
         self.operator.tick(now)
-        believed = self.all_believed(now)
-        steering = self.estimation.path
+        believed = self.estimator.all_at(now)
+        steering = self.estimator.path
         knowledge = self._knowledge(now, next((b for b in believed if b.path == steering), None))
         belief = knowledge.relative
         guided, trusts = self.landing.command(knowledge), knowledge.trusts_velocity
@@ -330,8 +290,8 @@ class Pilot:
         return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
 
     def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
-        body, deck = self.motion(now)
-        guard = self.estimation.memory.guard
+        body, deck = self.estimator.motion(now)
+        guard = self.estimator.guard
         trusts = guard.trusts_velocity
         self.landing.judge(now, deck, accelerates_unfelt=guard.inertial.accel_lost, trusts_velocity=trusts)
         objection = self.landing.doubted(now)
@@ -339,11 +299,11 @@ class Pilot:
             relative = _alerted(relative, objection)
         if objection is IntegrityAlert.DECK:
             deck = None
-        return replace(self.landing.knowledge(now, relative, (body, deck), self.forecast), trusts_velocity=trusts)
+        return replace(self.landing.knowledge(now, relative, (body, deck), self.estimator.forecast), trusts_velocity=trusts)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
-        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimation.memory.guard.lost)
+        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimator.guard.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
 
 

@@ -25,7 +25,8 @@ from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFra
 from companion.base.orders import HandledOrder
 from companion.base.supervise import Body, run, uncancelled
 from companion.base.worker import Worker
-from companion.guidance.pilot import WAITING_MOST, Pilot
+from companion.guidance.pad_search import Look
+from companion.guidance.pilot import Pilot
 from companion.settings.restart import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -164,8 +165,6 @@ class Daemon:
             self._extras["ship_reports"] = partial(self._read_reports, reports)
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
-        if not self._audience.takes_fusion:
-            self.health.completed_by(lambda: self._count(pilot.processed()))
         pilot.operator.on_order = self._on_order
 
     async def run(self) -> FlightOutcome | None:
@@ -228,7 +227,7 @@ class Daemon:
             self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        waiting, now = self._pilot.take_samples(samples), self._clock.now()
+        results, now = self._pilot.on_samples(samples), self._clock.now()
         arrived: dict[str, int] = {}
         for sample in samples:
             place_of_ship = type(sample) is GeoFix and sample.whose == "vessel"
@@ -237,23 +236,11 @@ class Daemon:
         for name, n in arrived.items():
             self.health.beat(name, now, n)
         self._audience.on_samples(samples)
-        if waiting >= WAITING_MOST:
-            self._count(self._pilot.fused())
-
-    def _report_fused(self) -> None:
-        """Tell health and observers of the samples that the estimator has processed.
-
-        Where no observer takes them, health counts many at once: when this many have come, and before it is read.
-        """
-        if self._audience.takes_fusion:
-            self._count(self._pilot.fused())
-
-    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
         reported = self._audience.takes_fusion
-        for sample, results in fused:
-            self.health.fused(sample, results)
+        for sample, fused in zip(samples, results, strict=True):
+            self.health.fused(sample, fused)
             if reported:
-                for result in results:
+                for result in fused:
                     self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
@@ -313,7 +300,7 @@ class Daemon:
         seen, look_s = began, 0.0
         if not self._fits(frame):
             verdict = Verdict.FAILED
-        elif (refused := self._pilot.admit(frame)) is not None:
+        elif (refused := self._pilot.estimator.admit(frame)) is not None:
             verdict = refused
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
@@ -323,12 +310,11 @@ class Daemon:
         else:
             assert self._tracker is not None
             waited_from = self._clock.now()
-            found, look_s = await self._tracker.run(self._look, frame, attitude, held)
+            found, look_s = await self._tracker.run(self._look, self._pilot.look_at(frame, attitude, held))
             seen, detection = self._clock.now(), found
             self._share.looked(waited_from, seconds_between(waited_from, seen))
             verdict, results = self._pilot.on_detection(found)
         done, times = self._clock.now(), None
-        self._report_fused()
         if detection is not None:
             decode_s, waited_s = seconds_between(frame.stamp.received_at, began), seconds_between(began, seen) - look_s
             times = FrameTimes(decode_s, waited_s, look_s, seconds_between(seen, done))
@@ -340,14 +326,14 @@ class Daemon:
         assumed = self._pilot.assumed_at(frame.stamp)
         if assumed is not None and self._tracker is not None:
             began = self._clock.now()
-            seen = await self._tracker.run(self._pilot.follow, frame, assumed)
+            seen = await self._tracker.run(self._pilot.detect, self._pilot.look_after(frame, assumed))
             self._share.looked(began, seconds_between(began, self._clock.now()))
             self._pilot.on_followed(seen, assumed)
 
-    def _look(self, frame: Frame, attitude: Attitude, held: HeldCamera | None) -> tuple[Detection, float]:
+    def _look(self, look: Look) -> tuple[Detection, float]:
         """Look at a frame on the thread of vision; return what was seen, and how long the look took, s."""
         began = self._clock.now()
-        detection = self._pilot.detect(frame, attitude, held)
+        detection = self._pilot.detect(look)
         return detection, seconds_between(began, self._clock.now())
 
     async def _attitude_of(self, frame: Frame) -> tuple[Attitude | None, HeldCamera | None]:
@@ -361,7 +347,7 @@ class Daemon:
         age_s = None if flow is None else flow.age_s(self._clock.now())
         for _ in range(_ATTITUDE_TRIES):
             self._take_waiting()
-            attitude = self._pilot.attitude_at(frame.stamp)
+            attitude = self._pilot.estimator.attitude_at(frame.stamp)
             held = None if attitude is None else self._pilot.held_at(frame.stamp, attitude)
             if attitude is None:
                 lacking = age_s is not None and age_s < _ATTITUDE_SILENT_S
@@ -405,7 +391,6 @@ class Daemon:
                     log.debug("command not sent: %s", why)
             self._tell(decision)
             self.health.decision(decision, self._pilot.vehicle)
-            self._report_fused()
             self._audience.on_decision(decision)
             vehicle = self._pilot.vehicle
             self._collector.tick(began, None if vehicle is None else vehicle.flying)

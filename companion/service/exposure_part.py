@@ -71,7 +71,7 @@ class ExposurePart(NullObserver):
         frame, camera = processed.frame, processed.camera or self._pilot.camera
         if frame.px.shape[:2] != (camera.height, camera.width):
             return
-        estimate = self._pilot.believed(frame.stamp.measured_at)
+        estimate = self._pilot.estimator.at(frame.stamp.measured_at)
         if estimate is not None and estimate.age_s(frame.stamp.measured_at) > _TRACKED_S:
             estimate = None
         outline = None if estimate is None else self._outline(processed, camera, estimate)

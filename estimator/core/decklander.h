@@ -48,7 +48,7 @@ enum dl_uvlc_result dl_uvlc_header(const uint8_t *data, int32_t bytes, dl_uvlc_p
  * of it. */
 enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_uvlc_picture *picture, uint8_t *bgr, int32_t room);
 
-/* ---- filter/: the error-state filter and the bank of oscillators ---- */
+/* ---- filter/: the error-state filter ---- */
 
 /* The parts of the filter's state by their first index, and its size. estimator.ekf.state describes them. */
 enum filter_state {
@@ -58,292 +58,589 @@ enum filter_state {
 };
 
 enum {
-    /* The largest number of states that a linear-algebra function takes. */
-    ORDER_MAX = DL_N,
-    /* The largest number of measured numbers that a linear-algebra function takes. */
-    ROWS_MAX = 9,
-    /* The largest number of states on which one kind of aiding depends. */
-    COLUMNS_MAX = 12,
+    /* The largest number of measured numbers that are fused together. */
+    DL_ROWS_MAX = 9,
     /* Number of kinds of aiding. */
-    KINDS = 4,
+    DL_KINDS = 4,
     /* Directions in which a deck moves on waves: north, east, down, roll, pitch. */
-    DIRECTIONS = 5,
+    DL_DIRECTIONS = 5,
     /* Number of different oscillators in the bank of a direction: the one at rest, then the others. */
-    OSCILLATORS = 28,
+    DL_OSCILLATORS = 28,
     /* Number of sizes in which each oscillator but the one at rest comes; they lie side by side. */
-    MEMBER_SIZES = 5,
-    /* Number of states of a wave: displacement, rate, force, its rate. */
-    WAVE_STATES = 4,
-    /* Numbers of a wave's covariance: its upper triangle in rows. */
-    WAVE_PAIRS = WAVE_STATES * (WAVE_STATES + 1) / 2,
+    DL_MEMBER_SIZES = 5,
     /* Number of oscillators of some size that the bank of each direction compares. */
-    MEMBERS = 1 + (OSCILLATORS - 1) * MEMBER_SIZES,
-    /* Number of states of one: displacement, rate, force, its rate; offset of the IMU's carrying on, its rate, acceleration. */
-    MEMBER_STATES = 7,
-    /* Numbers of a member's covariance, which is symmetric: its upper triangle in rows. */
-    MEMBER_PAIRS = MEMBER_STATES * (MEMBER_STATES + 1) / 2,
-    /* Number of horizons at which past forecasts are compared with what happened. */
-    SKILL_HORIZONS = 3,
-    /* The largest number of forecasts whose comparison is not over. */
-    ISSUED_MAX = 9,
-    /* The largest number of recent sightings whose innovations are compared with what the filter claimed. */
-    EXCESSES_MAX = 24,
-    /* Numbers of each: the excess along north, east, down, and how likely the ship accelerates north, east and in heading. */
-    EXCESS_NUMBERS = 6,
+    DL_MEMBERS = 1 + (DL_OSCILLATORS - 1) * DL_MEMBER_SIZES,
 };
 
-/* Kinds of samples; the first KINDS are those of aiding. */
-enum event_kind {
+/* Kinds of events; the first DL_KINDS are those of aiding. */
+enum dl_event_kind {
     DL_ATTITUDE, DL_VELOCITY, DL_RANGE, DL_HEIGHT, DL_IMU, DL_VESSEL, DL_SIGHTING,
 };
 
-enum verdict {
-    DL_FUSED, DL_GATED, DL_SINGULAR, DL_LOW_CONFIDENCE,
+/* What became of an event: fused; refused by the gate, or with nothing to compare it with; its covariance was not positive definite;
+ * a sighting below `min_confidence`; measured before the oldest event that is kept; measured after every time of reception so far;
+ * received before any sample showed which way is down. */
+enum dl_verdict {
+    DL_FUSED, DL_GATED, DL_SINGULAR, DL_LOW_CONFIDENCE, DL_TOO_OLD, DL_TOO_NEW, DL_NO_ATTITUDE,
 };
 
 /* The surface below a velocity sensor. */
-enum velocity_surface {
+enum dl_velocity_surface {
     DL_OVER_GROUND, DL_OVER_PAD, DL_OVER_EITHER,
 };
 
-/* How far dl_filter_propagate goes: state and covariance to the instant, or with the means of all gathered samples fused as well. */
-enum propagation {
-    DL_WITH_COVARIANCE, DL_WITH_AIDING,
-};
-
-/* Members mean what those of Belief, Aid and Gathered in estimator.ekf.state, of DeckMotionBank and Skill of the same
- * names mean; matrices are in rows, instants are in ns. In a bank and its members, arrays are by direction, then by state or
- * pair of states, then by member of the bank. An answer has numbers of pad and deck where it has a pad, and of the body
- * where it has a body; estimator.ekf.answers describes them. A horizon_reach has, for one horizon and by oscillator,
- * the rows of the transition to displacement and rate, their noise, and the products of the numbers of these rows and of
- * the first one's change. A deck_ahead has what Forecast has for one horizon. */
+/* The oscillators that the bank of a direction compares, by member. */
 typedef struct {
-    double w[MEMBERS], zeta[MEMBERS], log_zeta[MEMBERS], log_prior[MEMBERS], sigma[DIRECTIONS * MEMBERS];
+    /* Natural frequency, rad/s. */
+    double w[DL_MEMBERS];
+    /* Damping ratio. */
+    double zeta[DL_MEMBERS];
+    /* Its natural logarithm. */
+    double log_zeta[DL_MEMBERS];
+    /* Natural logarithm of the probability before any sighting. */
+    double log_prior[DL_MEMBERS];
+    /* Standard deviation of the displacement, m or rad; by direction, then by member. */
+    double sigma[DL_DIRECTIONS * DL_MEMBERS];
 } dl_bank_members;
 
+/* The filter's options, and the noises that follow from them. estimator.ekf.options gives advice on each. */
 typedef struct {
-    int64_t t;
-    double waves[SKILL_HORIZONS * DIRECTIONS * 2];
-} dl_issued_forecast;
-
-typedef struct {
-    int64_t issued_n;
-    dl_issued_forecast issued[ISSUED_MAX];
-    double n[SKILL_HORIZONS], product[SKILL_HORIZONS * DIRECTIONS * 2], square[SKILL_HORIZONS * DIRECTIONS * 2],
-        came[SKILL_HORIZONS * DIRECTIONS * 2];
-} dl_forecast_skill;
-
-typedef struct {
-    int64_t t;
-    double w_rad_s[DIRECTIONS], zeta[DIRECTIONS], sigma[DIRECTIONS];
-    dl_forecast_skill skill;
-    double log_weight[DIRECTIONS * MEMBERS], weight[DIRECTIONS * MEMBERS], x[DIRECTIONS * MEMBER_STATES * MEMBERS],
-        P[DIRECTIONS * MEMBER_PAIRS * MEMBERS];
-} dl_bank;
-
-typedef struct {
-    int64_t hold_ns, velocity_is_over, reopen_count, sighting_has_attitude_error;
-    double tick_s, forget_s, aiding_period_s, accel_step_m_s2, gyro_step_rad_s, deck_radius_m, not_measured_var,
-        correlation_s[KINDS], nis_max[ROWS_MAX], psd[DL_N], psd_accel, psd_coast, psd_coast_turn, wave_yaw_rad_s,
-        sigma_wave_yaw_rate_rad_s, carrying_psd_accel[DIRECTIONS], carrying_psd_drift[DIRECTIONS],
-        carrying_psd_tilt[DIRECTIONS], min_confidence, reopen_s, heading_memory_s, sigma_turn_rate_rad_s,
-        pad_yaw_in_vessel_rad;
+    /* How long an event and the state after it are kept, ns. */
+    int64_t history_ns;
+    /* By how much an event may be measured after every time of reception so far, ns. */
+    int64_t max_ahead_ns;
+    /* Difference between two times of reception beyond which one of them is wrong, ns. */
+    int64_t leap_ns;
+    /* Number of such times of reception in a row that agree and are believed. */
+    int64_t leap_count;
+    /* How long an IMU sample holds, ns. */
+    int64_t hold_ns;
+    /* Number of rejected sightings that agree and reset the state of the pad. */
+    int64_t reopen_count;
+    /* The surface over which velocities are measured. */
+    enum dl_velocity_surface velocity_is_over;
+    /* Whether the covariance of a sighting contains the error of the attitude that levelled it. */
+    bool sighting_has_attitude_error;
+    /* Longest time between two propagations of the covariance, s. */
+    double tick_s;
+    /* Time without a sighting after which the pad is forgotten, s. */
+    double forget_s;
+    /* Time over which samples of aiding are averaged before they are fused, s. */
+    double aiding_period_s;
+    /* Largest change between two IMU samples that a vehicle can make, m/s^2. */
+    double accel_step_m_s2;
+    /* The same of its rates, rad/s. */
+    double gyro_step_rad_s;
+    /* Radius about the pad within which the deck is level ground for a range or velocity sensor, m. */
+    double deck_radius_m;
+    /* Variance of a component from which on it was not measured. */
+    double not_measured_var;
+    /* Time over which the errors of a kind of aiding are alike, s. */
+    double correlation_s[DL_KINDS];
+    /* Limit of the NIS by the number of measured numbers less one. */
+    double nis_max[DL_ROWS_MAX];
+    /* Noise densities of the states whose variance grows with time, unit^2/s. */
+    double psd[DL_N];
+    /* Noise density of the accelerometer, (m/s^2)^2/Hz. */
+    double psd_accel;
+    /* Noise density of the force while no IMU sample holds, (m/s^2)^2/Hz. */
+    double psd_coast;
+    /* Noise density of the rate while no IMU sample holds, (rad/s)^2/Hz. */
+    double psd_coast_turn;
+    /* Frequency of the vessel's yaw on waves, rad/s. */
+    double wave_yaw_rad_s;
+    /* Standard deviation of its rate, rad/s. */
+    double sigma_wave_yaw_rate_rad_s;
+    /* Noise density of the acceleration of a position that the IMU propagates, by direction, (m/s^2)^2/Hz. */
+    double carrying_psd_accel[DL_DIRECTIONS];
+    /* Density of the random walk of that acceleration, by direction, (m/s^3)^2/Hz. */
+    double carrying_psd_drift[DL_DIRECTIONS];
+    /* Density of the random walk of the tilt that moves a measured position, by direction, rad^2/s. */
+    double carrying_psd_tilt[DL_DIRECTIONS];
+    /* Least confidence of a sighting that is fused, 0..1. */
+    double min_confidence;
+    /* Least time between the first and the last of the sightings that reset the state of the pad, s. */
+    double reopen_s;
+    /* Longest time for which agreement with a heading counts, s. */
+    double heading_memory_s;
+    /* Standard deviation of the vessel's steady rate of turn, rad/s. */
+    double sigma_turn_rate_rad_s;
+    /* Heading of the pad's arrow against the vessel's bow, rad. */
+    double pad_yaw_in_vessel_rad;
+    /* Scale of the velocity sensor at the beginning: measured over true. */
+    double velocity_scale;
+    /* Standard deviation of the tilt of the first attitude, rad. */
+    double sigma_initial_tilt_rad;
+    /* Standard deviation of the heading of the first attitude, rad. */
+    double sigma_initial_heading_rad;
+    /* Standard deviation of the constant error of the vehicle's own attitude, rad. */
+    double sigma_attitude_bias_rad;
+    /* Variances of the states at the beginning, unit^2; those of attitude and waves are computed. */
+    double initial_var[DL_N];
+    /* The oscillators that the deck's motion is compared with. */
     dl_bank_members members;
 } dl_filter_params;
 
+/* A sample of the IMU, in the body's axes. */
 typedef struct {
-    int64_t fused, refused, n, since, m, axes;
-    double deck_weight, innov[3], R[9], ambiguity[9], spread[9], H[3 * COLUMNS_MAX];
-} dl_aid;
-
-typedef struct {
-    int64_t n, t[EXCESSES_MAX];
-    double values[EXCESS_NUMBERS * EXCESSES_MAX];
-} dl_innovation_excesses;
-
-typedef struct {
-    int64_t n, since, last;
-    double offset_ned[3], var_m2;
-} dl_rejection_streak;
-
-typedef struct {
-    int64_t t, t_cov, t_imu, t_velocity, sighted, agreed, is_levelled, heading_is_given, heading_known, heading_seen,
-        steered, swung;
-    double R[9], x[DL_N], R_cov[9], dv[3], dp[3], turned[9], coast_s, w[3], w_smooth[3],
-        f[3], levelled_by[9], cov_levelled_by[9], ins_p[3], ins_v[3], ins_var_m2_s2, jolt_var_m2_s2, jolt_var_rad2, over_pad,
-        wave_w[5], wave_zeta[5], wave_sigma[5], nis_mean, nis_claimed, heading_held_s, vessel_before[2];
-    dl_rejection_streak rejections;
-    dl_aid aids[KINDS];
-    dl_innovation_excesses excesses;
-} dl_belief;
-
-/* Half of a sample may be no measurement: for how long before it, s, nothing was measured by the gyro, the accelerometer. */
-typedef struct {
-    double w_body[3], f_body[3], gyro_lost_s, accel_lost_s;
+    /* Rate, rad/s. */
+    double w_body[3];
+    /* Specific force, m/s^2. */
+    double f_body[3];
+    /* For how long before the sample the gyro measured nothing, s. */
+    double gyro_lost_s;
+    /* For how long before the sample the accelerometer measured nothing, s. */
+    double accel_lost_s;
 } dl_imu;
 
+/* The vehicle's own attitude. */
 typedef struct {
-    double R_ned_body[9], cov_body[9];
+    /* Rotation from body to ned, in rows. */
+    double R_ned_body[9];
+    /* Covariance of its small rotation error in the body's axes, rad^2, in rows. */
+    double cov_body[9];
 } dl_attitude;
 
+/* The vehicle's own velocity, in level. */
 typedef struct {
-    double v_level[3], cov_level[9];
+    /* Forward, right, down, m/s. */
+    double v_level[3];
+    /* Covariance, (m/s)^2, in rows. */
+    double cov_level[9];
 } dl_velocity;
 
-/* A range or a height, m. */
+/* A range or a height. */
 typedef struct {
-    double measured_m, sigma_m;
+    /* Distance along the body's down axis, or height, m. */
+    double measured_m;
+    /* Its standard deviation, m. */
+    double sigma_m;
 } dl_distance;
 
+/* What a ship reports of her own motion. */
 typedef struct {
-    int64_t has_velocity, has_heading;
-    double v_ned[3], cov_v_ned[9], heading_rad, sigma_heading_rad;
+    /* Whether it holds a velocity. */
+    bool has_velocity;
+    /* Whether it holds a heading. */
+    bool has_heading;
+    /* Velocity in ned, m/s. */
+    double v_ned[3];
+    /* Its covariance, (m/s)^2, in rows. */
+    double cov_v_ned[9];
+    /* Heading of the bow, rad. */
+    double heading_rad;
+    /* Its standard deviation, rad. */
+    double sigma_heading_rad;
 } dl_vessel_report;
 
-/* A sample, by its kind. A sighting is an event without a sample; the sighting itself is beside it. */
+/* What vision saw of the pad, in level. */
 typedef struct {
-    int64_t kind, t;
+    /* Whether it holds a heading. */
+    bool has_yaw;
+    /* Whether the heading may be half a turn off. */
+    bool yaw_ambiguous;
+    /* Whether it holds a whole pose. */
+    bool has_pose6;
+    /* Confidence that it is the pad, 0..1. */
+    double confidence;
+    /* Standard deviation of the instant, s. */
+    double sigma_s;
+    /* From the body to the pad's centre, m. */
+    double d_level[3];
+    /* Heading of the body against the arrow, rad. */
+    double yaw_rad;
+    /* Covariance of place and heading, m^2 and rad^2, in rows. */
+    double cov[16];
+    /* The place by the whole pose, m. */
+    double pose_d_level[3];
+    /* Rotation from pad to level, in rows. */
+    double pose_R[9];
+    /* Covariance of place and small rotation in level, m^2 and rad^2, in rows. */
+    double pose_cov[36];
+} dl_sighting;
+
+/* A sample or a sighting. */
+typedef struct {
+    /* Its kind, by which one member of the union counts. */
+    enum dl_event_kind kind;
+    /* Instant at which it was measured, ns. */
+    int64_t t;
+    /* Instant at which it was received, ns. */
+    int64_t received_at;
+    /* Order of events of one kind and instant: a sighting's frame. */
+    int64_t seq;
+    /* The same of one frame: a sighting's method. */
+    uint64_t method;
     union {
         dl_imu imu;
         dl_attitude attitude;
         dl_velocity velocity;
         dl_distance distance;
         dl_vessel_report vessel;
+        dl_sighting sighting;
     } sample;
 } dl_event;
 
+/* What became of an event. */
 typedef struct {
-    int64_t has_yaw, yaw_ambiguous, has_pose6;
-    double confidence, sigma_s, d_level[3], yaw_rad, cov[16], pose_d_level[3], pose_R[9], pose_cov[36];
-} dl_sighting;
-
-typedef struct {
-    int64_t verdict, m, axes, has_S;
-    double innov[6], S[36], nis, nis_max;
+    /* The verdict. */
+    enum dl_verdict verdict;
+    /* Number of innovations; 0 if the event was compared with nothing. */
+    int32_t m;
+    /* The components that were compared, a bit each; 0 if they are the first m. */
+    int32_t axes;
+    /* Whether S holds a covariance. */
+    bool has_S;
+    /* Innovations: measured less predicted, in the unit of each. */
+    double innov[6];
+    /* Their covariance (m, m), in rows. */
+    double S[36];
+    /* Normalized innovation squared; nan if the event was compared with nothing. */
+    double nis;
+    /* The gate's limit of it. */
+    double nis_max;
 } dl_outcome;
 
+/* The deck at an instant ahead, in level at the instant of the forecast, if the body keeps its velocity. */
 typedef struct {
-    double horizon_s, row[2 * WAVE_STATES * OSCILLATORS], noise[2 * OSCILLATORS], squares[3 * WAVE_PAIRS * OSCILLATORS];
-} dl_horizon_reach;
-
-typedef struct {
-    double d[3], cov_d[9], v_pad[3], height, sigma_height, rise, sigma_rise, roll, sigma_roll, pitch, sigma_pitch;
+    /* From the body to the pad's centre, m. */
+    double d[3];
+    /* Its covariance, m^2, in rows. */
+    double cov_d[9];
+    /* Velocity of the pad's centre over the ground, m/s. */
+    double v_pad[3];
+    /* Height of the pad's centre over its mean level, m. */
+    double height;
+    /* Its standard deviation, m. */
+    double sigma_height;
+    /* Vertical speed of the pad's centre, positive up, m/s. */
+    double rise;
+    /* Its standard deviation, m/s. */
+    double sigma_rise;
+    /* Roll of the deck about the arrow, starboard down positive, rad. */
+    double roll;
+    /* Its standard deviation, rad. */
+    double sigma_roll;
+    /* Pitch of the deck, arrow up positive, rad. */
+    double pitch;
+    /* Its standard deviation, rad. */
+    double sigma_pitch;
 } dl_deck_ahead;
 
+/* The pad, the body's motion and the deck's motion at one instant; vectors are in level. */
 typedef struct {
-    int64_t has_pad, has_body, sighted, agreed, velocity_fused, heading_known, adrift, steers;
-    double nis_mean, heading, d[3], v[3], yaw, cov[49], a_body[3], cov_a_body[9], w_body[3], levelled_by[9],
-        cov_levelled_by[9], v_deck[3], a_deck[3], cov_deck[36], tilt[4], cov_tilt[16], x[DL_N], var[DL_N], cov_vessel,
-        wave_w[DIRECTIONS], wave_zeta[DIRECTIONS], wave_sigma[DIRECTIONS];
+    /* Whether a pad is tracked: without one, members of pad and deck are zero. */
+    bool has_pad;
+    /* Whether an IMU sample and an attitude hold: without them, members of the body's motion are zero. */
+    bool has_body;
+    /* Whether the heading against the arrow is known. */
+    bool heading_known;
+    /* Whether the ship swung the pad out of sight, so that nobody knows its speed. */
+    bool adrift;
+    /* Whether sightings showed a manoeuvre of the ship that may go on. */
+    bool steers;
+    /* Number of sightings that were fused since the state of the pad was set. */
+    int64_t agreed;
+    /* Instant of the newest fused sighting, ns; -1 if there is none. */
+    int64_t sighted;
+    /* Instant of the newest fused velocity, ns; -1 if there is none. */
+    int64_t velocity_fused;
+    /* Recent mean of the sightings' NIS over their numbers. */
+    double nis_mean;
+    /* Heading of the body, rad. */
+    double heading;
+    /* From the body to the pad's centre, m. */
+    double d[3];
+    /* Its rate, m/s. */
+    double v[3];
+    /* Heading of the body against the arrow, rad. */
+    double yaw;
+    /* Covariance of d, v and yaw (7, 7), in rows. */
+    double cov[49];
+    /* Acceleration of the body, m/s^2. */
+    double a_body[3];
+    /* Its covariance, (m/s^2)^2, in rows. */
+    double cov_a_body[9];
+    /* Rate of the body in its own axes, rad/s. */
+    double w_body[3];
+    /* The vehicle's own attitude, propagated by the gyro: body to ned, in rows. */
+    double levelled_by[9];
+    /* Its covariance in the body's axes, rad^2, in rows. */
+    double cov_levelled_by[9];
+    /* Velocity of the pad's centre over the ground, m/s. */
+    double v_deck[3];
+    /* Its acceleration, m/s^2. */
+    double a_deck[3];
+    /* Covariance of v_deck and a_deck (6, 6), in rows. */
+    double cov_deck[36];
+    /* Roll and pitch of the deck, rad, and their rates, rad/s. */
+    double tilt[4];
+    /* Their covariance (4, 4), in rows. */
+    double cov_tilt[16];
+    /* The state. */
+    double x[DL_N];
+    /* Its variances. */
+    double var[DL_N];
+    /* Covariance of the two components of the vessel's velocity, (m/s)^2. */
+    double cov_vessel;
+    /* Frequency of the waves by direction, rad/s. */
+    double wave_w[DL_DIRECTIONS];
+    /* Their damping ratio. */
+    double wave_zeta[DL_DIRECTIONS];
+    /* Standard deviation of the displacement, m and rad. */
+    double wave_sigma[DL_DIRECTIONS];
+    /* Probability that the deck is at rest on the waves, 0..1. */
+    double rest;
 } dl_answer;
 
-/* A belief with its covariance (N, N) and its bank, each in memory of its own: later beliefs share what no event changed. */
-typedef struct {
-    const dl_belief *numbers;
-    const double *P;
-    const dl_bank *bank;
-} dl_whole_belief;
+/* A filter: the recent events in the order of their instants, and the state after each. One thread at a time may use it; its functions
+ * may run at once with those of another filter. */
+typedef struct dl_filter dl_filter;
 
-/* The belief after an event, the event's outcome, and the indices of the belief's covariance and bank among those that dl_filter_run
- * wrote; -1 for the ones before all events. */
-typedef struct {
-    dl_belief after;
-    dl_outcome outcome;
-    int64_t P_index, bank_index;
-} dl_filter_step;
-
-/* Where dl_filter_run writes: a step and room for a covariance for each event, and room for a bank for each sighting. */
-typedef struct {
-    dl_filter_step *steps;
-    double *P;
-    dl_bank *banks;
-} dl_filter_row;
-
-/* Write the bank before any sighting. */
-void dl_bank_begin(const dl_bank_members *m, dl_bank *out);
-/* Write what a forecast needs of n horizons. It depends on nothing but them and the members, and serves any number of forecasts. */
-void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s, dl_horizon_reach *out);
-/* Process events in their order; those of kind SIGHTING take the sightings one by one. Return how many were processed: the next
- * one needs a belief that is set outright, or has no sighting left. A covariance or a bank that an event changed is written once. */
-int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
-    const dl_whole_belief *before, const dl_filter_row *out);
-/* Write the belief at instant t and its covariance; `what` is one of enum propagation. */
-void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after,
-    double *P_after);
-/* Write the deck's forecast from instant t at n horizons; return 0 if no pad is tracked. */
-int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n,
-    const dl_horizon_reach *reach, dl_deck_ahead *out);
-/* Write what the filter says of instant t. */
-void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, dl_answer *out);
+/* Return a filter that has received nothing; NULL if there is no memory. */
+dl_filter *dl_filter_new(const dl_filter_params *params);
+void dl_filter_free(dl_filter *f);
+/* Insert n events, in the order of their reception, each at the instant when it was measured: it and all later events are processed
+ * again. The result is the one of events that were received in the order of their instants. Write the outcome of each. Return the
+ * earliest instant of an answer that may have changed, ns; INT64_MAX if none has, -1 if there is no memory. */
+int64_t dl_filter_put(dl_filter *f, int32_t n, const dl_event *events, dl_outcome *outcomes);
+/* Write the estimate of instant t, ns, propagated from the last event before it. Return false, and write nothing, before the first
+ * attitude and if the events that are kept do not reach back so far. */
+bool dl_filter_answer(dl_filter *f, int64_t t, dl_answer *out);
+/* Write the deck's forecast from instant t, ns, at n horizons, s. Return false if no pad is tracked at that instant. */
+bool dl_filter_forecast(dl_filter *f, int64_t t, int32_t n, const double *horizons_s, dl_deck_ahead *out);
+/* Write all that the filter keeps into `room` bytes, if there are enough; return how many it takes. */
+int64_t dl_filter_save(const dl_filter *f, uint8_t *out, int64_t room);
+/* Return the filter that was saved in these bytes by a library for the same machine; NULL if they are not one, or if there is no
+ * memory. It continues with these parameters. */
+dl_filter *dl_filter_load(const dl_filter_params *params, const uint8_t *saved, int64_t bytes);
 
 /* ---- law/: the law that follows the deck ---- */
 
 enum {
     /* The largest number of commands that the law remembers: 0.65 s at 200 cycles a second. */
-    UNDER_WAY_MAX = 132,
+    DL_UNDER_WAY_MAX = 132,
     /* The largest number of horizons of a forecast that the law takes. */
-    HORIZONS_MAX = 16,
+    DL_HORIZONS_MAX = 16,
 };
 
-/* companion.guidance.law_records says what the members mean where their names do not. Vectors are written in level, axes
- * and commands under way in axes that do not turn with the nose; delays are numbers of periods, commands come newest
- * first. */
+/* What the law is made for. Vectors are written in level, axes and commands under way in axes that do not turn with the nose; delays
+ * are numbers of periods, commands come newest first. */
 typedef struct {
-    int64_t remembered, over_ground, keeps_in_view, looks_ahead;
-    double period_s, frequency_rad_s, damping, lag_s, tilt_max_m_s2, jerk_max_m_s3, climb_lag_s, climb_max_m_s, view_forward_m,
-        view_right_m, half_forward_rad, half_right_rad;
+    /* Number of commands under way that are kept. */
+    int64_t remembered;
+    /* Whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity. */
+    bool over_ground;
+    /* Whether the tilt is limited so that the pad stays in the camera's view. */
+    bool keeps_in_view;
+    /* Whether the deck's motion is known. */
+    bool looks_ahead;
+    /* Period of the cycles, s. */
+    double period_s;
+    /* Frequency of the vehicle's answer to a tilt command, rad/s. */
+    double frequency_rad_s;
+    /* Damping ratio of that answer. */
+    double damping;
+    /* Time constant of that answer's lag, s. */
+    double lag_s;
+    /* Largest tilt, m/s^2. */
+    double tilt_max_m_s2;
+    /* Largest rate of a commanded tilt, m/s^3; 0 for no limit. */
+    double jerk_max_m_s3;
+    /* Time constant of the answer to a climb command, s. */
+    double climb_lag_s;
+    /* Largest climb command, m/s. */
+    double climb_max_m_s;
+    /* Where the camera is in the body, forward, m. */
+    double view_forward_m;
+    /* The same to the right, m. */
+    double view_right_m;
+    /* Half the angle of its view forward, rad. */
+    double half_forward_rad;
+    /* The same to the right, rad. */
+    double half_right_rad;
 } dl_law_params;
 
+/* The gains on the state of an axis, and on the commands under way. */
 typedef struct {
-    int64_t n, tilt_delay, climb_delay;
-    double slowness_s, p, w, a, rate, lag, under_way[UNDER_WAY_MAX];
+    /* Number of commands under way that have a gain. */
+    int64_t n;
+    /* Delay of a tilt command, periods. */
+    int64_t tilt_delay;
+    /* Delay of a climb command, periods. */
+    int64_t climb_delay;
+    /* How late a slowly changing tilt is behind its command, s. */
+    double slowness_s;
+    /* On the place, 1/s^2. */
+    double p;
+    /* On the velocity, 1/s. */
+    double w;
+    /* On the tilt's acceleration. */
+    double a;
+    /* On its rate, s. */
+    double rate;
+    /* On the lagged command. */
+    double lag;
+    /* On each command under way. */
+    double under_way[DL_UNDER_WAY_MAX];
 } dl_law_gains;
 
-/* The observer's gains: rows for p, w, d and b, columns by place, speed and acceleration. */
+/* The observer's gains. */
 typedef struct {
+    /* Rows for p, w, d and b of an axis, columns by place, speed and acceleration. */
     double gains[4][3];
 } dl_law_observer;
 
 /* The law as it is flown in one cycle; the command goes over from gains_before to gains. */
 typedef struct {
+    /* What it is made for. */
     dl_law_params params;
+    /* The gains, and those before. */
     dl_law_gains gains, gains_before;
+    /* The observer. */
     dl_law_observer observer;
 } dl_law_in_use;
 
-/* The horizons of a forecast, and the pad's velocity there in level. */
+/* The course of the pad by a forecast. */
 typedef struct {
+    /* Number of horizons; 0 without a forecast. */
     int64_t n;
-    double horizons_s[HORIZONS_MAX], rates_m_s[HORIZONS_MAX][3];
+    /* The horizons, s. */
+    double horizons_s[DL_HORIZONS_MAX];
+    /* The pad's velocity there, in level, m/s. */
+    double rates_m_s[DL_HORIZONS_MAX][3];
 } dl_law_course;
 
+/* What the law knows of one horizontal axis. */
 typedef struct {
-    double p, w, d, b, lean, rate, lag, under_way[UNDER_WAY_MAX];
+    /* The pad against the body, m. */
+    double p;
+    /* Its rate, m/s. */
+    double w;
+    /* What accelerates the body beside its tilt, m/s^2. */
+    double d;
+    /* Error of the levelled accelerometer, m/s^2. */
+    double b;
+    /* Acceleration by the tilt, m/s^2. */
+    double lean;
+    /* Its rate, m/s^3. */
+    double rate;
+    /* The lagged command, m/s^2. */
+    double lag;
+    /* The commands under way, m/s^2. */
+    double under_way[DL_UNDER_WAY_MAX];
 } dl_law_axis;
 
+/* What was measured of one horizontal axis. */
 typedef struct {
-    double p, w, lean, rate, a_body, a_deck;
+    /* The pad against the body, m. */
+    double p;
+    /* Its rate, m/s. */
+    double w;
+    /* Acceleration by the tilt, m/s^2. */
+    double lean;
+    /* Its rate, m/s^3. */
+    double rate;
+    /* Acceleration of the body, m/s^2. */
+    double a_body;
+    /* Acceleration of the deck, m/s^2. */
+    double a_deck;
 } dl_axis_measured;
 
+/* The tilt that the vehicle adds by itself, along one axis. */
 typedef struct {
-    double own, lean, rate;
+    /* That tilt, m/s^2. */
+    double own;
+    /* The tilt that the commands explain, m/s^2. */
+    double lean;
+    /* Its rate, m/s^3. */
+    double rate;
 } dl_law_own;
 
+/* What the law keeps from one cycle to the next. */
 typedef struct {
-    int64_t begun, has_turn;
-    double pushed_down_m_s2, turn_yaw_rad, turn_rate_rad_s, climbs[UNDER_WAY_MAX];
+    /* Whether a cycle has run. */
+    bool begun;
+    /* Whether the deck's turn is known. */
+    bool has_turn;
+    /* Acceleration of the body beside its answer to climb commands, m/s^2 down. */
+    double pushed_down_m_s2;
+    /* Heading of the body against the arrow, rad. */
+    double turn_yaw_rad;
+    /* Rate at which the deck turns, rad/s. */
+    double turn_rate_rad_s;
+    /* The climb commands under way, m/s. */
+    double climbs[DL_UNDER_WAY_MAX];
+    /* The two horizontal axes. */
     dl_law_axis axes[2];
+    /* The vehicle's own tilt along each. */
     dl_law_own own[2];
 } dl_law_memory;
 
+/* What is known, and what is wanted, in one cycle. */
 typedef struct {
-    int64_t goes_on, steers, has_deck, has_yaw, has_rate, has_wanted_yaw, has_lean_max;
-    double dt, share, forecast_age_s, heading_rad, d[3], v[3], yaw_rad, a_body[3], w_body[3], lean[2], v_deck[3], a_deck[3],
-        wanted[3], rate_m_s, rate_max_m_s, speed_max_m_s, wanted_yaw_rad, lean_max_rad;
+    /* Whether the cycle before was not too long ago. */
+    bool goes_on;
+    /* Whether the law commands: it has a target. */
+    bool steers;
+    /* Whether the deck's motion is known. */
+    bool has_deck;
+    /* Whether the heading against the arrow is known. */
+    bool has_yaw;
+    /* Whether a rate of descent is wanted. */
+    bool has_rate;
+    /* Whether a heading is wanted. */
+    bool has_wanted_yaw;
+    /* Whether the target limits the tilt. */
+    bool has_lean_max;
+    /* Time since the cycle before, s. */
+    double dt;
+    /* Share of `gains` against `gains_before`, 0..1. */
+    double share;
+    /* Age of the forecast, s. */
+    double forecast_age_s;
+    /* Heading of the body, rad. */
+    double heading_rad;
+    /* From the body to the pad, m. */
+    double d[3];
+    /* Its rate, m/s. */
+    double v[3];
+    /* Heading of the body against the arrow, rad. */
+    double yaw_rad;
+    /* Acceleration of the body, m/s^2. */
+    double a_body[3];
+    /* Rate of the body in its own axes, rad/s. */
+    double w_body[3];
+    /* Acceleration by the tilt, forward and right, m/s^2. */
+    double lean[2];
+    /* Velocity of the deck, m/s. */
+    double v_deck[3];
+    /* Its acceleration, m/s^2. */
+    double a_deck[3];
+    /* Where the pad is wanted from the body, m. */
+    double wanted[3];
+    /* The wanted rate of descent against the deck, m/s. */
+    double rate_m_s;
+    /* Largest vertical rate, m/s. */
+    double rate_max_m_s;
+    /* Largest horizontal speed, m/s. */
+    double speed_max_m_s;
+    /* The wanted heading against the arrow, rad. */
+    double wanted_yaw_rad;
+    /* The target's limit of the tilt, rad. */
+    double lean_max_rad;
 } dl_law_cycle;
 
+/* A command, in level. */
 typedef struct {
-    double a[2], trim[2], v[3], yaw_rate_rad_s;
+    /* Acceleration by the tilt beside the trim, forward and right, m/s^2. */
+    double a[2];
+    /* The tilt that holds against the wind, m/s^2. */
+    double trim[2];
+    /* Velocity, m/s. */
+    double v[3];
+    /* Rate of turn, rad/s. */
+    double yaw_rate_rad_s;
 } dl_law_command;
 
 /* Step one horizontal axis by dt with a measurement, and return the tilt to command over a still deck, m/s^2, by `gains` alone: what
@@ -351,9 +648,9 @@ typedef struct {
  * commands. */
 double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before,
     const dl_axis_measured *z, dl_law_axis *after);
-/* Run one cycle. Where no target steers, the memory notes what the vehicle does and the command is zero. Return 0, and write nothing,
- * if the law has no room for its commands or for the horizons. */
-int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before,
+/* Run one cycle. Where no target steers, the memory notes what the vehicle does and the command is zero. Return false, and write
+ * nothing, if the law has no room for its commands or for the horizons. */
+bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before,
     dl_law_memory *after, dl_law_command *out);
 
 /* ---- vision/register/: the drawing registered with a frame ---- */

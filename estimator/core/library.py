@@ -165,7 +165,7 @@ class Door:
 
     def _dtype(self, kind: Any) -> np.dtype[Any]:
         if kind.kind == "enum":
-            return np.dtype("u4")
+            return np.dtype("i4")
         if kind.kind == "primitive":
             return np.dtype({"double": "f8", "float": "f4", "_Bool": "?"}.get(kind.cname) or kind.cname.removesuffix("_t"))
         if kind.kind == "array":

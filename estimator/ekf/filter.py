@@ -1,33 +1,28 @@
-"""The filter's public functions: start, step, at, motion_at, forecast, moving.
+"""The filter as Python calls it: events in, results out, and answers at any instant that it remembers.
 
-An answer at one instant is read as the native core wrote it (estimator/core/filter/answer.c).
+The native core keeps the recent events and the state after each (estimator/core/filter/filter.c). It inserts a late event at the
+instant when it was measured and processes the later ones again.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Verdict
+from estimator.contracts.fusion import COMPONENTS, FusionResult, Source, components_of, source_of
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
-from estimator.ekf import forecast as forecasting
-from estimator.ekf import gate
-from estimator.ekf.deck_motion_bank import log_evidence_of_rest
-from estimator.ekf.forecast import Forecast, probability_of_motion
-from estimator.ekf.history import History, put_all
+from estimator.ekf.event import Event, packed
+from estimator.ekf.forecast import Forecast, log_evidence_of_rest, probability_of_motion
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.outcome import Outcome, result
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import Event
 from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
     ACCEL_BIAS,
@@ -39,27 +34,149 @@ from estimator.ekf.state import (
     TURN_RATE,
     VEL_SCALE,
     VESSEL_VEL,
-    Belief,
 )
-from estimator.integrity import IntegrityOptions, sensors
-from estimator.integrity.sensors import SensorWatch
+
+_CONSISTENT_NIS = 2.0
+"""Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance."""
+_VERDICTS = {value: Verdict[name.removeprefix("DL_")] for name, value in CORE.names("dl_verdict").items()}
+_ANSWERS_KEPT = 8
+"""Number of answers that are kept.
+
+Guidance, recorder and links each request the same instant, and vision the one whose sighting comes later.
+"""
+
+
+class Filter:
+    """An error-state Kalman filter of the recent past. One thread at a time may use it. It can be pickled.
+
+    Args:
+        options: the filter's options, by default `EkfOptions()`.
+    """
+
+    def __init__(self, options: EkfOptions | None = None, saved: bytes | None = None) -> None:
+        self.options = options or EkfOptions()
+        self._params = FilterParams(self.options)
+        if saved is None:
+            made = CORE.lib.dl_filter_new(self._params.core)
+        else:
+            made = CORE.lib.dl_filter_load(self._params.core, CORE.ffi.from_buffer(saved), len(saved))
+        if made == CORE.ffi.NULL:
+            raise MemoryError("the filter has no memory") if saved is None else ValueError("this is no saved filter")
+        self._core = CORE.ffi.gc(made, CORE.lib.dl_filter_free)
+        self._answers: dict[MonoNs, FilterAnswer | None] = {}
+
+    def save(self) -> bytes:
+        """Return all that the filter remembers, for `Filter(options, saved)` on the same kind of machine."""
+        n = CORE.lib.dl_filter_save(self._core, CORE.ffi.NULL, 0)
+        made = bytearray(n)
+        CORE.lib.dl_filter_save(self._core, CORE.ffi.from_buffer(made), n)
+        return bytes(made)
+
+    def __reduce__(self) -> tuple[type[Filter], tuple[EkfOptions, bytes]]:
+        return type(self), (self.options, self.save())
+
+    def put(self, events: Sequence[Event]) -> list[FusionResult]:
+        """Process samples and sightings in the order in which they were received; they may be out of sequence.
+
+        Returns:
+            The result of each event. Its verdict is FUSED; GATED (implausible, or nothing to compare it with yet);
+            LOW_CONFIDENCE (a sighting with less than `min_confidence`); TOO_OLD (before the history); TOO_NEW (measured after
+            every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has shown which way is down yet). A measurement
+            that was compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio, whatever the
+            verdict.
+
+        Raises:
+            TypeError: an event is not a measurement (a frame, for example).
+        """
+        if not events:
+            return []
+        records = CORE.ffi.from_buffer("dl_event[]", b"".join([packed(event) for event in events]))
+        outcomes, pointer = CORE.room("dl_outcome", len(events))
+        changed = CORE.lib.dl_filter_put(self._core, len(events), records, pointer)
+        if changed < 0:
+            raise MemoryError("the filter has no memory")
+        self._answers = {at: answer for at, answer in self._answers.items() if at < changed}
+        outcomes.setflags(write=False)
+        innovations, covariances = outcomes["innov"], outcomes["S"]
+        return [
+            _result(event, pointer[i], innovations[i], covariances[i]) if pointer[i].m else _uncompared(event, pointer[i].verdict)
+            for i, event in enumerate(events)
+        ]
+
+    def answer(self, now: MonoNs) -> FilterAnswer | None:
+        """Return the estimate of an instant, propagated from the last event before it.
+
+        None before the first attitude, and of an instant before the history.
+        """
+        if now not in self._answers:
+            if len(self._answers) >= _ANSWERS_KEPT:
+                self._answers.clear()
+            made, pointer = CORE.room("dl_answer", 1)
+            known = CORE.lib.dl_filter_answer(self._core, now, pointer)
+            self._answers[now] = FilterAnswer(made[0, ...], now, self.options) if known else None
+        return self._answers[now]
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        """Return the estimate of the pad at an instant, or None if no pad is tracked."""
+        answer = self.answer(now)
+        return None if answer is None else answer.pad
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        """Return the motion of body and deck at an instant; each is None while it is not known."""
+        answer = self.answer(now)
+        return (None, None) if answer is None else (answer.body, answer.deck)
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
+        """Return the forecast of the deck at `now` plus each of the horizons, or None if no pad is tracked.
+
+        Args:
+            now: the instant from which the horizons count.
+            horizons_s: (H,) s, each 0 or more.
+
+        Raises:
+            ValueError: a horizon that is negative or not finite.
+        """
+        h = np.array(horizons_s, dtype=float).ravel()
+        if not all(0.0 <= x < math.inf for x in h.tolist()):
+            raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
+        made, pointer = CORE.room("dl_deck_ahead", h.size)
+        known = CORE.lib.dl_filter_forecast(self._core, now, h.size, CORE.array("double", h), pointer)
+        return Forecast.of(now, h, made) if known else None
+
+
+def _uncompared(event: Event, verdict: int) -> FusionResult:
+    stamp = event.stamp
+    return FusionResult("ekf", source_of(event), _VERDICTS[verdict], stamp.measured_at, stamp.received_at)
+
+
+def _result(event: Event, outcome: Any, innov: F64, S: F64) -> FusionResult:
+    """Return the result of a measurement that was compared with a prediction."""
+    source, stamp, m = source_of(event), event.stamp, outcome.m
+    cov = S[: m * m].reshape(m, m) if outcome.has_S else None
+    components = _components(source, outcome.axes, m)
+    nis, ratio = outcome.nis, outcome.nis / outcome.nis_max
+    at, received_at = stamp.measured_at, stamp.received_at
+    return FusionResult("ekf", source, _VERDICTS[outcome.verdict], at, received_at, innov[:m], cov, components, nis, ratio)
+
+
+@cache
+def _components(source: Source, axes: int, m: int) -> tuple[str, ...]:
+    """Return the names of the components of an innovation; `axes` are the bits of those of a velocity or a vessel's report."""
+    if not axes:
+        return components_of(source, m)
+    return tuple(name for i, name in enumerate(COMPONENTS[source]) if axes >> i & 1)
 
 
 class FilterAnswer:
     """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first requested.
 
-    Attributes:
-        before: the last belief before the instant.
-        params: the parameters by which it was propagated.
+    Args:
+        answer: the core's `dl_answer`. No later event changes it.
     """
 
-    def __init__(self, before: PackedBelief, now: MonoNs, params: FilterParams) -> None:
-        self.before, self.params = before, params
-        self._now, self._options, self._evidence_of_rest = now, params.options, before.sea.log_evidence_of_rest
-        made, pointer = CORE.room("dl_answer", 1)
-        CORE.lib.dl_filter_answer(params.core, now, before.whole, pointer)
-        self._answer = made[0, ...]
-        self._answer.setflags(write=False)
+    def __init__(self, answer: NDArray[Any], now: MonoNs, options: EkfOptions) -> None:
+        self._answer, self._now, self._options = answer, now, options
+        answer.setflags(write=False)
 
     @cached_property
     def pad(self) -> RelativeState | None:
@@ -73,7 +190,7 @@ class FilterAnswer:
             cov = cov.copy()
             cov[6, :] = cov[:, 6] = 0.0
             cov[6, 6] = UNKNOWN_YAW_VAR
-        fits = gate.consistent(self._number("nis_mean")) and self._number("agreed") >= 3
+        fits = self._number("nis_mean") < _CONSISTENT_NIS and self._number("agreed") >= 3
         return RelativeState(
             at=self._now,
             path="ekf",
@@ -85,7 +202,7 @@ class FilterAnswer:
             consistent=fits and self._confirmed(cov, self._options),
             adrift=bool(self._number("adrift")),
             steers=bool(self._number("steers")),
-            details=Details(_figures(self._answer, self._evidence_of_rest)),
+            details=Details(lambda: _figures(self._answer)),
         )
 
     @cached_property
@@ -156,146 +273,14 @@ _PLAIN = np.r_[VEL_SCALE, CAMERA_DELAY, BARO_OFFSET, RANGE_OFFSET, VESSEL_VEL, T
 _SURE = np.r_[VEL_SCALE, CAMERA_DELAY, CAMERA_MOUNT]
 
 
-def _figures(answer: NDArray[Any], evidence_of_rest: float) -> Callable[[], tuple[tuple[str, float], ...]]:
-    """Return what puts the figures for the records together."""
-
-    def figures() -> tuple[tuple[str, float], ...]:
-        x, var = answer["x"], answer["var"]
-        (nn, ee), ne = var[VESSEL_VEL].tolist(), answer["cov_vessel"].item()
-        moving = probability_of_motion(evidence_of_rest, x[VESSEL_VEL].tolist(), (nn, ne, ee))
-        values = [answer["nis_mean"].item(), moving, *x[_PLAIN].tolist()]
-        values += np.sqrt(np.maximum(var[_SURE], 0.0)).tolist()
-        values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
-        values += [*(math.tau / answer["wave_w"]).tolist(), *answer["wave_zeta"].tolist(), *answer["wave_sigma"].tolist()]
-        return tuple(zip(_NAMES, values, strict=True))
-
-    return figures
-
-
-_LIMITS = IntegrityOptions()
-_ANSWERS_KEPT = 8
-"""The oldest answers are forgotten beyond this number."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ekf:
-    """The whole state of the filter. It is immutable: `step` returns the next one and leaves this one as it was."""
-
-    params: FilterParams
-    """The options, and what is made of them once."""
-    history: History
-    limits: IntegrityOptions | None = None
-    """The limits that an IMU sample must keep; None if `estimator.integrity` checks the samples before the filter."""
-    imu: SensorWatch = field(default_factory=SensorWatch)
-    """The recent IMU samples, from which frozen ones are recognised."""
-    answers: dict[MonoNs, FilterAnswer] = field(default_factory=dict, repr=False)
-    """The newest answers of this filter and of those before it: guidance, recorder and links each request the same instant, and
-    vision for the one whose sighting comes later. An answer counts where the last belief before the instant is still the same."""
-
-    @property
-    def belief(self) -> Belief | None:
-        """The newest belief, or None before the first attitude."""
-        return self.history.newest()
-
-
-def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _LIMITS) -> Ekf:
-    """Return a filter that has received nothing yet.
-
-    Args:
-        options: the filter's options, by default `EkfOptions()`.
-        limits: the limits that an IMU sample must keep: every other sensor has a gate, the IMU has none. Pass None if
-            `estimator.integrity.admit` has already checked every sample, as in `estimator.pipeline`.
-    """
-    return Ekf(FilterParams(options or EkfOptions()), History(), limits)
-
-
-def step(ekf: Ekf, event: Event) -> tuple[Ekf, Sequence[FusionResult]]:
-    """Process one sample or sighting, as `step_all` does."""
-    return step_all(ekf, (event,))
-
-
-def step_all(ekf: Ekf, events: Sequence[Event]) -> tuple[Ekf, Sequence[FusionResult]]:
-    """Process samples and sightings in the order in which they were received; they may be out of sequence.
-
-    Returns:
-        The next filter, and the result of each event. Its verdict is FUSED; GATED (implausible, or nothing to compare it with
-        yet); LOW_CONFIDENCE (a sighting with less than `min_confidence`); IMPOSSIBLE (an IMU sample beyond the limits); FROZEN
-        (an IMU sample that has repeated itself for too long); TOO_OLD (before the history); TOO_NEW (measured after every time
-        of reception so far); SINGULAR; or NO_ATTITUDE (no sample has shown which way is down yet). A measurement that was
-        compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio, whatever the verdict.
-
-    Raises:
-        TypeError: an event is not a measurement (a frame, for example).
-    """
-    if ekf.limits is None:
-        history, results = put_all(ekf.history, events, ekf.params)
-        return Ekf(ekf.params, history, None, ekf.imu, ekf.answers), results
-    imu, refused, admitted = ekf.imu, dict[int, FusionResult](), list[Event]()
-    for n, event in enumerate(events):
-        refusal = None
-        if isinstance(event, Imu):
-            imu, refusal = sensors.watch_reading(imu, event, ekf.limits, flying=True)
-        if refusal is None:
-            admitted.append(event)
-        else:
-            refused[n] = result(event, Outcome(refusal))
-    history, made = put_all(ekf.history, admitted, ekf.params)
-    results = list(made)
-    for n, one in refused.items():
-        results.insert(n, one)
-    return Ekf(ekf.params, history, ekf.limits, imu, ekf.answers), results
-
-
-def _answer(ekf: Ekf, now: MonoNs) -> FilterAnswer | None:
-    """Return what the filter says of an instant, propagated from the last event before it; None before the first attitude."""
-    before = ekf.history.before(now)
-    if before is None:
-        return None
-    found, params = ekf.answers.get(now), ekf.params
-    if found is None or found.before is not before or found.params is not params:
-        if len(ekf.answers) >= _ANSWERS_KEPT:
-            ekf.answers.clear()
-        found = ekf.answers[now] = FilterAnswer(before, now, params)
-    return found
-
-
-def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
-    """Return the estimate of the pad at an instant, propagated from the last event before it, or None if no pad is tracked."""
-    answer = _answer(ekf, now)
-    return None if answer is None else answer.pad
-
-
-def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-    """Return the motion of body and deck at an instant; each is None while it is not known.
-
-    The state is propagated to the instant; the covariance is the one of at most `EkfOptions.tick_s` before.
-    """
-    answer = _answer(ekf, now)
-    return (None, None) if answer is None else (answer.body, answer.deck)
-
-
-def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
-    """Return the forecast of the deck at `now` plus each of the horizons, or None if no pad is tracked.
-
-    Args:
-        ekf: the filter.
-        now: the instant from which the horizons count.
-        horizons_s: (H,) s, each 0 or more.
-
-    Raises:
-        ValueError: a horizon that is negative or not finite.
-    """
-    h = np.array(horizons_s, dtype=float).ravel()
-    if not all(0.0 <= x < math.inf for x in h.tolist()):
-        raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
-    before = ekf.history.before(now)
-    return None if before is None else forecasting.forecast(before, now, h, ekf.params)
-
-
-def moving(ekf: Ekf) -> float | None:
-    """Return the probability, 0..1, that the vessel moves (under way or on waves), or None before the first sighting."""
-    b = ekf.belief
-    if b is None or b.sighted < 0:
-        return None
-    (nn, ne), (_, ee) = b.P[VESSEL_VEL, VESSEL_VEL].tolist()
-    return probability_of_motion(log_evidence_of_rest(b.sea), b.x[VESSEL_VEL].tolist(), (nn, ne, ee))
+def _figures(answer: NDArray[Any]) -> tuple[tuple[str, float], ...]:
+    """Return the figures for the records."""
+    x, var = answer["x"], answer["var"]
+    (nn, ee), ne = var[VESSEL_VEL].tolist(), answer["cov_vessel"].item()
+    evidence = log_evidence_of_rest(answer["rest"].item())
+    moving = probability_of_motion(evidence, x[VESSEL_VEL].tolist(), (nn, ne, ee))
+    values = [answer["nis_mean"].item(), moving, *x[_PLAIN].tolist()]
+    values += np.sqrt(np.maximum(var[_SURE], 0.0)).tolist()
+    values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
+    values += [*(math.tau / answer["wave_w"]).tolist(), *answer["wave_zeta"].tolist(), *answer["wave_sigma"].tolist()]
+    return tuple(zip(_NAMES, values, strict=True))

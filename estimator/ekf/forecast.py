@@ -3,17 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.core.library import CORE
-from estimator.ekf.deck_motion_bank import packed_members
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.params import FilterParams
+from estimator.ekf.deck_motion_bank import REST_ODDS
 
 _SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
@@ -49,6 +46,13 @@ class Forecast:
     sigma_pitch_rad: F64
     """The fields from `deck_height_m` on are `_SCALARS` of the core's `dl_deck_ahead`, in order."""
 
+    @classmethod
+    def of(cls, at: MonoNs, horizons_s: F64, found: NDArray[Any]) -> Self:
+        """Return the forecast that the core wrote as `dl_deck_ahead`, one for each horizon."""
+        n = horizons_s.size
+        cov_d = found["cov_d"].reshape(n, 3, 3)
+        return cls(at, horizons_s, found["d"], cov_d, found["v_pad"], *(found[name] for name in _SCALARS))
+
     def band(self, name: str, probability: float) -> tuple[F64, F64]:
         """Return the lower and upper end of a quantity's central band.
 
@@ -67,28 +71,14 @@ class Forecast:
         return mean - z * sigma, mean + z * sigma
 
 
-def forecast(before: PackedBelief, at: MonoNs, horizons_s: F64, params: FilterParams) -> Forecast | None:
-    """Return the forecast from a belief that is not newer than `at`, by the core (estimator/core/filter/forecast.c).
+def log_evidence_of_rest(rest: float) -> float:
+    """Return the log of how much likelier all that was seen is from a deck at rest than from one that moves.
 
-    The waves come from the bank: their means and covariances are those of the mixture over its members. It is None if no pad is
-    tracked.
+    Args:
+        rest: the probability that the deck is at rest, by the bank.
     """
-    n, reach = horizons_s.size, _reach(horizons_s.tobytes())
-    found, pointer = CORE.room("dl_deck_ahead", n)
-    if not CORE.lib.dl_filter_forecast(params.core, at, before.whole, n, reach, pointer):
-        return None
-    cov_d = found["cov_d"].reshape(n, 3, 3)
-    return Forecast(at, horizons_s, found["d"], cov_d, found["v_pad"], *(found[name] for name in _SCALARS))
-
-
-@lru_cache(maxsize=16)  # guidance requests the same horizons again and again
-def _reach(horizons_s: bytes) -> Any:
-    """Return the core's `dl_horizon_reach` for each of some horizons, given as the bytes of doubles."""
-    horizons = np.frombuffer(horizons_s)
-    n = horizons.size
-    _, made = CORE.room("dl_horizon_reach", n)
-    CORE.lib.dl_bank_reach(CORE.array("dl_bank_members", packed_members(), 1), n, CORE.array("double", horizons, n), made)
-    return made
+    rest = min(max(rest, 1e-12), 1.0 - 1e-12)
+    return math.log(rest / (1.0 - rest)) - REST_ODDS
 
 
 def probability_of_motion(
@@ -97,7 +87,7 @@ def probability_of_motion(
     """Return the probability that the vessel is under way or rocks, by the bank's evidence and the steady velocity.
 
     Args:
-        evidence_of_rest: of the bank, `deck_motion_bank.log_evidence_of_rest`.
+        evidence_of_rest: of the bank, `log_evidence_of_rest`.
         v_ned: (2,) the vessel's steady velocity north and east, m/s.
         var_ned: variance north, covariance, and variance east of that, (m/s)^2.
         prior_rest: the probability of rest before any evidence.

@@ -21,7 +21,7 @@ from companion.base.mission import FLOWN
 from companion.base.observer import Observer, ProcessedFrame, listens
 from companion.base.orders import HandledOrder
 from companion.guidance.operator.precedence import ControlSituation
-from companion.guidance.pilot import WAITING_MOST, Pilot
+from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
@@ -157,8 +157,6 @@ class Flight:
         self._gone, self._phase = False, self.world.phase
         self._begin_service(pilot)
         self.health = Health(self._clock)
-        if not self._on_fusion:
-            self.health.completed_by(self._count_processed)
         self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
             for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
@@ -259,7 +257,6 @@ class Flight:
         """Return whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
-                self._count(self._pilot.fused())
                 self._arbiter.lost(self._clock.t)
                 self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
             self._gone = True
@@ -334,29 +331,20 @@ class Flight:
         self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        waiting = self._pilot.take_samples(samples)
+        results = self._pilot.on_samples(samples)
         for observer in self._observers:
             for sample in samples:
                 observer.on_sample(sample)
-        if waiting >= WAITING_MOST:
-            self._count(self._pilot.fused())
+        self._count(samples, results)
 
-    def _report_fused(self) -> None:
-        """Tell health and observers of the samples that the estimator has processed, as the daemon does."""
-        if self._on_fusion:
-            self._count(self._pilot.fused())
-
-    def _count_processed(self) -> None:
-        self._count(self._pilot.processed())
-
-    def _count(self, fused: Sequence[tuple[Sample, tuple[FusionResult, ...]]]) -> None:
-        count = self.health.fused
-        for sample, results in fused:
-            if results:
-                count(sample, results)
+    def _count(self, samples: Sequence[Sample], results: Sequence[tuple[FusionResult, ...]]) -> None:
+        """Report to health and observers what became of samples, as the daemon does."""
+        for sample, fused in zip(samples, results, strict=True):
+            if fused:
+                self.health.fused(sample, fused)
         for on_fusion in self._on_fusion:
-            for sample, results in fused:
-                for result in results:
+            for sample, fused in zip(samples, results, strict=True):
+                for result in fused:
                     on_fusion(sample.stamp.received_at, result)
 
     def _film(self, now: MonoNs) -> None:
@@ -398,24 +386,23 @@ class Flight:
             arrived = self._arriving.frame(self._frames, image, received_at)
         if arrived is None:
             return
-        refused = self._pilot.admit(arrived)
+        refused = self._pilot.estimator.admit(arrived)
         if refused is not None:
             self._conclude(ProcessedFrame(arrived, None, None, refused, now, now))
             return
-        attitude = self._pilot.attitude_at(arrived.stamp)
+        attitude = self._pilot.estimator.attitude_at(arrived.stamp)
         done = after(now, self._timing.vision_s)
         if attitude is None:
             if (assumed := self._pilot.assumed_at(arrived.stamp)) is not None:
-                self._pilot.on_followed(self._pilot.follow(arrived, assumed), assumed)
+                self._pilot.on_followed(self._pilot.detect(self._pilot.look_after(arrived, assumed)), assumed)
             self._conclude(ProcessedFrame(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
         else:
-            processed = self._pilot.detect(arrived, attitude)
+            processed = self._pilot.detect(self._pilot.look_at(arrived, attitude))
             self._looking = done, ProcessedFrame(arrived, attitude, processed, Verdict.NO_PAD, now, done)
 
     def _conclude(self, processed: ProcessedFrame) -> None:
         if processed.detection is not None:
             verdict, results = self._pilot.on_detection(processed.detection)
-            self._report_fused()
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
         self._pilot.landing.on_verdict(processed.verdict)
@@ -434,7 +421,6 @@ class Flight:
     def _decide(self, now: MonoNs) -> None:
         self._person.act(self._pilot.operator, now)
         decision = self._pilot.decide(now)
-        self._report_fused()
         self._grader.on_decision(decision)
         if decision.command is not None:
             self._streamer.take(decision.command, now)
@@ -445,5 +431,4 @@ class Flight:
 
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
-        self._count(self._pilot.fused())
         return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)

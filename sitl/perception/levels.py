@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
@@ -23,16 +24,17 @@ from estimator.contracts.estimates import PathName, RelativeState, Sighting, Ver
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, known_rotation, rpy_matrix, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, Sample, known
+from estimator.contracts.samples import Attitude, Frame, known
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
-from estimator.gimbal_history import HeldCamera
+from estimator.paths import Event
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.detection import Detection
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import FrameStream, VesselReports
 from sitl.perception.draw import detection_table, root_of, symmetric
-from sitl.perception.model import Model, Scenes, model_for, refuse_pictures
+from sitl.perception.model import DrawingPilot, Model, Scenes, model_for, refuse_pictures
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import LEVELS, Level, PerceivedWorld, Perception, Pixels
 from sitl.world.truth import RenderedFrame
@@ -276,45 +278,48 @@ class TruthLevel:
         return self._rng.standard_normal(_N)
 
 
-class TruthPilot(Pilot):
-    """The pilot with the true state, made uncertain, in place of vision and filter."""
+class TruthEstimator(RelativeEstimator):
+    """The true state, made uncertain, in place of the filter."""
 
-    def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
+    def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, shadows: Sequence[PathName]) -> None:
+        super().__init__(settings.estimator, shadows)
         self._level = level
-        self._detections, self._estimates = detection_table(model.detection), _estimate_table(model.estimate)
-        self._path: PathName = settings.estimator.path
+        self._estimates = _estimate_table(model.estimate)
         self._forget_s = settings.estimator.ekf.forget_s
         self._sigma_max_m = settings.estimator.ekf.consistent_sigma_m
-        self._found = False
         self._agreed = 0
         self._sighted: MonoNs | None = None
         self._standard: F64 | None = None
-        self._at = MonoNs(0)
-        self._newest: tuple[MonoNs, RelativeState | None] | None = None
+        self._drawn_at = MonoNs(0)
+        self._drawn: tuple[MonoNs, RelativeState | None] | None = None
         self._reported: Attitude | None = None
         self._true_motion: TrueMotion | None = None
+
+    def put(self, events: Sequence[Event]) -> list[tuple[FusionResult, ...]]:
+        """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
+        for event in events:
+            if type(event) is Attitude:
+                self._reported = event
+        return [()] * len(events)
+
+    def put_seen(self, tracked: Sighting | None, elsewhere: Sighting | None) -> tuple[FusionResult, ...]:
+        """Remember when the pad was seen."""
+        if tracked is not None:
+            at = tracked.stamp.measured_at
+            self._agreed = self._agreed + 1 if self._sighted is not None else 1
+            self._sighted = at if self._sighted is None else max(self._sighted, at)
+            self._drawn = None
+        return ()
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the true motion of body and deck with an error; the deck's once the pad has been seen."""
         body, deck = self._moved().motion(now, self._reported)
-        return body, None if self.believed(now) is None else deck
+        return body, None if self.at(now) is None else deck
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
         """Return the true deck ahead with an error."""
-        state = self.believed(now)
+        state = self.at(now)
         return None if state is None else self._moved().forecast(now, horizons_s, state.d_body_pad_level)
-
-    def _moved(self) -> TrueMotion:
-        if self._true_motion is None:
-            self._true_motion = self._level.true_motion()
-        return self._true_motion
-
-    def _keep(self, samples: Sequence[Sample]) -> None:
-        """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
-        for sample in samples:
-            if type(sample) is Attitude:
-                self._reported = sample
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the true attitude now; nothing is computed from it."""
@@ -324,8 +329,68 @@ class TruthPilot(Pilot):
         """Admit every frame: none is searched."""
         return None
 
-    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+    def at(self, instant: MonoNs) -> RelativeState | None:
+        """Return the truth with an error, once the pad has been seen."""
+        if self._drawn is None or self._drawn[0] != instant:
+            self._drawn = instant, self._estimate(instant)
+        return self._drawn[1]
+
+    def all_at(self, instant: MonoNs) -> tuple[RelativeState, ...]:
+        """Return the one estimate: no other path runs at this level."""
+        state = self.at(instant)
+        return () if state is None else (state,)
+
+    def _moved(self) -> TrueMotion:
+        if self._true_motion is None:
+            self._true_motion = self._level.true_motion()
+        return self._true_motion
+
+    def _estimate(self, now: MonoNs) -> RelativeState | None:
+        if self._sighted is None or seconds_between(self._sighted, now) > self._forget_s:
+            self._sighted = None
+            return None
+        truth = self._level.world.truth()
+        d = truth.d_body_pad_level
+        height_m = max(0.05, d.item(2))
+        root, square = self._estimates.root(height_m, seconds_between(self._sighted, now))
+        scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
+        error = scale * root.dot(self._wander(now))
+        cov = square * (scale[:, None] * scale)
+        consistent = self._agreed >= _AGREED and math.sqrt(max(cov.diagonal()[:3].tolist())) <= self._sigma_max_m
+        d += error[:3]
+        v = truth.v_pad_level
+        v += error[3:6]
+        cov += _LEAST_COV
+        for array in (d, v, cov):
+            array.setflags(write=False)
+        yaw = wrap_pi(truth.yaw_rad + error.item(6))
+        return RelativeState(now, self.path, d, v, yaw, cov, self._sighted, consistent)
+
+    def _wander(self, now: MonoNs) -> F64:
+        """Carry the standard normal numbers of the error on to another instant."""
+        fresh = self._level.fresh()
+        if self._standard is None:
+            self._standard = fresh
+        else:
+            keep, new = self._estimates.carried(max(0, now - self._drawn_at))
+            self._standard = keep * self._standard + new * fresh
+        self._drawn_at = now
+        return self._standard
+
+
+class TruthPilot(DrawingPilot):
+    """The pilot with the true state, made uncertain, in place of vision and filter."""
+
+    def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._level = level
+        self._detections, self._estimates = detection_table(model.detection), _estimate_table(model.estimate)
+        self._found = False
+        self.estimator = TruthEstimator(level, model, settings, ())
+
+    def detect(self, look: Look) -> Detection:
         """Draw whether the pad is seen in a frame, and say where it truly was."""
+        frame = look.frame
         scene = self._level.scenes.of(frame)
         view, light = scene.view, scene.light_stops
         self._found = view is not None and bool(scene.chance.uniform[0] < self._detections.probability(view, light, self._found))
@@ -348,56 +413,8 @@ class TruthPilot(Pilot):
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
         """Remember when the pad was seen."""
-        if seen.selected is None:
-            return Verdict.NO_PAD, ()
-        at = seen.selected.stamp.measured_at
-        self._agreed = self._agreed + 1 if self._sighted is not None else 1
-        self._sighted = at if self._sighted is None else max(self._sighted, at)
-        self._newest = None
-        return Verdict.FUSED, ()
-
-    def believed(self, now: MonoNs) -> RelativeState | None:
-        """Return the truth with an error, once the pad has been seen."""
-        if self._newest is None or self._newest[0] != now:
-            self._newest = now, self._estimate(now)
-        return self._newest[1]
-
-    def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
-        """Return the one estimate: no other path runs at this level."""
-        state = self.believed(now)
-        return () if state is None else (state,)
-
-    def _estimate(self, now: MonoNs) -> RelativeState | None:
-        if self._sighted is None or seconds_between(self._sighted, now) > self._forget_s:
-            self._sighted = None
-            return None
-        truth = self._level.world.truth()
-        d = truth.d_body_pad_level
-        height_m = max(0.05, d.item(2))
-        root, square = self._estimates.root(height_m, seconds_between(self._sighted, now))
-        scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
-        error = scale * root.dot(self._wander(now))
-        cov = square * (scale[:, None] * scale)
-        consistent = self._agreed >= _AGREED and math.sqrt(max(cov.diagonal()[:3].tolist())) <= self._sigma_max_m
-        d += error[:3]
-        v = truth.v_pad_level
-        v += error[3:6]
-        cov += _LEAST_COV
-        for array in (d, v, cov):
-            array.setflags(write=False)
-        yaw = wrap_pi(truth.yaw_rad + error.item(6))
-        return RelativeState(now, self._path, d, v, yaw, cov, self._sighted, consistent)
-
-    def _wander(self, now: MonoNs) -> F64:
-        """Carry the standard normal numbers of the error on to another instant."""
-        fresh = self._level.fresh()
-        if self._standard is None:
-            self._standard = fresh
-        else:
-            keep, new = self._estimates.carried(max(0, now - self._at))
-            self._standard = keep * self._standard + new * fresh
-        self._at = now
-        return self._standard
+        self.estimator.put_seen(seen.selected, None)
+        return Verdict.NO_PAD if seen.selected is None else Verdict.FUSED, ()
 
 
 def perceive(level: Level, model: str | None = None) -> Perception:

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from companion.guidance.make_pilot import make_pilot, tracker
+from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
@@ -196,20 +197,28 @@ def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionMo
     return given
 
 
-class ModelPilot(Pilot):
-    """The pilot with drawn detections in place of vision."""
+class DrawingPilot(Pilot):
+    """The pilot with drawn detections in place of vision: where it expects the pad is of no use to them."""
+
+    def look_at(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Look:
+        """Return the frame with its attitude."""
+        return self.search.anywhere(frame, attitude)
+
+    def look_after(self, frame: Frame, assumed: Attitude) -> Look:
+        """Return the frame with the attitude that is assumed."""
+        return self.search.anywhere(frame, assumed)
+
+
+class ModelPilot(DrawingPilot):
+    """The pilot with detections drawn from an error model."""
 
     def __init__(self, detector: _Detector, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._detector = detector
 
-    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+    def detect(self, look: Look) -> Detection:
         """Draw the detection of a frame."""
-        return self._detector.detect(frame, attitude)
-
-    def follow(self, frame: Frame, assumed: Attitude) -> Detection:
-        """Draw the detection of a frame without an attitude."""
-        return self._detector.detect(frame, assumed)
+        return self._detector.detect(look.frame, look.attitude)
 
 
 class _Detector:

@@ -11,6 +11,7 @@ import pytest
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.facts import encode
+from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.recording.decode import frame_times
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
@@ -25,7 +26,6 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
@@ -164,9 +164,9 @@ class CountingPilot(Pilot):
     vehicle_link: FakeVehicle
     given = 0
 
-    def take_samples(self, samples: Sequence[Sample]) -> int:
+    def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         self.given += 1
-        return super().take_samples(samples)
+        return super().on_samples(samples)
 
     def decide(self, now: MonoNs) -> Decision:
         self.waiting = max(getattr(self, "waiting", 0), len(self.vehicle_link.samples))
@@ -203,7 +203,6 @@ class FusionDiary(NullObserver):
 
 @pytest.mark.parametrize("diary", [None, FusionDiary()])
 async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: FusionDiary | None) -> None:
-    """An observer is told of them in each guidance cycle; where there is none they are counted when health is read."""
     vehicle = FakeVehicle()
     daemon = daemon_of(vehicle.open, diary=diary)
     async with asyncio.TaskGroup() as group:
@@ -227,9 +226,9 @@ async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: Fus
 class SlowPilot(Pilot):
     """A pilot on a machine that needs 50 ms for a frame."""
 
-    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+    def detect(self, look: Look) -> Detection:
         time.sleep(0.05)
-        return super().detect(frame, attitude, held)
+        return super().detect(look)
 
 
 async def test_a_slow_machine_leaves_frames_out_and_counts_them() -> None:

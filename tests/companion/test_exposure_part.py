@@ -48,8 +48,9 @@ class BelievingPilot:
         self.tracked = tracked
         self.camera: Camera = PILOT.camera
         self.pad: Pad = PILOT.pad
+        self.estimator = self
 
-    def believed(self, now: MonoNs) -> RelativeState | None:
+    def at(self, now: MonoNs) -> RelativeState | None:
         if not self.tracked:
             return None
         d = np.array([AHEAD_M, 0.0, HEIGHT_M])

@@ -109,4 +109,4 @@ def test_a_pad_is_known_again_after_a_silence_in_which_no_other_one_can_have_com
     assert set(before) == {Verdict.FUSED}
     assert set(silent) == {Verdict.NO_ATTITUDE}, "nothing is fused by an attitude that nobody knows"
     assert set(after) == ({Verdict.FUSED} if same else {Verdict.ELSEWHERE})
-    assert pilot.estimation.memory.guard.tracks.number == 1
+    assert pilot.estimator.guard.tracks.number == 1

@@ -16,7 +16,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-from estimator.core.abi import UNDER_WAY_MAX
+from estimator.core.abi import DL_UNDER_WAY_MAX
 from estimator.core.library import CORE
 from estimator.ekf import Forecast
 from tests.companion.law_memory import packed, plain
@@ -56,9 +56,9 @@ def test_a_memory_of_plain_values_is_the_core_s() -> None:
 
 
 def test_the_law_keeps_as_many_commands_as_the_core_has_room_for() -> None:
-    law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX, looks_ahead=True, over_ground=False)
-    with pytest.raises(ValueError, match=f"the law keeps {UNDER_WAY_MAX}"):
-        law_params(SHIPPED.tilt, SHIPPED.climb, T, UNDER_WAY_MAX + 1, looks_ahead=True, over_ground=False)
+    law_params(SHIPPED.tilt, SHIPPED.climb, T, DL_UNDER_WAY_MAX, looks_ahead=True, over_ground=False)
+    with pytest.raises(ValueError, match=f"the law keeps {DL_UNDER_WAY_MAX}"):
+        law_params(SHIPPED.tilt, SHIPPED.climb, T, DL_UNDER_WAY_MAX + 1, looks_ahead=True, over_ground=False)
 
 
 def test_a_deck_that_is_not_looked_at_stands_still() -> None:

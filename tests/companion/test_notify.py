@@ -14,6 +14,7 @@ from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.liveness import LivenessLimits, Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.observer import NullObserver, Observer
+from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.service.daemon import Daemon, DaemonSetup
@@ -95,10 +96,10 @@ async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Sys
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
 
-    def held_up(frame: object, attitude: object, held_by: object) -> object:
+    def held_up(what: Look) -> object:
         begun.set()
         held.wait(100.0)
-        return look(frame, attitude, held_by)
+        return look(what)
 
     monkeypatch.setattr(pilot, "detect", held_up)
     daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)

@@ -114,7 +114,7 @@ class Loop:
         late_s = 0.36 if fault == "stamps old" else 0.06
         stamp = Stamp(after(self.now, -late_s), self.now, 0.002, "sim")
         px = self.still_image if fault == "camera frozen" else self.image()
-        if (refused := self.pilot.admit(Frame(stamp, self.ticks, px))) is not None:
+        if (refused := self.pilot.estimator.admit(Frame(stamp, self.ticks, px))) is not None:
             self.verdicts.append(refused)
             return
         aside = fault == "aside" or (fault == "half aside" and self.ticks % 2 == 0)
@@ -271,9 +271,9 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
     """A lying accelerometer makes the filter estimate a deck that rises ever faster; the drone followed it up at 1 m/s."""
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
-    moves = loop.pilot.motion
+    moves = loop.pilot.estimator.motion
     rises = DeckMotion(loop.now, np.array([0.0, 0.0, -8.0]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
-    monkeypatch.setattr(loop.pilot, "motion", lambda now: (moves(now)[0], rises))
+    monkeypatch.setattr(loop.pilot.estimator, "motion", lambda now: (moves(now)[0], rises))
     height_m = loop.d[2]
     for _ in range(40):
         decision = loop.tick()

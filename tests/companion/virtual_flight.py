@@ -12,6 +12,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, VehicleLink
 from companion.settings.guidance import GuidanceOptions
@@ -21,7 +22,6 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from tests.companion.test_daemon import EYES
@@ -73,9 +73,9 @@ class SeeingPilot(Pilot):
         super().__init__(EYES, options, GuidanceOptions())
         self._truth = vehicle
 
-    def detect(self, frame: Frame, attitude: Attitude, held: HeldCamera | None = None) -> Detection:
+    def detect(self, look: Look) -> Detection:
         d = -self._truth.p_level
-        sighting = Sighting(frame.stamp, frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
+        sighting = Sighting(look.frame.stamp, look.frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
         return Detection(sighting, "arrow", MappingProxyType({}))
 
 

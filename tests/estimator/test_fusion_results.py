@@ -8,15 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from estimator import pipeline
 from estimator.contracts.estimates import PathName, Pose6, Sighting, Verdict
 from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, source_of
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
-from estimator.ekf import gate
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.params import nis_max
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
+from estimator.pipeline import RelativeEstimator
 from tests.make import attitude, baro, range_down, sighting, stamp, velocity, vessel
 
 D = np.array([0.1, -0.05, 2.0])
@@ -41,22 +41,22 @@ def sensed(i: int) -> list[Event]:
     ]
 
 
-@pytest.fixture(scope="module")
-def hovering() -> tuple[pipeline.Memory, list[FusionResult]]:
+@pytest.fixture
+def hovering() -> tuple[RelativeEstimator, list[FusionResult]]:
     """Return a second of flight, and every result of it."""
-    memory, results = pipeline.start(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
+    memory, results = RelativeEstimator(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
     for i in range(101):
         events = sensed(i)
         if i % 5 == 4:
             events.append(pad_seen(i / 100 - 0.05))
         for event in events:
-            memory, made = pipeline.step(memory, event)
+            (made,) = memory.put([event])
             results += made
     return memory, results
 
 
-def ekf_result(memory: pipeline.Memory, event: Event) -> FusionResult:
-    _, results = pipeline.step(memory, event)
+def ekf_result(memory: RelativeEstimator, event: Event) -> FusionResult:
+    (results,) = memory.put([event])
     return next(r for r in results if r.path == "ekf")
 
 
@@ -70,7 +70,7 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(hovering):
         m = len(r.components)
         assert (r.innovation.shape, r.innovation_cov.shape) == ((m,), (m, m))
         assert r.nis == pytest.approx(float(r.innovation @ np.linalg.solve(r.innovation_cov, r.innovation)), rel=1e-6)
-        assert r.test_ratio == pytest.approx(r.nis / gate.nis_max(EkfOptions().gate_probability, m))
+        assert r.test_ratio == pytest.approx(r.nis / nis_max(EkfOptions().gate_probability, m))
         assert r.normalized_nis == pytest.approx(r.nis / m)
         assert (r.test_ratio > 1.0) == (r.verdict is Verdict.GATED)
         with pytest.raises(ValueError, match="read-only"):
@@ -112,13 +112,13 @@ def test_each_source_names_what_it_compared(hovering, event, components):
     assert math.isfinite(result.test_ratio)
 
 
-def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[pipeline.Memory, list[FusionResult]]) -> None:
+def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[RelativeEstimator, list[FusionResult]]) -> None:
     memory, results = hovering
     imu = [r for r in results if r.source == "imu"]
     other = [r for r in results if r.path in ("median_mean", "dead_reckoning")]
-    early = ekf_result(pipeline.start(EVERY_PATH, shadows=SHADOWS), range_down(1.0, 2.0, 0.05))
-    refused = pipeline.step(memory, imu(1.01, f=(0.0, 0.0, -1e4)))[1]
-    late = pipeline.step(memory, pad_seen(-1.0))[1]
+    early = ekf_result(RelativeEstimator(EVERY_PATH, shadows=SHADOWS), range_down(1.0, 2.0, 0.05))
+    refused = memory.put([imu(1.01, f=(0.0, 0.0, -1e4))])[0]
+    late = memory.put([pad_seen(-1.0)])[0]
     assert {(r.path, r.verdict) for r in refused} == {
         (path, Verdict.IMPOSSIBLE) for path in ("ekf", "median_mean", "dead_reckoning")
     }

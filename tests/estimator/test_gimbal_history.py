@@ -6,12 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from estimator import pipeline
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import GimbalAttitude, GimbalFrame
 from estimator.gimbal_history import DOWN, GimbalHistory
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
 from tests.make import attitude, gimbal, stamp
 
@@ -95,10 +95,8 @@ def test_the_next_report_is_awaited_only_while_reports_come() -> None:
 
 @pytest.mark.parametrize("shadows", [(), ("dead_reckoning",)])
 def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows: tuple[PathName, ...]) -> None:
-    memory = pipeline.start(EstimatorOptions(), shadows)
-    memory, _ = pipeline.step_samples(
-        memory, [attitude(1.0, *RPY), pointing(1.0, DOWN), attitude(1.1, *RPY), pointing(1.1, DOWN)]
-    )
-    held = pipeline.held_at(memory, stamp(1.05), attitude(1.05, *RPY))
+    memory = RelativeEstimator(EstimatorOptions(), shadows)
+    memory.put([attitude(1.0, *RPY), pointing(1.0, DOWN), attitude(1.1, *RPY), pointing(1.1, DOWN)])
+    held = memory.held_at(stamp(1.05), attitude(1.05, *RPY))
     assert held is not None
     assert held.R_body_gimbal.angle_to(R_NED_BODY.without_heading().inv @ DOWN) < 1e-9

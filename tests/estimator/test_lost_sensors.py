@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator import pipeline
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from tests.support.estimator_truth import EPOCH_NS, Event, TruthFlight, events, ns
 from tests.support.lying_imu import BEGIN_S, changed, fly, frozen, setting
 
@@ -67,16 +67,16 @@ def test_a_clean_flight_in_a_high_sea_names_nobody() -> None:
 def test_a_filter_that_refuses_sightings_that_agree_is_begun_again() -> None:
     """The belief has run away: by its own gate it would refuse the pad for as long as the pad is seen."""
     flight = TruthFlight(setting(2))
-    memory, fused_at = pipeline.start(EstimatorOptions()), list[float]()
+    memory, fused_at = RelativeEstimator(EstimatorOptions()), list[float]()
     for event in events(flight):
         t = (event.stamp.measured_at - EPOCH_NS) * 1e-9
         if isinstance(event, Imu) and 8.0 <= t < 8.4:
             # 40 m/s^2 for .4 s is below every limit of a sample, and too short for a window.
             event = replace(event, f_body=event.f_body + np.array([0.0, 0.0, -40.0]))
-        memory, results = pipeline.step(memory, event)
+        (results,) = memory.put([event])
         if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
             fused_at.append(t)
-    state, (d, _, _) = pipeline.belief(memory, ns(15.9)), (x[0] for x in flight.relative(np.array([15.9])))
+    state, (d, _, _) = memory.at(ns(15.9)), (x[0] for x in flight.relative(np.array([15.9])))
     assert state is not None
     assert math.dist(state.d_body_pad_level, d) < 0.3
     assert max(b - a for a, b in pairwise(fused_at)) < 3.0

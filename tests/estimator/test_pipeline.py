@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from estimator import pipeline
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
@@ -15,6 +14,7 @@ from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Ran
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import DeadReckoningOptions, EstimatorOptions
 from estimator.paths import Event
+from estimator.pipeline import RelativeEstimator
 from tests.make import attitude, imu, sighting, stamp, velocity
 
 STEERING = EstimatorOptions(path="dead_reckoning")
@@ -28,20 +28,20 @@ def at_rest(t_s: float) -> list[Event]:
     return [attitude(t_s, yaw=1.0, var=1e-5), imu(t_s), velocity(t_s)]
 
 
-def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory, list[FusionResult]]:
+def feed(memory: RelativeEstimator, events: list[Event]) -> tuple[RelativeEstimator, list[FusionResult]]:
     outcomes: list[FusionResult] = []
     for event in events:
-        memory, made = pipeline.step(memory, event)
+        (made,) = memory.put([event])
         outcomes.extend(made)
     return memory, outcomes
 
 
-def hovering(until_s: float = 1.0) -> pipeline.Memory:
-    memory = pipeline.start(STEERING, shadows=("median_mean",))
+def hovering(until_s: float = 1.0) -> RelativeEstimator:
+    memory = RelativeEstimator(STEERING, shadows=("median_mean",))
     for i in range(round(until_s * 200)):
         memory, _ = feed(memory, at_rest(i / 200))
         if i % 7 == 0 and i > 20:
-            memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0)))
+            memory.put([seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0))])
     return memory
 
 
@@ -50,45 +50,43 @@ def equal(a: RelativeState, b: RelativeState) -> bool:
 
 
 def test_nothing_is_accepted_before_the_first_sighting() -> None:
-    memory, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), at_rest(0.0))
-    assert pipeline.belief(memory, MonoNs(0)) is None
-    assert pipeline.beliefs(memory, MonoNs(0)) == ()
+    memory, _ = feed(RelativeEstimator(STEERING, shadows=("median_mean",)), at_rest(0.0))
+    assert memory.at(MonoNs(0)) is None
+    assert memory.all_at(MonoNs(0)) == ()
 
 
 def test_every_path_estimates_the_pad_where_it_was_seen() -> None:
     memory = hovering()
-    for belief in pipeline.beliefs(memory, MonoNs(10**9)):
+    for belief in memory.all_at(MonoNs(10**9)):
         assert np.allclose(belief.d_body_pad_level, (0.5, -0.2, 2.0), atol=0.01)
         assert belief.yaw_rad is not None
         assert math.isclose(belief.yaw_rad, 0.3, abs_tol=1e-6)
-    assert [b.path for b in pipeline.beliefs(memory, MonoNs(10**9))] == ["dead_reckoning", "median_mean"]
+    assert [b.path for b in memory.all_at(MonoNs(10**9))] == ["dead_reckoning", "median_mean"]
 
 
 @settings(max_examples=30)
 @given(delay_s=st.floats(0.0, 1.5), confidence=st.floats(0.0, 1.0))
 def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_nothing(delay_s: float, confidence: float) -> None:
     memory = hovering()
-    before = pipeline.beliefs(memory, MonoNs(10**9))
-    after, outcomes = pipeline.step(memory, seen_at(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence))
+    before = memory.all_at(MonoNs(10**9))
+    (outcomes,) = memory.put([seen_at(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence)])
     assert sorted(o.path for o in outcomes) == ["dead_reckoning", "median_mean"]
     if delay_s > STEERING.max_delay_s + 1e-6:
         assert {o.verdict for o in outcomes} == {Verdict.TOO_OLD}
     elif confidence < STEERING.min_confidence:
         assert {o.verdict for o in outcomes} == {Verdict.LOW_CONFIDENCE}
     if all(o.verdict is not Verdict.FUSED for o in outcomes):
-        assert all(equal(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))
+        assert all(equal(a, b) for a, b in zip(before, memory.all_at(MonoNs(10**9)), strict=True))
 
 
 def test_the_same_events_give_the_same_belief_to_the_bit() -> None:
-    for a, b in zip(
-        pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), strict=True
-    ):
+    for a, b in zip(hovering().all_at(MonoNs(2 * 10**9)), hovering().all_at(MonoNs(2 * 10**9)), strict=True):
         assert equal(a, b)
 
 
 def test_an_old_sighting_is_a_wide_one_on_every_path() -> None:
     memory = hovering()
-    for fresh, late in zip(pipeline.beliefs(memory, MonoNs(10**9)), pipeline.beliefs(memory, MonoNs(3 * 10**9)), strict=True):
+    for fresh, late in zip(memory.all_at(MonoNs(10**9)), memory.all_at(MonoNs(3 * 10**9)), strict=True):
         assert np.trace(late.cov[:3, :3]) > 4 * np.trace(fresh.cov[:3, :3])
 
 
@@ -97,32 +95,33 @@ NOW = MonoNs(10**9)
 
 def test_another_path_steers_on_with_what_it_knows_and_one_that_did_not_run_begins_empty() -> None:
     memory = hovering()
-    first, second = pipeline.beliefs(memory, NOW)
-    steering = pipeline.belief(memory, NOW)
+    first, second = memory.all_at(NOW)
+    steering = memory.at(NOW)
     assert steering is not None
     assert (steering.path, equal(steering, first)) == ("dead_reckoning", True)
     assert {"range_agrees", "heading_off_rad"} <= dict(steering.details).keys()
-    turned = pipeline.steer_by(memory, "median_mean")
-    assert (turned.options.path, [path.name for path in turned.paths]) == ("median_mean", ["median_mean", "dead_reckoning"])
-    after = pipeline.belief(turned, NOW)
+    memory.steer_by("median_mean")
+    assert (memory.path, memory.paths) == ("median_mean", ["median_mean", "dead_reckoning"])
+    after = memory.at(NOW)
     assert after is not None
     assert (after.path, equal(after, second)) == ("median_mean", True)
-    anew = pipeline.steer_by(memory, "ekf")
-    assert [path.name for path in anew.paths] == ["ekf", "dead_reckoning", "median_mean"]
-    assert pipeline.belief(anew, NOW) is None
-    assert equal(pipeline.beliefs(anew, NOW)[0], first)
+    memory.steer_by("ekf")
+    assert memory.paths == ["ekf", "median_mean", "dead_reckoning"]
+    assert memory.at(NOW) is None
+    assert equal(memory.all_at(NOW)[1], first)
 
 
 def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_was_fused() -> None:
     elsewhere = seen_at(0.95, (9.0, 0.0, 2.0))
     memory = hovering()
-    after, outcomes = pipeline.step(memory, elsewhere)
+    before = memory.all_at(NOW)
+    (outcomes,) = memory.put([elsewhere])
     assert [o.verdict for o in outcomes] == [Verdict.ELSEWHERE] * 2
-    assert after.paths == memory.paths
-    fresh, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), [e for i in range(200) for e in at_rest(i / 200)])
-    refused, outcomes = pipeline.step(fresh, seen_at(0.9, (0.5, -0.2, 2.0), confidence=0.0))
+    assert all(equal(a, b) for a, b in zip(before, memory.all_at(NOW), strict=True))
+    fresh, _ = feed(RelativeEstimator(STEERING, shadows=("median_mean",)), [e for i in range(200) for e in at_rest(i / 200)])
+    (outcomes,) = fresh.put([seen_at(0.9, (0.5, -0.2, 2.0), confidence=0.0)])
     assert Verdict.FUSED not in {o.verdict for o in outcomes}
-    _, outcomes = pipeline.step(refused, elsewhere)
+    (outcomes,) = fresh.put([elsewhere])
     assert outcomes[0].verdict is Verdict.FUSED, "what was refused is no place of the pad"
 
 
@@ -130,13 +129,13 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
     memory, here, there = hovering(), (0.5, -0.2, 2.0), (0.5, 0.9, 2.0)
     for i in range(4):
         t_s = 0.91 + 0.01 * i
-        memory, results = pipeline.step_seen(memory, seen_at(t_s, here, confidence=0.4), seen_at(t_s, there))
+        results = memory.put_seen(seen_at(t_s, here, confidence=0.4), seen_at(t_s, there))
         assert [r.verdict for r in results] == [Verdict.FUSED] * 2
     (candidate,) = memory.guard.tracks.candidates
     assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
     assert len(memory.guard.view.bearings) > 4
     assert all(level[1] < 0.0 for _, _, level, _ in memory.guard.view.bearings), "the view watch follows the tracked pad alone"
-    estimate = pipeline.belief(memory, NOW)
+    estimate = memory.at(NOW)
     assert estimate is not None
     assert IntegrityAlert.ELSEWHERE in estimate.alerts
     assert not estimate.consistent
@@ -144,25 +143,26 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
 
 def test_a_tracked_pad_that_is_unsure_does_not_count_beside_a_clearer_one() -> None:
     memory = hovering()
-    after, results = pipeline.step_seen(memory, seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.1), seen_at(0.95, (0.5, 0.9, 2.0)))
+    before = memory.all_at(NOW)
+    results = memory.put_seen(seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.1), seen_at(0.95, (0.5, 0.9, 2.0)))
     assert results[0].verdict is Verdict.ELSEWHERE
-    assert after.paths == memory.paths
-    near = seen_at(0.95, (0.5, -0.17, 2.0))
-    after, results = pipeline.step_seen(memory, seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.4), near)
+    assert all(equal(a, b) for a, b in zip(before, memory.all_at(NOW), strict=True))
+    memory, expected = hovering(), hovering()
+    near, far = seen_at(0.95, (0.5, -0.17, 2.0)), seen_at(0.95, (0.5, -0.2, 2.0), confidence=0.4)
+    results = memory.put_seen(far, near)
     assert results[0].verdict is Verdict.FUSED
-    expected, _ = pipeline.step(memory, near)
-    assert str(after.paths) == str(expected.paths), "what the guard does not call another pad counts, as it is the clearer one"
-    assert str(after.paths) != str(pipeline.step(memory, seen_at(0.95, (0.5, -0.2, 2.0)))[0].paths)
+    expected.put([near])
+    assert equal(memory.all_at(NOW)[0], expected.all_at(NOW)[0]), "what the guard does not call another pad counts: it is clearer"
 
 
 def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> None:
     def agrees(range_m: float) -> float:
-        memory = pipeline.start(STEERING)
+        memory = RelativeEstimator(STEERING)
         for i in range(240):
             memory, _ = feed(memory, [*at_rest(i / 200), Range(stamp(i / 200), range_m + 1e-3 * (i % 3), 0.02)])
             if i % 7 == 0 and i > 20:
-                memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.05, 0.0, 2.0)))
-        state = pipeline.belief(memory, MonoNs(1_195_000_000))
+                memory.put([seen_at(i / 200 - 0.1, (0.05, 0.0, 2.0))])
+        state = memory.at(MonoNs(1_195_000_000))
         assert state is not None
         return dict(state.details)["range_agrees"]
 
@@ -170,45 +170,46 @@ def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> Non
 
 
 def test_what_the_steering_path_refuses_is_no_place_of_the_pad_to_the_guard() -> None:
-    memory, outcomes = pipeline.step(pipeline.start(EstimatorOptions(path="ekf")), seen_at(0.5, (0.5, -0.2, 2.0)))
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"))
+    (outcomes,) = memory.put([seen_at(0.5, (0.5, -0.2, 2.0))])
     assert [o.verdict for o in outcomes] == [Verdict.NO_ATTITUDE]
     assert memory.guard.tracks.n == 0
 
 
 def test_motion_and_forecast_are_those_of_the_path_that_steers() -> None:
-    memory = pipeline.start(EstimatorOptions(path="ekf"), shadows=("median_mean",))
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=("median_mean",))
     for i in range(200):
         memory, _ = feed(memory, at_rest(i / 200))
         if i % 7 == 0 and i > 20:
-            memory, _ = pipeline.step(memory, seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0)))
-    _, deck = pipeline.motion(memory, NOW)
+            memory.put([seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0))])
+    _, deck = memory.motion(NOW)
     assert deck is not None
-    assert pipeline.forecast(memory, NOW, [1.0]) is not None
-    turned = pipeline.steer_by(memory, "median_mean")
-    assert pipeline.motion(turned, NOW) == (None, None)
-    assert pipeline.forecast(turned, NOW, [1.0]) is None
+    assert memory.forecast(NOW, [1.0]) is not None
+    memory.steer_by("median_mean")
+    assert memory.motion(NOW) == (None, None)
+    assert memory.forecast(NOW, [1.0]) is None
 
 
 def test_the_largest_delay_and_the_least_confidence_are_allowed_themselves() -> None:
     at_bounds = Stamp(MonoNs(900_000_000), MonoNs(1_400_000_000), 0.001, "sim")
     assert at_bounds.delay_s == STEERING.max_delay_s
     seen = structs.replace(seen_at(0.9, (0.5, -0.2, 2.0), confidence=STEERING.min_confidence), stamp=at_bounds)
-    memory, _ = feed(pipeline.start(STEERING), [event for i in range(200) for event in at_rest(i / 200)])
-    assert pipeline.step(memory, seen)[1][0].verdict is Verdict.FUSED
+    memory, _ = feed(RelativeEstimator(STEERING), [event for i in range(200) for event in at_rest(i / 200)])
+    assert memory.put([seen])[0][0].verdict is Verdict.FUSED
     late = structs.replace(at_bounds, received_at=MonoNs(1_400_000_001))
-    assert pipeline.step(memory, structs.replace(seen, stamp=late))[1][0].verdict is Verdict.TOO_OLD
+    assert memory.put([structs.replace(seen, stamp=late)])[0][0].verdict is Verdict.TOO_OLD
 
 
 def test_dead_reckoning_remembers_its_way_for_as_long_as_a_frame_may_be_late() -> None:
     """A vehicle that flies forward at 1 m/s sees the pad 1.2 s late; it has flown 1.2 m since."""
     options = structs.replace(STEERING, max_delay_s=1.4, dead_reckoning=DeadReckoningOptions(history_s=0.2))
-    memory = pipeline.start(options)
+    memory = RelativeEstimator(options)
     for i in range(400):
         t = stamp(i / 200)
         velocity = BodyVelocity(t, np.array([1.0, 1e-3 * (i % 3), 0.0]), np.diag([0.01, 0.01, UNKNOWN_VAR]))
         memory, _ = feed(memory, [Attitude(t, Rotation.from_rpy(0.0, 1e-4 * (i % 3), 1.0), 1e-5 * np.eye(3)), velocity])
-    memory, outcomes = pipeline.step(memory, seen_at(0.8, (3.0, 0.0, 2.0), delay_s=1.2))
+    (outcomes,) = memory.put([seen_at(0.8, (3.0, 0.0, 2.0), delay_s=1.2)])
     assert outcomes[0].verdict is Verdict.FUSED
-    state = pipeline.belief(memory, MonoNs(2 * 10**9))
+    state = memory.at(MonoNs(2 * 10**9))
     assert state is not None
     assert math.isclose(state.d_body_pad_level[0], 1.8, abs_tol=0.05)

@@ -7,7 +7,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import pipeline
 from estimator.contracts.estimates import PathName, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geodesy import GeoPoint
@@ -27,6 +26,7 @@ from estimator.contracts.samples import (
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
+from estimator.pipeline import RelativeEstimator
 from tests.make import same_bits, sighting, stamp, stamp_at
 
 MS = 1_000_000
@@ -64,22 +64,22 @@ DATAGRAM = st.lists(
 
 def flown(datagrams: Sequence[Sequence[Sample]], seen: Sequence[int], *, together: bool) -> tuple[Any, list[FusionResult]]:
     """Return guard, attitudes and beliefs after the datagrams, with a sighting every 40 ms, and all results."""
-    memory = pipeline.start(EstimatorOptions(path="ekf"), shadows=PATHS[1:])
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=PATHS[1:])
     results: list[FusionResult] = []
     for n, samples in enumerate(datagrams):
         if together:
-            memory, found = pipeline.step_samples(memory, samples)
+            found = memory.put(samples)
             results += [result for of_sample in found for result in of_sample]
         else:
             for sample in samples:
-                memory, of_one = pipeline.step(memory, sample)
+                (of_one,) = memory.put([sample])
                 results += of_one
         if n % 8 == 7:
             event: Event = sighting(stamp_at((seen[n] - 60) * MS, seen[n] * MS), (0.3, -0.2, 2.0), 0.3, yaw_var=1e-4, seq=seen[n])
-            memory, of_one = pipeline.step(memory, event)
+            (of_one,) = memory.put([event])
             results += of_one
     newest = MonoNs(seen[-1] * MS)
-    return (memory.guard, memory.attitudes, pipeline.beliefs(memory, newest), pipeline.motion(memory, newest)), results
+    return (memory.guard, memory.all_at(newest), memory.motion(newest)), results
 
 
 @settings(max_examples=25)
@@ -102,16 +102,14 @@ def test_samples_together_are_samples_one_by_one(drawn: list[list[tuple[str, int
 
 def test_every_sample_of_a_hand_over_has_its_own_results() -> None:
     rng = np.random.default_rng(1)
-    memory = pipeline.start(EstimatorOptions(path="ekf"), shadows=("median_mean",))
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=("median_mean",))
     kinds = (("attitude", 1.0), ("status", 1.0), ("imu", 90.0), ("imu", 1.0))
     samples = [made(kind, stamp(1.0), scale, rng) for kind, scale in kinds]
-    memory, results = pipeline.step_samples(memory, samples)
+    results = memory.put(samples)
     assert [[(r.path, r.verdict) for r in of_one] for of_one in results] == [
         [("ekf", Verdict.FUSED)],
         [],
         [("ekf", Verdict.IMPOSSIBLE), ("median_mean", Verdict.IMPOSSIBLE)],
         [("ekf", Verdict.FUSED)],
     ]
-    again, nothing = pipeline.step_samples(memory, [])
-    assert nothing == []
-    assert again.paths == memory.paths
+    assert memory.put([]) == []

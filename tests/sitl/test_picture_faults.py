@@ -97,7 +97,7 @@ def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
     heights = []
     for faults in ((), (FocalLength(at_s=0.0, scale=1.1),)):
         flight = fly_for(1.6, CALM, level="model", faults=faults)
-        belief = flight._pilot.believed(flight._clock.t)
+        belief = flight._pilot.estimator.at(flight._clock.t)
         assert belief is not None
         heights.append(belief.height_m / float(flight.world.truth().d_body_pad_level[2]))
     assert heights[1] / heights[0] == pytest.approx(1.0 / 1.1, rel=0.03)

@@ -8,7 +8,6 @@ import pytest
 
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
-from estimator import pipeline
 from estimator.camera_motion import camera_motion
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
@@ -95,12 +94,12 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief() -> None:
     d, at = np.array([0.1, 0.2, 1.5]), stamp.measured_at
     belief = RelativeState(at, "ekf", d, level @ -v_body_ned, 0.0, 1e-4 * np.eye(7), at, True)
     rolling = replace(PLAIN, readout_s=READOUT_S)
-    found = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
+    found = camera_motion(pilot.estimator, stamp, rolling, belief)
     true = motion_of(replace(shot(1.0), R_ned_body=R, v_body_ned=v_body_ned, w_body=w_body), PLAIN)
     assert found is not None
     assert found.w_cam == pytest.approx(true.w_cam, abs=1e-3)
     assert found.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
-    assert camera_motion(pilot.estimation.memory, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
+    assert camera_motion(pilot.estimator, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
 
 
 def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,14 +116,14 @@ def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkey
     belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), np.zeros(3), 0.0, 1e-4 * np.eye(7), at, True)
     asked: list[int] = []
 
-    def motion(memory: object, now: int) -> tuple[BodyMotion, None]:
+    def motion(now: int) -> tuple[BodyMotion, None]:
         asked.append(now)
         return moves, None
 
     rolling = replace(PLAIN, readout_s=READOUT_S)
-    by_attitude = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
-    monkeypatch.setattr(pipeline, "motion", motion)
-    by_gyro = camera_motion(pilot.estimation.memory, stamp, rolling, belief)
+    by_attitude = camera_motion(pilot.estimator, stamp, rolling, belief)
+    monkeypatch.setattr(pilot.estimator, "motion", motion)
+    by_gyro = camera_motion(pilot.estimator, stamp, rolling, belief)
     assert by_attitude is not None
     assert by_gyro is not None
     true = PLAIN.T_body_cam.R.inv @ w_body

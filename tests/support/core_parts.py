@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 from cffi import FFI
 
-from estimator.core.library import CORE
+from estimator.core.library import CORE, Door
 from supply.core import FLYING
 
-_HEADERS = ("base/kalman.h", "base/symmetric.h", "filter/propagate.h", "filter/sighting.h", "filter/bank.h")
+_HEADERS = (
+    "base/kalman.h", "base/symmetric.h", "filter/belief.h", "filter/propagate.h", "filter/sighting.h", "filter/bank.h",
+    "filter/bank_ahead.h", "filter/filter.h",
+)  # fmt: skip
 PARTS = FFI()
 """The types of the header and of the parts' own headers."""
 for _header in (FLYING.header, *(FLYING.header.parent / name for name in _HEADERS)):
@@ -33,3 +36,11 @@ def _passed(kind: Any, value: Any) -> Any:
         return value
     assert value.flags.c_contiguous
     return PARTS.cast(kind, value.ctypes.data)
+
+
+class _Parts:
+    ffi, DIGEST = PARTS, CORE._digest
+
+
+PARTS_DOOR = Door(_Parts, CORE.file)  # type: ignore[arg-type]
+"""A door to the library with the structures of the parts' own headers."""

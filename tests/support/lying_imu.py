@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from msgspec.structs import replace
 
-from estimator import pipeline
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from tests.support.estimator_truth import EPOCH_NS, Event, Setting, TruthFlight, events, ns
 
 BEGIN_S, BEFORE_S, STEP_S = 8.0, 5.0, 0.05
@@ -55,11 +55,11 @@ def fly(setting: Setting, fault: Fault, lasts_s: float, blind: Callable[[Event],
     Args:
         blind: which events the estimator does not get.
     """
-    flight, memory, out = TruthFlight(setting), pipeline.start(EstimatorOptions()), Flown()
+    flight, memory, out = TruthFlight(setting), RelativeEstimator(EstimatorOptions()), Flown()
     now = BEFORE_S
     for event in events(flight):
         while event.stamp.received_at >= ns(now):
-            state, (d, v, _) = pipeline.belief(memory, ns(now)), (x[0] for x in flight.relative(np.array([now])))
+            state, (d, v, _) = memory.at(ns(now)), (x[0] for x in flight.relative(np.array([now])))
             assert state is not None or memory.guard.restarts, f"nothing is believed at {now:.2f} s"
             if state is not None:
                 off: F64 = np.concatenate([state.d_body_pad_level - d, state.v_pad_level - v])
@@ -72,7 +72,7 @@ def fly(setting: Setting, fault: Fault, lasts_s: float, blind: Callable[[Event],
         if blind(event):
             continue
         since_s = (event.stamp.measured_at - EPOCH_NS) * 1e-9 - BEGIN_S
-        memory, _ = pipeline.step(memory, fault(event) if isinstance(event, Imu) and 0.0 <= since_s < lasts_s else event)
+        memory.put([fault(event) if isinstance(event, Imu) and 0.0 <= since_s < lasts_s else event])
         for text in memory.guard.lost:
             out.named.setdefault(text, since_s)
     out.restarts, out.lost = memory.guard.restarts, memory.guard.lost

@@ -167,13 +167,13 @@ class MocapFilter:
     """The filter behind the shape of the other paths."""
 
     def __init__(self) -> None:
-        self.memory = ekf.start(OPTIONS)
+        self.memory = ekf.Filter(OPTIONS)
 
     def step(self, event: Event) -> None:
-        self.memory, _ = ekf.step(self.memory, event)
+        self.memory.put([event])
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        return ekf.at(self.memory, now)
+        return self.memory.at(now)
 
 
 def run(flight: MocapRecording, path: FollowingPath, seen: Sequence[Sighting], until_s: float) -> tuple[F64, F64, F64]:

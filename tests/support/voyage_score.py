@@ -11,6 +11,10 @@ import numpy as np
 
 from estimator import ekf
 from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Imu
+from estimator.integrity import IntegrityOptions
+from estimator.integrity import sensors as sensors_guard
+from estimator.integrity.sensors import SensorWatch
 from tests.support import voyage_truth
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
@@ -36,7 +40,7 @@ class Score:
     delay_error_s: float = math.nan
     delay_sigma_s: float = math.nan
     moving: float = math.nan
-    memory: ekf.Ekf | None = None
+    memory: ekf.Filter | None = None
 
     @property
     def inside(self) -> float:
@@ -65,7 +69,8 @@ def fly(
     """
     voyage = Voyage(scene)
     received_at, sensors = voyage_truth.events(voyage)
-    memory, out, next_s, next_forecast_s = ekf.start(options), Score(), since_s, since_s + 2.0
+    memory, out, next_s, next_forecast_s = ekf.Filter(options), Score(), since_s, since_s + 2.0
+    watch = SensorWatch()
     for event in received_at:
         t = (event.stamp.measured_at - voyage_truth.EPOCH_NS) * 1e-9
         while event.stamp.received_at >= ns(next_s):
@@ -77,8 +82,12 @@ def fly(
         if t < from_s:
             continue
         for one in (event,) if spoil is None else spoil(event, t):
-            memory, _ = ekf.step(memory, one)
-    final = ekf.at(memory, ns(scene.duration_s - 0.05))
+            if isinstance(one, Imu):  # a guard is before the filter, as in flight
+                watch, refusal = sensors_guard.watch_reading(watch, one, IntegrityOptions(), flying=True)
+                if refusal is not None:
+                    continue
+            memory.put([one])
+    final = memory.at(ns(scene.duration_s - 0.05))
     if final is not None:
         named = dict(final.details)
         out.delay_error_s = named["camera_delay_s"] - sensors.delay_s
@@ -88,8 +97,8 @@ def fly(
     return out
 
 
-def score(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
-    state = ekf.at(memory, ns(now_s))
+def score(out: Score, memory: ekf.Filter, voyage: Voyage, now_s: float) -> None:
+    state = memory.at(ns(now_s))
     if state is None:
         return
     d, v, yaw = voyage.relative(now_s)
@@ -103,8 +112,8 @@ def score(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
     out.yaw_error.append(turn)
 
 
-def score_forecast(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
-    reported = ekf.forecast(memory, ns(now_s), HORIZONS_S)
+def score_forecast(out: Score, memory: ekf.Filter, voyage: Voyage, now_s: float) -> None:
+    reported = memory.forecast(ns(now_s), HORIZONS_S)
     if reported is None:
         return
     h = np.array(HORIZONS_S)

@@ -12,7 +12,7 @@ from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.gains import ObserverGains, TiltGains
 from companion.settings.response import ClimbResponse, TiltResponse
 from estimator.contracts.motion import BodyMotion
-from estimator.core.abi import UNDER_WAY_MAX
+from estimator.core.abi import DL_UNDER_WAY_MAX
 from estimator.core.library import CORE
 from estimator.ekf import Forecast
 
@@ -40,8 +40,8 @@ def law_params(
     Raises:
         ValueError: more commands are under way than the core keeps.
     """
-    if remembered > UNDER_WAY_MAX:
-        raise ValueError(f"{remembered} commands of {period_s} s are under way, and the law keeps {UNDER_WAY_MAX}")
+    if remembered > DL_UNDER_WAY_MAX:
+        raise ValueError(f"{remembered} commands of {period_s} s are under way, and the law keeps {DL_UNDER_WAY_MAX}")
     seen = view or FieldOfView(0.0, 0.0, 0.0, 0.0)
     return {
         "remembered": remembered, "over_ground": over_ground, "keeps_in_view": view is not None, "looks_ahead": looks_ahead,

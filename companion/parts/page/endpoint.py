@@ -315,7 +315,7 @@ class PageEndpoint(NullObserver):
     def _tell_states(self) -> None:
         now, decision = self._clock.now(), self._flight.decision
         belief = None if decision is None else decision.belief
-        where = None if belief is None else place(belief, self._pilot.forecast(now, HORIZONS_S), now)
+        where = None if belief is None else place(belief, self._pilot.estimator.forecast(now, HORIZONS_S), now)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
@@ -343,7 +343,7 @@ class PageEndpoint(NullObserver):
         number, lean = 0, Rotation.identity()
         async for processed in self._frames:
             exposed = processed.frame.stamp.measured_at
-            belief, ahead = self._pilot.believed(exposed), self._pilot.forecast(exposed, AHEAD_S)
+            belief, ahead = self._pilot.estimator.at(exposed), self._pilot.estimator.forecast(exposed, AHEAD_S)
             lean = camera_lean(processed, belief) or lean
             number += 1
             ready = [viewer for viewer in self._viewers if viewer.ready]

@@ -143,7 +143,7 @@ class VideoStreamPart(NullObserver):
         try:
             async for processed in self._frames:
                 exposed = processed.frame.stamp.measured_at
-                belief = self._pilot.believed(exposed) if self._o.drawn else None
+                belief = self._pilot.estimator.at(exposed) if self._o.drawn else None
                 lean = camera_lean(processed, belief) or lean
                 if await worker.run(self._send, stream, processed, belief, lean):
                     self._sent, self._sent_at = self._sent + 1, self._clock.now()

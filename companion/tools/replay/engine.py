@@ -26,13 +26,13 @@ from companion.recording import decode
 from companion.recording.reading import CAMERA, PAD, Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
-from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.detection import Detection
 
 _GAP_S = 10.0
@@ -160,7 +160,9 @@ class Replay:
         stamp = self._moved(recorded.stamp)
         self.counts.frames += 1
         attitude = recorded.attitude
-        attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+        attitude = (
+            self._pilot.estimator.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+        )
         held = None if attitude is None else self._pilot.held_at(stamp, attitude)
         detection: Detection | None = None
         verdict = Verdict.NO_ATTITUDE
@@ -175,16 +177,17 @@ class Replay:
             else:
                 verdict, results = self._pilot.on_detection(detection)
             frame = _black(recorded)
-        elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
+        elif (refused := self._pilot.estimator.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
         elif attitude is not None and held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         elif attitude is not None:
             self.counts.searched += 1
-            detection = self._pilot.detect(replace(frame, stamp=stamp), attitude, held)
+            detection = self._pilot.detect(self._pilot.look_at(replace(frame, stamp=stamp), attitude, held))
             verdict, results = self._pilot.on_detection(detection)
         elif (assumed := self._pilot.assumed_at(stamp)) is not None:
-            self._pilot.on_followed(self._pilot.follow(replace(frame, stamp=stamp), assumed), assumed)
+            look = self._pilot.look_after(replace(frame, stamp=stamp), assumed)
+            self._pilot.on_followed(self._pilot.detect(look), assumed)
         self._pilot.landing.on_verdict(verdict)
         seen = replace(frame, stamp=stamp)
         camera = self._pilot.search.camera_held(held)
@@ -259,7 +262,7 @@ def available_paths() -> tuple[PathName, ...]:
     found: list[PathName] = []
     for name in get_args(PathName):
         try:
-            pipeline.start(EstimatorOptions(path=name))
+            RelativeEstimator(EstimatorOptions(path=name))
         except BadInput:
             continue
         found.append(name)

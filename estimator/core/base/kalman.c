@@ -9,7 +9,7 @@
 #include "base/kalman.h"
 #include "base/wide.h"
 
-int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
+int cholesky(int m, double S[DL_ROWS_MAX][DL_ROWS_MAX])
 {
     for (int j = 0; j < m; j++) {
         double pivot = S[j][j];
@@ -31,7 +31,7 @@ int cholesky(int m, double S[ROWS_MAX][ROWS_MAX])
     return DONE;
 }
 
-void solve_lower(int m, double L[ROWS_MAX][ROWS_MAX], double b[ROWS_MAX])
+void solve_lower(int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double b[DL_ROWS_MAX])
 {
     for (int i = 0; i < m; i++) {
         for (int k = 0; k < i; k++) {
@@ -50,7 +50,7 @@ static void subtract(int n, double factor, const double *restrict other, double 
 }
 
 /* B <- inv(L L') B, of m rows of n numbers. */
-static void solve_rows(int n, int m, double L[ROWS_MAX][ROWS_MAX], double B[ROWS_MAX][ORDER_MAX])
+static void solve_rows(int n, int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double B[DL_ROWS_MAX][ORDER_MAX])
 {
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < i; j++) {
@@ -114,7 +114,7 @@ void kalman_predict(int n, const double *P, const double *F, const double *Q, do
 
 int nis_of(int m, const double *innov, const double *S, double *nis)
 {
-    double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX];
+    double L[DL_ROWS_MAX][DL_ROWS_MAX], y[DL_ROWS_MAX];
     for (int i = 0; i < m; i++) {
         y[i] = innov[i];
         for (int j = 0; j < m; j++) {
@@ -139,8 +139,8 @@ int kalman_correct(int n, const double *P, const measured *z, double *dx, double
 {
     const int m = z->m;
     const double *innov = z->innov, *H = z->H, *R = z->R;
-    double y[ROWS_MAX], scale[ROWS_MAX], s[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
-    double C[ROWS_MAX][ORDER_MAX], K[ROWS_MAX][ORDER_MAX], rest[ROWS_MAX][ORDER_MAX];
+    double y[DL_ROWS_MAX], scale[DL_ROWS_MAX], s[DL_ROWS_MAX][DL_ROWS_MAX], L[DL_ROWS_MAX][DL_ROWS_MAX];
+    double C[DL_ROWS_MAX][ORDER_MAX], K[DL_ROWS_MAX][ORDER_MAX], rest[DL_ROWS_MAX][ORDER_MAX];
 
     /* C', row by row: most entries of a Jacobian are zero, and P is symmetric. */
     for (int i = 0; i < m; i++) {

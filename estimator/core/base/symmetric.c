@@ -12,11 +12,11 @@ static const double KEPT = 0.02;
 /* An attitude covariance above this many times the covariance that should contain it is no part of it. The different
  * linearisations of vision and filter cause a few hundredths. */
 static const double NOT_A_PART = 1.5;
-/* Jacobi's sweeps converge quadratically; random matrices of ROWS_MAX rows needed 8 at most. */
+/* Jacobi's sweeps converge quadratically; random matrices of DL_ROWS_MAX rows needed 8 at most. */
 enum { SWEEPS_MAX = 12 };
 
 /* Rotate rows and columns p and q so that A[p][q] vanishes. */
-static void jacobi_rotate(int m, int p, int q, double A[ROWS_MAX][ROWS_MAX], double V[ROWS_MAX][ROWS_MAX])
+static void jacobi_rotate(int m, int p, int q, double A[DL_ROWS_MAX][DL_ROWS_MAX], double V[DL_ROWS_MAX][DL_ROWS_MAX])
 {
     const double theta = 0.5 * (A[q][q] - A[p][p]) / A[p][q];
     const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;
@@ -34,7 +34,7 @@ static void jacobi_rotate(int m, int p, int q, double A[ROWS_MAX][ROWS_MAX], dou
     }
 }
 
-void symmetric_eigen(int m, double A[ROWS_MAX][ROWS_MAX], double values[ROWS_MAX], double V[ROWS_MAX][ROWS_MAX])
+void symmetric_eigen(int m, double A[DL_ROWS_MAX][DL_ROWS_MAX], double values[DL_ROWS_MAX], double V[DL_ROWS_MAX][DL_ROWS_MAX])
 {
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
@@ -66,7 +66,7 @@ void symmetric_eigen(int m, double A[ROWS_MAX][ROWS_MAX], double values[ROWS_MAX
 }
 
 /* part = J cov_attitude J', (m, m) */
-static void attitude_part(int m, const double *J, const double cov_attitude[9], double part[ROWS_MAX][ROWS_MAX])
+static void attitude_part(int m, const double *J, const double cov_attitude[9], double part[DL_ROWS_MAX][DL_ROWS_MAX])
 {
     for (int i = 0; i < m; i++) {
         double row[3];
@@ -80,9 +80,9 @@ static void attitude_part(int m, const double *J, const double cov_attitude[9], 
 }
 
 /* inv(L) part inv(L)': the part in units of the whole. */
-static void in_units_of(int m, double L[ROWS_MAX][ROWS_MAX], double part[ROWS_MAX][ROWS_MAX], double out[ROWS_MAX][ROWS_MAX])
+static void in_units_of(int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double part[DL_ROWS_MAX][DL_ROWS_MAX], double out[DL_ROWS_MAX][DL_ROWS_MAX])
 {
-    double left[ROWS_MAX][ROWS_MAX];
+    double left[DL_ROWS_MAX][DL_ROWS_MAX];
     for (int j = 0; j < m; j++) {
         for (int i = 0; i < m; i++) {
             left[j][i] = part[i][j];
@@ -98,9 +98,9 @@ static void in_units_of(int m, double L[ROWS_MAX][ROWS_MAX], double part[ROWS_MA
 }
 
 /* cov <- half diag(kept) half' with half = L axes. */
-static void assemble(int m, double L[ROWS_MAX][ROWS_MAX], double axes[ROWS_MAX][ROWS_MAX], const double kept[ROWS_MAX], double *cov)
+static void assemble(int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double axes[DL_ROWS_MAX][DL_ROWS_MAX], const double kept[DL_ROWS_MAX], double *cov)
 {
-    double half[ROWS_MAX][ROWS_MAX];
+    double half[DL_ROWS_MAX][DL_ROWS_MAX];
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
             half[i][j] = 0.0;
@@ -121,7 +121,7 @@ static void assemble(int m, double L[ROWS_MAX][ROWS_MAX], double axes[ROWS_MAX][
 
 void remove_attitude(int m, double *cov, const double *J, const double *cov_attitude)
 {
-    double part[ROWS_MAX][ROWS_MAX], rest[ROWS_MAX][ROWS_MAX], L[ROWS_MAX][ROWS_MAX];
+    double part[DL_ROWS_MAX][DL_ROWS_MAX], rest[DL_ROWS_MAX][DL_ROWS_MAX], L[DL_ROWS_MAX][DL_ROWS_MAX];
     attitude_part(m, J, cov_attitude, part);
     for (int i = 0; i < m; i++) {
         for (int j = 0; j < m; j++) {
@@ -135,7 +135,7 @@ void remove_attitude(int m, double *cov, const double *J, const double *cov_atti
         }
         return;
     }
-    double whitened[ROWS_MAX][ROWS_MAX], fraction[ROWS_MAX], axes[ROWS_MAX][ROWS_MAX];
+    double whitened[DL_ROWS_MAX][DL_ROWS_MAX], fraction[DL_ROWS_MAX], axes[DL_ROWS_MAX][DL_ROWS_MAX];
     if (cholesky(m, L) == NOT_POSITIVE) {
         return;
     }

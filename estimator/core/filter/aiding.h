@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_AIDING_H
 #define DECKLANDER_AIDING_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "filter/propagate.h"
 
 /* Each takes one sample at the belief's instant; `out` receives its outcome. */

@@ -1,9 +1,10 @@
 /* What the filter says of one instant: the pad, and the motion of body and deck. Only the rows that leave it are propagated. */
 
+#include "filter/answer.h"
+
 #include <math.h>
 #include <string.h>
 
-#include "decklander.h"
 #include "filter/jacobian.h"
 #include "filter/propagate.h"
 #include "base/rotation.h"
@@ -125,7 +126,7 @@ static void answer_deck(const settled *now, dl_answer *out)
     add_spread(4, tilt, now->P, out->cov_tilt);
 }
 
-void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, dl_answer *out)
+void answer_at(const dl_filter_params *o, int64_t t, const whole_belief *before, dl_answer *out)
 {
     double places[2][DL_N * DL_N], F[DL_N * DL_N], Q[DL_N * DL_N];
     covariance c = {before->P, {places[0], places[1]}};
@@ -161,6 +162,7 @@ void dl_filter_answer(const dl_filter_params *o, int64_t t, const dl_whole_belie
         memcpy(out->wave_w, b.wave_w, sizeof out->wave_w);
         memcpy(out->wave_zeta, b.wave_zeta, sizeof out->wave_zeta);
         memcpy(out->wave_sigma, b.wave_sigma, sizeof out->wave_sigma);
+        out->rest = before->bank->weight[0];
         out->cov_vessel = AT(c.P, DL_VESSEL_VEL, DL_VESSEL_VEL + 1);
     }
 }

@@ -26,10 +26,10 @@ static const double LIST_RAD = 2.0 * 3.14159265358979323846 / 180.0;
 
 /* What moves every member on by the same time. Arrays are by member. */
 typedef struct {
-    double one[MEMBERS], dt[MEMBERS], half[MEMBERS];
+    double one[DL_MEMBERS], dt[DL_MEMBERS], half[DL_MEMBERS];
     /* The transition of displacement and rate, of the force and its rate, and of the former by the latter. */
-    double own[2][2][MEMBERS], driven[2][2][MEMBERS];
-    double q[4][4][MEMBERS];
+    double own[2][2][DL_MEMBERS], driven[2][2][DL_MEMBERS];
+    double q[4][4][DL_MEMBERS];
 } member_step;
 
 int member_pair(int i, int j)
@@ -46,7 +46,7 @@ static int moves_alike(const dl_bank_members *m, int g)
 static void step_members(const dl_bank_members *m, double T, member_step *s)
 {
     double A[4][4] = {{0.0}}, q[4][4] = {{0.0}};
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         if (!moves_alike(m, g)) {
             oscillator_transition(m->w[g], m->zeta[g], T, A, q);
         }
@@ -106,22 +106,22 @@ static inline void evaluate(const products *sum, double *restrict out)
     const double *const a3 = sum->a[3], *const x3 = sum->x[3];
     switch (sum->n) {
     case 1:
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             out[g] = a0[g] * x0[g];
         }
         return;
     case 2:
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             out[g] = a0[g] * x0[g] + a1[g] * x1[g];
         }
         return;
     case 3:
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             out[g] = a0[g] * x0[g] + a1[g] * x1[g] + a2[g] * x2[g];
         }
         return;
     default:
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             out[g] = a0[g] * x0[g] + a1[g] * x1[g] + a2[g] * x2[g] + a3[g] * x3[g];
         }
     }
@@ -133,22 +133,22 @@ static void carry_states(const double *F[STATES][STATES], const double *x, doubl
     for (int i = 0; i < STATES; i++) {
         products sum = {0};
         for (int k = 0; k < STATES; k++) {
-            add_product(&sum, F[i][k], x + k * MEMBERS);
+            add_product(&sum, F[i][k], x + k * DL_MEMBERS);
         }
-        evaluate(&sum, after + i * MEMBERS);
+        evaluate(&sum, after + i * DL_MEMBERS);
     }
 }
 
 /* after = F P F', the upper triangle; F has the blocks of displacement and rate, of force and its rate, of the offset. */
 static void carry_covariances(const double *F[STATES][STATES], const double *P, double *after)
 {
-    double FP[STATES][MEMBERS];
+    double FP[STATES][DL_MEMBERS];
     for (int i = 0; i < STATES; i++) {
         const int first = i < OFFSET ? i / 2 * 2 : i;
         for (int k = first; k < STATES; k++) {
             products sum = {0};
             for (int l = 0; l < STATES; l++) {
-                add_product(&sum, F[i][l], P + member_pair(l, k) * MEMBERS);
+                add_product(&sum, F[i][l], P + member_pair(l, k) * DL_MEMBERS);
             }
             evaluate(&sum, FP[k]);
         }
@@ -157,7 +157,7 @@ static void carry_covariances(const double *F[STATES][STATES], const double *P, 
             for (int k = first; k < STATES; k++) {
                 add_product(&sum, F[j][k], FP[k]);
             }
-            evaluate(&sum, after + member_pair(i, j) * MEMBERS);
+            evaluate(&sum, after + member_pair(i, j) * DL_MEMBERS);
         }
     }
 }
@@ -178,16 +178,16 @@ static void add_noises(const member_step *s, const double *sigma, double noise[3
 {
     for (int i = 0; i < 4; i++) {
         for (int j = i; j < 4; j++) {
-            double *row = P + member_pair(i, j) * MEMBERS;
-            for (int g = 0; g < MEMBERS; g++) {
+            double *row = P + member_pair(i, j) * DL_MEMBERS;
+            for (int g = 0; g < DL_MEMBERS; g++) {
                 row[g] += sigma[g] * sigma[g] * s->q[i][j][g];
             }
         }
     }
     for (int i = 0; i < 3; i++) {
         for (int j = i; j < 3; j++) {
-            double *row = P + member_pair(OFFSET + i, OFFSET + j) * MEMBERS;
-            for (int g = 0; g < MEMBERS; g++) {
+            double *row = P + member_pair(OFFSET + i, OFFSET + j) * DL_MEMBERS;
+            for (int g = 0; g < DL_MEMBERS; g++) {
                 row[g] += noise[i][j];
             }
         }
@@ -199,39 +199,39 @@ static void carry(const dl_filter_params *o, const member_step *s, double T, dou
                   const dl_bank *before, dl_bank *after)
 {
     const double *F[STATES][STATES];
-    double noise[3][3], *P = after->P + k * MEMBER_PAIRS * MEMBERS;
+    double noise[3][3], *P = after->P + k * MEMBER_PAIRS * DL_MEMBERS;
     transition_of(s, F);
-    carry_states(F, before->x + k * STATES * MEMBERS, after->x + k * STATES * MEMBERS);
-    carry_covariances(F, before->P + k * MEMBER_PAIRS * MEMBERS, P);
+    carry_states(F, before->x + k * STATES * DL_MEMBERS, after->x + k * STATES * DL_MEMBERS);
+    carry_covariances(F, before->P + k * MEMBER_PAIRS * DL_MEMBERS, P);
     carrying_noise(o->carrying_psd_accel[k] + (k < 3 ? ins_var / T : 0.0), o->carrying_psd_drift[k], o->carrying_psd_tilt[k],
                    reach_m, T, noise);
-    add_noises(s, o->members.sigma + k * MEMBERS, noise, P);
+    add_noises(s, o->members.sigma + k * DL_MEMBERS, noise, P);
 }
 
 /* One direction's members after it was seen at y: a scalar Kalman correction each, and the evidence that it gives. */
 static inline void look(double y, double var, double *x, double *P, double *log_weight)
 {
-    double PH[STATES][MEMBERS], S[MEMBERS], innov[MEMBERS];
+    double PH[STATES][DL_MEMBERS], S[DL_MEMBERS], innov[DL_MEMBERS];
     for (int i = 0; i < STATES; i++) {
-        const double *displacement = P + member_pair(0, i) * MEMBERS, *offset = P + member_pair(OFFSET, i) * MEMBERS;
-        for (int g = 0; g < MEMBERS; g++) {
+        const double *displacement = P + member_pair(0, i) * DL_MEMBERS, *offset = P + member_pair(OFFSET, i) * DL_MEMBERS;
+        for (int g = 0; g < DL_MEMBERS; g++) {
             PH[i][g] = displacement[g] + offset[g];
         }
     }
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         S[g] = PH[0][g] + PH[OFFSET][g] + var;
-        innov[g] = y - x[g] - x[OFFSET * MEMBERS + g];
+        innov[g] = y - x[g] - x[OFFSET * DL_MEMBERS + g];
         log_weight[g] -= 0.5 * (log(S[g]) + fmin(innov[g] * innov[g] / S[g], NIS_MAX));
     }
     for (int i = 0; i < STATES; i++) {
-        double K[MEMBERS];
-        for (int g = 0; g < MEMBERS; g++) {
+        double K[DL_MEMBERS];
+        for (int g = 0; g < DL_MEMBERS; g++) {
             K[g] = PH[i][g] / S[g];
-            x[i * MEMBERS + g] += K[g] * innov[g];
+            x[i * DL_MEMBERS + g] += K[g] * innov[g];
         }
         for (int j = i; j < STATES; j++) {
-            double *row = P + member_pair(i, j) * MEMBERS;
-            for (int g = 0; g < MEMBERS; g++) {
+            double *row = P + member_pair(i, j) * DL_MEMBERS;
+            for (int g = 0; g < DL_MEMBERS; g++) {
                 row[g] -= K[g] * PH[j][g];
             }
         }
@@ -241,25 +241,25 @@ static inline void look(double y, double var, double *x, double *P, double *log_
 /* Forecast the waves at the horizons of the skill, and compare what was forecast of the present with it. */
 static void forecast_and_compare(const dl_bank_members *m, dl_bank *s, int64_t t)
 {
-    double now[DIRECTIONS][2] = {{0.0}}, ahead[SKILL_HORIZONS][DIRECTIONS][2] = {{{0.0}}}, weight[DIRECTIONS][MEMBERS];
-    for (int k = 0; k < DIRECTIONS; k++) {
-        weigh_ahead(m, s->log_weight + k * MEMBERS, s->weight[0], weight[k]);
-        for (int g = 0; g < MEMBERS; g++) {
+    double now[DL_DIRECTIONS][2] = {{0.0}}, ahead[SKILL_HORIZONS][DL_DIRECTIONS][2] = {{{0.0}}}, weight[DL_DIRECTIONS][DL_MEMBERS];
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
+        weigh_ahead(m, s->log_weight + k * DL_MEMBERS, s->weight[0], weight[k]);
+        for (int g = 0; g < DL_MEMBERS; g++) {
             for (int r = 0; r < 2; r++) {
-                now[k][r] += weight[k][g] * s->x[(k * STATES + r) * MEMBERS + g];
+                now[k][r] += weight[k][g] * s->x[(k * STATES + r) * DL_MEMBERS + g];
             }
         }
     }
     for (int h = 0; h < SKILL_HORIZONS; h++) {
         double A[4][4] = {{0.0}}, q[4][4];
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             if (!moves_alike(m, g)) {
                 oscillator_transition(m->w[g], m->zeta[g], SKILL_HORIZONS_S[h], A, q);
             }
-            for (int k = 0; k < DIRECTIONS; k++) {
-                const double *x = s->x + k * STATES * MEMBERS + g;
+            for (int k = 0; k < DL_DIRECTIONS; k++) {
+                const double *x = s->x + k * STATES * DL_MEMBERS + g;
                 for (int r = 0; r < 2; r++) {
-                    const double there = A[r][0] * x[0] + A[r][1] * x[MEMBERS] + A[r][2] * x[2 * MEMBERS] + A[r][3] * x[3 * MEMBERS];
+                    const double there = A[r][0] * x[0] + A[r][1] * x[DL_MEMBERS] + A[r][2] * x[2 * DL_MEMBERS] + A[r][3] * x[3 * DL_MEMBERS];
                     ahead[h][k][r] += weight[k][g] * there;
                 }
             }
@@ -268,24 +268,24 @@ static void forecast_and_compare(const dl_bank_members *m, dl_bank *s, int64_t t
     skill_compare(&s->skill, t, now, ahead);
 }
 
-void dl_bank_begin(const dl_bank_members *m, dl_bank *after)
+void bank_begin(const dl_bank_members *m, dl_bank *after)
 {
     memset(after, 0, sizeof *after);
     after->t = -1;
-    for (int k = 0; k < DIRECTIONS; k++) {
-        const double *sigma = m->sigma + k * MEMBERS;
-        double *P = after->P + k * MEMBER_PAIRS * MEMBERS;
-        memcpy(after->log_weight + k * MEMBERS, m->log_prior, sizeof m->log_prior);
-        for (int g = 0; g < MEMBERS; g++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
+        const double *sigma = m->sigma + k * DL_MEMBERS;
+        double *P = after->P + k * MEMBER_PAIRS * DL_MEMBERS;
+        memcpy(after->log_weight + k * DL_MEMBERS, m->log_prior, sizeof m->log_prior);
+        for (int g = 0; g < DL_MEMBERS; g++) {
             double at_rest[4][4];
             oscillator_at_rest(m->w[g], m->zeta[g], at_rest);
             for (int i = 0; i < 4; i++) {
                 for (int j = i; j < 4; j++) {
-                    P[member_pair(i, j) * MEMBERS + g] = sigma[g] * sigma[g] * at_rest[i][j];
+                    P[member_pair(i, j) * DL_MEMBERS + g] = sigma[g] * sigma[g] * at_rest[i][j];
                 }
             }
             for (int i = 0; i < 3; i++) {
-                P[member_pair(OFFSET + i, OFFSET + i) * MEMBERS + g] = k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
+                P[member_pair(OFFSET + i, OFFSET + i) * DL_MEMBERS + g] = k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
             }
         }
     }
@@ -293,7 +293,7 @@ void dl_bank_begin(const dl_bank_members *m, dl_bank *after)
 }
 
 WIDE
-void bank_observe(const dl_filter_params *o, int64_t t, const double y[DIRECTIONS], const double var[DIRECTIONS], double ins_var,
+void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECTIONS], const double var[DL_DIRECTIONS], double ins_var,
                   double reach_m, const dl_bank *before, dl_bank *after)
 {
     const dl_bank_members *m = &o->members;
@@ -302,7 +302,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DIRECTION
     if (before->t >= 0 && T > 0.0) {
         member_step s;
         step_members(m, T, &s);
-        for (int k = 0; k < DIRECTIONS; k++) {
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
             carry(o, &s, T, ins_var, reach_m, k, before, after);
         }
         fade = exp(-T / MEMORY_S);
@@ -310,21 +310,21 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DIRECTION
         memcpy(after->x, before->x, sizeof after->x);
         memcpy(after->P, before->P, sizeof after->P);
     }
-    for (int k = 0; k < DIRECTIONS; k++) {
-        double *x = after->x + k * STATES * MEMBERS, *log_weight = after->log_weight + k * MEMBERS;
-        const double *known = before->log_weight + k * MEMBERS;
-        for (int g = 0; g < MEMBERS; g++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
+        double *x = after->x + k * STATES * DL_MEMBERS, *log_weight = after->log_weight + k * DL_MEMBERS;
+        const double *known = before->log_weight + k * DL_MEMBERS;
+        for (int g = 0; g < DL_MEMBERS; g++) {
             log_weight[g] = fade * (known[g] - m->log_prior[g]) + m->log_prior[g];
             if (before->t < 0 && k < 3) {
                 /* The first look sets the offset's origin; the prior is about it, not about the world's. */
-                x[OFFSET * MEMBERS + g] = var[k] < UNSEEN_VAR ? y[k] : 0.0;
+                x[OFFSET * DL_MEMBERS + g] = var[k] < UNSEEN_VAR ? y[k] : 0.0;
             }
         }
         if (var[k] < UNSEEN_VAR) {
-            look(y[k], var[k], x, after->P + k * MEMBER_PAIRS * MEMBERS, log_weight);
+            look(y[k], var[k], x, after->P + k * MEMBER_PAIRS * DL_MEMBERS, log_weight);
         }
-        const double top = largest(MEMBERS, log_weight);
-        for (int g = 0; g < MEMBERS; g++) {
+        const double top = largest(DL_MEMBERS, log_weight);
+        for (int g = 0; g < DL_MEMBERS; g++) {
             log_weight[g] = fmax(log_weight[g] - top, LOG_WEIGHT_MIN);
         }
     }

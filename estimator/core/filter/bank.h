@@ -10,21 +10,23 @@
 #ifndef DECKLANDER_BANK_H
 #define DECKLANDER_BANK_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 
 /* Members look at most this often, s; a wave is seen dozens of times anyway. */
 #define LOOK_PERIOD_S 0.2
 
+/* Write the bank before any sighting. */
+void bank_begin(const dl_bank_members *m, dl_bank *out);
 /* Move the bank on to instant t, ns, and correct it by what was seen: y and its variance by direction.
  *
  * ins_var, (m/s)^2, is what the IMU's velocity gained beyond its noise since the last look; reach_m is the distance to the pad. */
-void bank_observe(const dl_filter_params *o, int64_t t, const double y[DIRECTIONS], const double var[DIRECTIONS], double ins_var,
+void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECTIONS], const double var[DL_DIRECTIONS], double ins_var,
                   double reach_m, const dl_bank *before, dl_bank *after);
 /* The weights of one direction's members for a forecast, with `rest` for the member at rest.
  *
  * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
  * Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017. */
-void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[MEMBERS]);
+void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS]);
 /* The members' weights, and frequency, damping and size of each direction's mixture. Its variances of displacement and rate are kept:
  * while the period is unknown, the quick members count. */
 void summarise(const dl_bank_members *m, dl_bank *s);

@@ -18,12 +18,12 @@ static const double KNOWN_VAR = 1e-18;
 /* The first member with oscillator k: the member at rest has one of its own, the others come in all sizes. */
 static int first_member(int k)
 {
-    return k == 0 ? 0 : 1 + (k - 1) * MEMBER_SIZES;
+    return k == 0 ? 0 : 1 + (k - 1) * DL_MEMBER_SIZES;
 }
 
 static int last_member(int k)
 {
-    return k * MEMBER_SIZES;
+    return k * DL_MEMBER_SIZES;
 }
 
 /* The place of (i, j), i <= j, in the rows of the upper triangle of an oscillator's covariance. */
@@ -34,19 +34,19 @@ static int wave_pair(int i, int j)
 
 static const double *covariance_of(const dl_bank *s, int k, int i, int j)
 {
-    return s->P + (k * MEMBER_PAIRS + member_pair(i, j)) * MEMBERS;
+    return s->P + (k * MEMBER_PAIRS + member_pair(i, j)) * DL_MEMBERS;
 }
 
 /* sum += a x, for every member */
 static void add_product(const double *a, const double *x, double *restrict sum)
 {
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         sum[g] += a[g] * x[g];
     }
 }
 
 /* after = A before, for every member; its displacement and rate do not drive its force. */
-static void carry(const oscillator_steps *steps, double before[STATES][MEMBERS], double after[STATES][MEMBERS])
+static void carry(const oscillator_steps *steps, double before[STATES][DL_MEMBERS], double after[STATES][DL_MEMBERS])
 {
     memset(after, 0, STATES * sizeof after[0]);
     for (int i = 0; i < STATES; i++) {
@@ -57,10 +57,10 @@ static void carry(const oscillator_steps *steps, double before[STATES][MEMBERS],
 }
 
 /* The column of the rate in every member's covariance after the step. */
-static void rate_column(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double column[STATES][MEMBERS])
+static void rate_column(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double column[STATES][DL_MEMBERS])
 {
-    double half[STATES][MEMBERS] = {{0.0}};
-    const double *sigma = m->sigma + k * MEMBERS;
+    double half[STATES][DL_MEMBERS] = {{0.0}};
+    const double *sigma = m->sigma + k * DL_MEMBERS;
     for (int i = 0; i < STATES; i++) {
         for (int j = 0; j < STATES; j++) {
             add_product(covariance_of(s, k, i, j), steps->by_member[OF_RATE][j], half[i]);
@@ -68,7 +68,7 @@ static void rate_column(const dl_bank_members *m, const dl_bank *s, const oscill
     }
     carry(steps, half, column);
     for (int i = 0; i < STATES; i++) {
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             column[i][g] += sigma[g] * sigma[g] * steps->noise[i][g];
         }
     }
@@ -114,21 +114,21 @@ WIDE
 static void add_own_spread(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, const double *weight,
                            waves_now *now)
 {
-    double column[STATES][MEMBERS], known[MEMBERS], scaled[MEMBERS];
+    double column[STATES][DL_MEMBERS], known[DL_MEMBERS], scaled[DL_MEMBERS];
     rate_column(m, s, steps, k, column);
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         known[g] = weight[g] / fmax(column[OF_RATE][g], KNOWN_VAR);
     }
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         add_carried(s, steps, k, o, weight, now);
     }
     for (int i = 0; i < STATES; i++) {
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             scaled[g] = known[g] * column[i][g];
         }
         for (int j = i; j < STATES; j++) {
             double *spread = now->spread[wave_pair(i, j)];
-            for (int o = 0; o < OSCILLATORS; o++) {
+            for (int o = 0; o < DL_OSCILLATORS; o++) {
                 spread[o] += now->energy[o] * steps->q[o][i][j] - sum_of(o, scaled, column[j]);
             }
         }
@@ -137,11 +137,11 @@ static void add_own_spread(const dl_bank_members *m, const dl_bank *s, const osc
 
 /* Weighted mean and spread of the members' states. */
 WIDE
-static void add_states(double x[STATES][MEMBERS], const double *weight, waves_now *now)
+static void add_states(double x[STATES][DL_MEMBERS], const double *weight, waves_now *now)
 {
-    double off[STATES][MEMBERS], weighted[MEMBERS];
+    double off[STATES][DL_MEMBERS], weighted[DL_MEMBERS];
     for (int i = 0; i < STATES; i++) {
-        for (int o = 0; o < OSCILLATORS; o++) {
+        for (int o = 0; o < DL_OSCILLATORS; o++) {
             if (now->weight[o] > 0.0) {
                 now->mean[i][o] = sum_of(o, weight, x[i]) / now->weight[o];
             }
@@ -151,11 +151,11 @@ static void add_states(double x[STATES][MEMBERS], const double *weight, waves_no
         }
     }
     for (int i = 0; i < STATES; i++) {
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             weighted[g] = weight[g] * off[i][g];
         }
         for (int j = i; j < STATES; j++) {
-            for (int o = 0; o < OSCILLATORS; o++) {
+            for (int o = 0; o < DL_OSCILLATORS; o++) {
                 now->spread[wave_pair(i, j)][o] += sum_of(o, weighted, off[j]);
             }
         }
@@ -165,7 +165,7 @@ static void add_states(double x[STATES][MEMBERS], const double *weight, waves_no
 void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_steps *steps)
 {
     const double T = s->t >= 0 && t > s->t ? seconds(s->t, t) : 0.0;
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], T, steps->A[o], steps->q[o]);
         for (int i = 0; i < STATES; i++) {
             for (int g = first_member(o); g <= last_member(o); g++) {
@@ -181,22 +181,22 @@ void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_
 WIDE
 void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps *steps, int k, double rate, waves_now *now)
 {
-    double weight[MEMBERS], before[STATES][MEMBERS], x[STATES][MEMBERS], believed = 0.0;
-    const double *sigma = m->sigma + k * MEMBERS;
+    double weight[DL_MEMBERS], before[STATES][DL_MEMBERS], x[STATES][DL_MEMBERS], believed = 0.0;
+    const double *sigma = m->sigma + k * DL_MEMBERS;
     memset(now, 0, sizeof *now);
-    memcpy(before, s->x + k * MEMBER_STATES * MEMBERS, sizeof before);
-    weigh_ahead(m, s->log_weight + k * MEMBERS, s->weight[k * MEMBERS], weight);
+    memcpy(before, s->x + k * MEMBER_STATES * DL_MEMBERS, sizeof before);
+    weigh_ahead(m, s->log_weight + k * DL_MEMBERS, s->weight[k * DL_MEMBERS], weight);
     carry(steps, before, x);
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         for (int g = first_member(o); g <= last_member(o); g++) {
             now->weight[o] += weight[g];
             now->energy[o] += weight[g] * sigma[g] * sigma[g];
         }
     }
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         believed += weight[g] * x[OF_RATE][g];
     }
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         x[OF_RATE][g] += rate - believed;
         now->displacement += weight[g] * x[0][g];
     }
@@ -205,26 +205,26 @@ void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps
 }
 
 /* of = row mean, by oscillator */
-static void row_of(const double *row, double mean[STATES][OSCILLATORS], double of[OSCILLATORS])
+static void row_of(const double *row, double mean[STATES][DL_OSCILLATORS], double of[DL_OSCILLATORS])
 {
-    memset(of, 0, OSCILLATORS * sizeof *of);
+    memset(of, 0, DL_OSCILLATORS * sizeof *of);
     for (int i = 0; i < STATES; i++) {
-        for (int o = 0; o < OSCILLATORS; o++) {
-            of[o] += row[i * OSCILLATORS + o] * mean[i][o];
+        for (int o = 0; o < DL_OSCILLATORS; o++) {
+            of[o] += row[i * DL_OSCILLATORS + o] * mean[i][o];
         }
     }
 }
 
 /* The sum over the oscillators of row spread row', `squares` are the products of the row's numbers. */
-static double spread_along(const double *squares, double spread[WAVE_PAIRS][OSCILLATORS])
+static double spread_along(const double *squares, double spread[WAVE_PAIRS][DL_OSCILLATORS])
 {
-    double along[OSCILLATORS] = {0.0}, sum = 0.0;
+    double along[DL_OSCILLATORS] = {0.0}, sum = 0.0;
     for (int p = 0; p < WAVE_PAIRS; p++) {
-        for (int o = 0; o < OSCILLATORS; o++) {
-            along[o] += squares[p * OSCILLATORS + o] * spread[p][o];
+        for (int o = 0; o < DL_OSCILLATORS; o++) {
+            along[o] += squares[p * DL_OSCILLATORS + o] * spread[p][o];
         }
     }
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         sum += along[o];
     }
     return sum;
@@ -233,7 +233,7 @@ static double spread_along(const double *squares, double spread[WAVE_PAIRS][OSCI
 static double weighted_mean(const double *weight, const double *of)
 {
     double sum = 0.0;
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         sum += weight[o] * of[o];
     }
     return sum;
@@ -243,7 +243,7 @@ static double weighted_mean(const double *weight, const double *of)
 static double variance_between(const double *weight, const double *of, double mean)
 {
     double sum = 0.0;
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         sum += weight[o] * (of[o] - mean) * (of[o] - mean);
     }
     return sum;
@@ -251,23 +251,23 @@ static double variance_between(const double *weight, const double *of, double me
 
 /* By the law of total variance: what each oscillator's members spread, and how their means differ. */
 WIDE
-void waves_ahead(waves_now *now, const dl_horizon_reach *there, waves_then *then)
+void waves_ahead(waves_now *now, const horizon_reach *there, waves_then *then)
 {
-    double of[OSCILLATORS];
+    double of[DL_OSCILLATORS];
     for (int r = 0; r < 2; r++) {
-        row_of(there->row + r * STATES * OSCILLATORS, now->mean, of);
+        row_of(there->row + r * STATES * DL_OSCILLATORS, now->mean, of);
         then->mean[r] = weighted_mean(now->weight, of);
-        then->by_rate[r] = weighted_mean(now->weight, there->row + (r * STATES + OF_RATE) * OSCILLATORS);
-        then->var[r] = spread_along(there->squares + r * WAVE_PAIRS * OSCILLATORS, now->spread) +
-                       weighted_mean(now->energy, there->noise + r * OSCILLATORS) +
+        then->by_rate[r] = weighted_mean(now->weight, there->row + (r * STATES + OF_RATE) * DL_OSCILLATORS);
+        then->var[r] = spread_along(there->squares + r * WAVE_PAIRS * DL_OSCILLATORS, now->spread) +
+                       weighted_mean(now->energy, there->noise + r * DL_OSCILLATORS) +
                        variance_between(now->weight, of, then->mean[r]);
     }
     row_of(there->row, now->mean, of);
-    for (int o = 0; o < OSCILLATORS; o++) {
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
         of[o] -= now->mean[0][o];
     }
     then->change = then->mean[0] - now->displacement;
-    then->var_change = spread_along(there->squares + 2 * WAVE_PAIRS * OSCILLATORS, now->spread) +
+    then->var_change = spread_along(there->squares + 2 * WAVE_PAIRS * DL_OSCILLATORS, now->spread) +
                        weighted_mean(now->energy, there->noise) +
                        variance_between(now->weight, of, weighted_mean(now->weight, of));
 }
@@ -283,30 +283,42 @@ void scale_by_skill(const waves_now *now, const double factors[2], waves_then *t
     then->change = then->mean[0] - now->displacement;
 }
 
-void dl_bank_reach(const dl_bank_members *m, int32_t n, const double *horizons_s, dl_horizon_reach *out)
+static void write_reach(const dl_bank_members *m, double horizon_s, horizon_reach *out)
 {
-    for (int h = 0; h < n; h++) {
-        out[h].horizon_s = horizons_s[h];
-        for (int o = 0; o < OSCILLATORS; o++) {
-            double A[STATES][STATES], q[STATES][STATES], rows[3][STATES];
-            oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], horizons_s[h], A, q);
-            memcpy(rows, A, 2 * sizeof rows[0]);
-            memcpy(rows[2], A[0], sizeof rows[2]);
-            rows[2][0] -= 1.0;
-            for (int r = 0; r < 3; r++) {
-                for (int i = 0; i < STATES; i++) {
-                    for (int j = i; j < STATES; j++) {
-                        const int at = (r * WAVE_PAIRS + wave_pair(i, j)) * OSCILLATORS + o;
-                        out[h].squares[at] = (i == j ? 1.0 : 2.0) * rows[r][i] * rows[r][j];
-                    }
-                }
-            }
-            for (int r = 0; r < 2; r++) {
-                out[h].noise[r * OSCILLATORS + o] = q[r][r];
-                for (int i = 0; i < STATES; i++) {
-                    out[h].row[(r * STATES + i) * OSCILLATORS + o] = rows[r][i];
+    out->horizon_s = horizon_s;
+    for (int o = 0; o < DL_OSCILLATORS; o++) {
+        double A[STATES][STATES], q[STATES][STATES], rows[3][STATES];
+        oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], horizon_s, A, q);
+        memcpy(rows, A, 2 * sizeof rows[0]);
+        memcpy(rows[2], A[0], sizeof rows[2]);
+        rows[2][0] -= 1.0;
+        for (int r = 0; r < 3; r++) {
+            for (int i = 0; i < STATES; i++) {
+                for (int j = i; j < STATES; j++) {
+                    const int at = (r * WAVE_PAIRS + wave_pair(i, j)) * DL_OSCILLATORS + o;
+                    out->squares[at] = (i == j ? 1.0 : 2.0) * rows[r][i] * rows[r][j];
                 }
             }
         }
+        for (int r = 0; r < 2; r++) {
+            out->noise[r * DL_OSCILLATORS + o] = q[r][r];
+            for (int i = 0; i < STATES; i++) {
+                out->row[(r * STATES + i) * DL_OSCILLATORS + o] = rows[r][i];
+            }
+        }
     }
+}
+
+const horizon_reach *reach_of(const dl_bank_members *m, reach_table *table, double horizon_s)
+{
+    for (int i = 0; i < table->n; i++) {
+        if (table->kept[i].horizon_s == horizon_s) {
+            return &table->kept[i];
+        }
+    }
+    horizon_reach *made = &table->kept[table->next];
+    write_reach(m, horizon_s, made);
+    table->next = (table->next + 1) % REACHES;
+    table->n += table->n < REACHES;
+    return made;
 }

@@ -26,25 +26,25 @@ static double prior_log_odds(const dl_bank_members *m)
 
 void summarise(const dl_bank_members *m, dl_bank *s)
 {
-    double odds = 0.0, moving[DIRECTIONS];
-    for (int k = 0; k < DIRECTIONS; k++) {
-        const double *log_weight = s->log_weight + k * MEMBERS, top = largest(MEMBERS, log_weight);
-        double *weight = s->weight + k * MEMBERS;
+    double odds = 0.0, moving[DL_DIRECTIONS];
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
+        const double *log_weight = s->log_weight + k * DL_MEMBERS, top = largest(DL_MEMBERS, log_weight);
+        double *weight = s->weight + k * DL_MEMBERS;
         moving[k] = 0.0;
-        for (int g = 1; g < MEMBERS; g++) {
+        for (int g = 1; g < DL_MEMBERS; g++) {
             weight[g] = exp(log_weight[g] - top);
             moving[k] += weight[g];
         }
         /* Each direction's odds of rest without its prior; the prior comes in once, for all of them. */
         odds += k < UPRIGHT ? 0.0 : log_weight[0] - top - log(moving[k]);
     }
-    odds -= (DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);
+    odds -= (DL_DIRECTIONS - UPRIGHT - 1) * prior_log_odds(m);
     const double rest = 1.0 / (1.0 + exp(fmin(-odds, 500.0)));
-    for (int k = 0; k < DIRECTIONS; k++) {
-        const double *sigma = m->sigma + k * MEMBERS;
-        double *weight = s->weight + k * MEMBERS, total = 0.0, w2 = 0.0, log_zeta = 0.0;
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
+        const double *sigma = m->sigma + k * DL_MEMBERS;
+        double *weight = s->weight + k * DL_MEMBERS, total = 0.0, w2 = 0.0, log_zeta = 0.0;
         weight[0] = rest;
-        for (int g = 0; g < MEMBERS; g++) {
+        for (int g = 0; g < DL_MEMBERS; g++) {
             weight[g] *= g == 0 ? 1.0 : (1.0 - rest) / moving[k];
             const double energy = weight[g] * sigma[g] * sigma[g];
             total += energy;
@@ -57,19 +57,19 @@ void summarise(const dl_bank_members *m, dl_bank *s)
     }
 }
 
-void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[MEMBERS])
+void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS])
 {
     double sum = 0.0;
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         weight[g] = EVIDENCE_WEIGHT * (log_weight[g] - m->log_prior[g]);
     }
-    const double top = largest(MEMBERS - 1, weight + 1);
-    for (int g = 1; g < MEMBERS; g++) {
+    const double top = largest(DL_MEMBERS - 1, weight + 1);
+    for (int g = 1; g < DL_MEMBERS; g++) {
         weight[g] = exp(weight[g] - top);
         sum += weight[g];
     }
     weight[0] = rest;
-    for (int g = 1; g < MEMBERS; g++) {
+    for (int g = 1; g < DL_MEMBERS; g++) {
         weight[g] *= (1.0 - rest) / sum;
     }
 }

@@ -93,6 +93,13 @@ void forget_state(double *P, int state, double var)
     AT(P, state, state) = var;
 }
 
+void uncompared(dl_outcome *out, enum dl_verdict verdict)
+{
+    memset(out, 0, sizeof *out);
+    out->nis = out->nis_max = NAN;
+    out->verdict = verdict;
+}
+
 void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
 {
     out->verdict = verdict;

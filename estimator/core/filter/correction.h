@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_CORRECTION_H
 #define DECKLANDER_CORRECTION_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "filter/propagate.h"
 
 #define AT(M, row, column) ((M)[(row) * DL_N + (column)])
@@ -27,6 +27,8 @@ void correct_belief(dl_belief *b, covariance *c, const double dx[DL_N], double *
 double *changeable(covariance *c);
 /* Everything that is known of a state is forgotten but the variance that it gets. */
 void forget_state(double *P, int state, double var);
+/* Outcome of an event that was compared with nothing. */
+void uncompared(dl_outcome *out, enum dl_verdict verdict);
 /* Outcome of a measurement of m numbers; S is NULL where there is none. */
 void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
 

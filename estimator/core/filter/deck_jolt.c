@@ -116,7 +116,7 @@ static double moved_by(const double *M, int row, const double way[2], int accele
 
 /* What accelerations across the way and in heading leave of a whitened innovation's square nis, and what they leave with those along
  * it. Rows of `by`, of these squares, lose what those before explain. */
-static void unexplained(int m, double by[STEERINGS][ROWS_MAX], const double *y, const double *square, double nis, double *by_turn,
+static void unexplained(int m, double by[STEERINGS][DL_ROWS_MAX], const double *y, const double *square, double nis, double *by_turn,
                         double *by_all)
 {
     static const int order[STEERINGS] = {ACROSS, TURNING, ALONG};
@@ -145,7 +145,7 @@ static void unexplained(int m, double by[STEERINGS][ROWS_MAX], const double *y, 
 
 void jolt_steering(int m, const double *innov, const double *S, const double *H, dl_belief *b, steering *out)
 {
-    double L[ROWS_MAX][ROWS_MAX], y[ROWS_MAX], by[STEERINGS][ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
+    double L[DL_ROWS_MAX][DL_ROWS_MAX], y[DL_ROWS_MAX], by[STEERINGS][DL_ROWS_MAX], square[STEERINGS] = {0.0}, along[STEERINGS] = {0.0};
     double nis = 0.0, by_turn = 0.0, by_all = 0.0, explained[STEERINGS];
     const double *v = b->x + DL_VESSEL_VEL, speed = hypot(v[0], v[1]), moves = speed > UNDER_WAY_M_S;
     const double usual = fmin(1.0, fmax(CLAIMED_LEAST, b->nis_claimed));

@@ -16,7 +16,7 @@
 #ifndef DECKLANDER_DECK_JOLT_H
 #define DECKLANDER_DECK_JOLT_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 
 enum { STEERINGS = EXCESS_NUMBERS - 3 };
 

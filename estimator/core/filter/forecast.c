@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "filter/bank_ahead.h"
-#include "decklander.h"
+#include "filter/answer.h"
+#include "filter/belief.h"
 #include "filter/jacobian.h"
 #include "filter/oscillator.h"
 #include "filter/propagate.h"
@@ -110,19 +110,19 @@ static void widen_by_misses(const forecast_misses *misses, double horizon_s, int
     then->var_change = missed_var(misses, horizon_s, k, 0, then->var_change);
 }
 
-int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_belief *before, int32_t n, const dl_horizon_reach *reach,
-                        dl_deck_ahead *out)
+bool forecast_deck(const dl_filter_params *o, int64_t t, const whole_belief *before, reach_table *reaches, int32_t n,
+                   const double *horizons_s, dl_deck_ahead *out)
 {
-    double places[2][DL_N * DL_N], factors[SKILL_HORIZONS][DIRECTIONS][2];
+    double places[2][DL_N * DL_N], factors[SKILL_HORIZONS][DL_DIRECTIONS][2];
     covariance c = {before->P, {places[0], places[1]}};
     const dl_bank *bank = before->bank;
     dl_belief b = *before->numbers;
     present now;
     oscillator_steps steps;
-    waves_now sea_now[DIRECTIONS];
+    waves_now sea_now[DL_DIRECTIONS];
     forecast_misses misses;
     if (b.sighted < 0 || seconds(b.sighted, t) > o->forget_s) {
-        return 0;
+        return false;
     }
     propagate_to(o, &b, &c, t);
     propagate_covariance(o, &b, &c);
@@ -134,22 +134,23 @@ int32_t dl_filter_forecast(const dl_filter_params *o, int64_t t, const dl_whole_
     skill_factors(&bank->skill, bank->w_rad_s, factors);
     skill_misses(&bank->skill, factors, &misses);
     steps_to(&o->members, bank, t, &steps);
-    for (int k = 0; k < DIRECTIONS; k++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
         waves_at(&o->members, bank, &steps, k, now.x[RATE + PER_DIRECTION * k], &sea_now[k]);
     }
     for (int h = 0; h < n; h++) {
-        waves_then waves[DIRECTIONS];
-        double kept[DIRECTIONS][2];
-        skill_between(factors, reach[h].horizon_s, kept);
-        for (int k = 0; k < DIRECTIONS; k++) {
-            waves_ahead(&sea_now[k], &reach[h], &waves[k]);
+        const horizon_reach *reach = reach_of(&o->members, reaches, horizons_s[h]);
+        waves_then waves[DL_DIRECTIONS];
+        double kept[DL_DIRECTIONS][2];
+        skill_between(factors, horizons_s[h], kept);
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
+            waves_ahead(&sea_now[k], reach, &waves[k]);
             scale_by_skill(&sea_now[k], kept[k], &waves[k]);
-            widen_by_misses(&misses, reach[h].horizon_s, k, &waves[k]);
+            widen_by_misses(&misses, horizons_s[h], k, &waves[k]);
         }
-        forecast_place(&now, reach[h].horizon_s, waves, &out[h]);
+        forecast_place(&now, horizons_s[h], waves, &out[h]);
         forecast_heave(&now, &waves[ALONG_DOWN], &out[h]);
         forecast_tilt(&now, 0, &waves[IN_ROLL], &out[h].roll, &out[h].sigma_roll);
         forecast_tilt(&now, 1, &waves[IN_ROLL + 1], &out[h].pitch, &out[h].sigma_pitch);
     }
-    return 1;
+    return true;
 }

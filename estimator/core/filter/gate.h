@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_GATE_H
 #define DECKLANDER_GATE_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 
 /* End the streak of rejected sightings. */
 void streak_end(dl_belief *b);

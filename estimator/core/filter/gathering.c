@@ -54,9 +54,9 @@ static int is_stale(const dl_filter_params *o, const dl_aid *a, int64_t t)
 
 void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c)
 {
-    double innov[ROWS_MAX], H[ROWS_MAX * DL_N], R[ROWS_MAX * ROWS_MAX], S[ROWS_MAX * ROWS_MAX], dx[DL_N], nis;
+    double innov[DL_ROWS_MAX], H[DL_ROWS_MAX * DL_N], R[DL_ROWS_MAX * DL_ROWS_MAX], S[DL_ROWS_MAX * DL_ROWS_MAX], dx[DL_N], nis;
     int m = 0;
-    for (int kind = 0; kind < KINDS; kind++) {
+    for (int kind = 0; kind < DL_KINDS; kind++) {
         const dl_aid *a = &b->aids[kind];
         m += a->n > 0 && !is_stale(o, a, b->t) ? (int)a->m : 0;
     }
@@ -64,7 +64,7 @@ void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c)
     memset(H, 0, sizeof H);
     memset(R, 0, sizeof R);
     int at = 0;
-    for (int kind = 0; kind < KINDS; kind++) {
+    for (int kind = 0; kind < DL_KINDS; kind++) {
         dl_aid *a = &b->aids[kind];
         if (a->n > 0 && !is_stale(o, a, b->t)) {
             /* Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are. */
@@ -213,7 +213,7 @@ void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, co
         a->R[i] += R[i];
     }
     int64_t first = a->since;
-    for (int other = 0; other < KINDS; other++) {
+    for (int other = 0; other < DL_KINDS; other++) {
         if (b->aids[other].n > 0 && b->aids[other].since < first) {
             first = b->aids[other].since;
         }

@@ -4,7 +4,7 @@
 #ifndef DECKLANDER_GATHERING_H
 #define DECKLANDER_GATHERING_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "filter/propagate.h"
 
 /* Fuse the means of all gathered samples together. */

@@ -105,7 +105,7 @@ void align(const double before[DL_N], double x[DL_N])
 {
     const double late = before[DL_CAMERA_DELAY];
     memcpy(x, before, DL_N * sizeof *x);
-    for (int k = 0; k < DIRECTIONS; k++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
         x[DISP + PER_DIRECTION * k] -= late * rate_of(before, k);
     }
     for (int i = 0; i < 3; i++) {
@@ -118,7 +118,7 @@ void through_alignment(int m, const double before[DL_N], double *J)
     const double late = before[DL_CAMERA_DELAY];
     for (int i = 0; i < m; i++) {
         double *row = J + i * DL_N;
-        for (int k = 0; k < DIRECTIONS; k++) {
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
             const double by = row[DISP + PER_DIRECTION * k] + (k < 3 ? row[DL_POS_REL + k] : 0.0);
             row[RATE + PER_DIRECTION * k] -= late * by;
             row[DL_CAMERA_DELAY] -= rate_of(before, k) * by;

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_PROPAGATE_H
 #define DECKLANDER_PROPAGATE_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "base/rotation.h"
 
 /* The covariance that belongs to a belief. What writes it takes the free one of two places. */

@@ -1,15 +1,16 @@
-/* The processing of events in the order of their instants, one after the other in one call. */
+/* The processing of one event that is not older than the belief. */
+
+#include "filter/run.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "filter/aiding.h"
+#include "filter/begin.h"
+#include "filter/correction.h"
 #include "filter/gate.h"
 #include "filter/gathering.h"
-#include "decklander.h"
-#include "filter/propagate.h"
 #include "filter/vessel.h"
-#include "filter/vision_update.h"
 
 /* Time constant of the smoothed body rate, s. */
 static const double SMOOTH_S = 0.03;
@@ -101,7 +102,7 @@ static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, con
     forget_the_pad(o, b);
 }
 
-/* An attitude that sets the belief's own outright is handled elsewhere. */
+/* Whether an attitude sets the belief's own outright: the first gives a heading, or the belief's own diverged. */
 static int sets_the_attitude(const dl_belief *b, const double *P)
 {
     double var = 0.0;
@@ -111,103 +112,58 @@ static int sets_the_attitude(const dl_belief *b, const double *P)
     return !b->heading_is_given || var > DIVERGED_VAR;
 }
 
-/* State and covariance at t, with the means of all gathered samples fused: otherwise another correction would count twice. */
-static void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
+void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     propagate_to(o, b, c, t);
     propagate_covariance(o, b, c);
     fuse_gathered(o, b, c);
 }
 
-/* One of the vehicle's samples; returns 0 for other samples. */
-static int take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
+/* One of the vehicle's samples. */
+static void take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
     if (e->kind == DL_IMU) {
         take_imu(o, b, c, e);
-        return 1;
+        return;
     }
     propagate_to(o, b, c, e->t);
     switch (e->kind) {
     case DL_ATTITUDE:
         if (sets_the_attitude(b, c->P)) {
-            return 0;
+            propagate_covariance(o, b, c);
+            set_attitude(o, b, changeable(c), &e->sample.attitude);
+        } else {
+            take_attitude(o, b, c, &e->sample.attitude, out);
         }
-        take_attitude(o, b, c, &e->sample.attitude, out);
-        return 1;
+        return;
     case DL_VELOCITY:
         take_velocity(o, b, c, &e->sample.velocity, out);
-        return 1;
+        return;
     case DL_RANGE:
         take_range(o, b, c, &e->sample.distance, out);
-        return 1;
+        return;
     case DL_HEIGHT:
         take_height(o, b, c, &e->sample.distance, out);
-        return 1;
+        return;
     default:
-        return 0;
+        return;
     }
 }
 
-static int take(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_event *e, const dl_sighting *s, dl_outcome *out)
+void process_event(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_event *e, dl_outcome *out)
 {
-    memset(out, 0, sizeof *out);
-    out->nis = out->nis_max = NAN;
-    out->verdict = DL_FUSED;
+    const dl_sighting *s = &e->sample.sighting;
+    uncompared(out, DL_FUSED);
     if (e->kind == DL_VESSEL) {
         ready_to_fuse(o, b, c, e->t);
         take_vessel(o, b, c, &e->sample.vessel, out);
-        return 1;
-    }
-    if (e->kind != DL_SIGHTING) {
-        return take_sample(o, b, c, e, out);
-    }
-    if (s->confidence < o->min_confidence) {
+    } else if (e->kind != DL_SIGHTING) {
+        take_sample(o, b, c, e, out);
+    } else if (s->confidence < o->min_confidence) {
         out->verdict = DL_LOW_CONFIDENCE;
-        return 1;
-    }
-    ready_to_fuse(o, b, c, e->t);
-    forget_the_pad(o, b);
-    take_sighting(o, b, c, bank, s, out);
-    return 1;
-}
-
-int32_t dl_filter_run(const dl_filter_params *o, int32_t n, const dl_event *events, int32_t sightings_n, const dl_sighting *sightings,
-                   const dl_whole_belief *before, const dl_filter_row *out)
-{
-    double places[2][DL_N * DL_N];
-    const double *P = before->P;
-    sea_ref bank = {before->bank, out->banks};
-    int32_t used = 0, seen = 0;
-    for (int32_t i = 0; i < n; i++) {
-        dl_filter_step *step = &out->steps[i];
-        covariance c = {P, {places[0], places[1]}};
-        const int shows_the_pad = events[i].kind == DL_SIGHTING;
-        step->after = i == 0 ? *before->numbers : out->steps[i - 1].after;
-        if (seen + shows_the_pad > sightings_n || !take(o, &step->after, &c, &bank, &events[i], sightings + seen, &step->outcome)) {
-            return i;
-        }
-        if (c.P != P) {
-            P = memcpy(out->P + (size_t)used * DL_N * DL_N, c.P, sizeof places[0]);
-            used++;
-        }
-        step->P_index = used - 1;
-        seen += shows_the_pad;
-        bank.place += bank.now == bank.place;
-        step->bank_index = bank.place - out->banks - 1;
-    }
-    return n;
-}
-
-void dl_filter_propagate(const dl_filter_params *o, int32_t what, int64_t t, const dl_whole_belief *before, dl_belief *after, double *P_after)
-{
-    double places[2][DL_N * DL_N];
-    covariance c = {before->P, {places[0], places[1]}};
-    *after = *before->numbers;
-    if (what == DL_WITH_AIDING) {
-        ready_to_fuse(o, after, &c, t);
     } else {
-        propagate_to(o, after, &c, t);
-        propagate_covariance(o, after, &c);
+        ready_to_fuse(o, b, c, e->t);
+        forget_the_pad(o, b);
+        take_sighting(o, b, c, bank, s, out);
     }
-    memcpy(P_after, c.P, sizeof places[0]);
 }

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_SIGHTING_H
 #define DECKLANDER_SIGHTING_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 
 /* The largest number of numbers that a sighting measures: a place and an orientation. */
 enum { SEEN_MAX = 6 };

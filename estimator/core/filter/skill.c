@@ -48,14 +48,14 @@ int skill_due(const dl_forecast_skill *known, int64_t t)
 }
 
 /* Sightings are irregular in time: interpolate between the two forecasts that were made before and after `then`. */
-static void compare_one(dl_forecast_skill *known, int horizon, int64_t then, double now[DIRECTIONS][2], const dl_issued_forecast *a,
+static void compare_one(dl_forecast_skill *known, int horizon, int64_t then, double now[DL_DIRECTIONS][2], const dl_issued_forecast *a,
                         const dl_issued_forecast *b)
 {
     const double weight = (double)(then - a->t) / (double)(b->t - a->t);
     known->n[horizon] += 1.0;
-    for (int k = 0; k < DIRECTIONS; k++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
         for (int r = 0; r < 2; r++) {
-            const int at = (horizon * DIRECTIONS + k) * 2 + r;
+            const int at = (horizon * DL_DIRECTIONS + k) * 2 + r;
             const double f = (1.0 - weight) * a->waves[at] + weight * b->waves[at];
             known->product[at] += f * now[k][r];
             known->square[at] += f * f;
@@ -69,7 +69,7 @@ static void fade(dl_forecast_skill *known, double factor)
     for (int k = 0; k < SKILL_HORIZONS; k++) {
         known->n[k] *= factor;
     }
-    for (int i = 0; i < SKILL_HORIZONS * DIRECTIONS * 2; i++) {
+    for (int i = 0; i < SKILL_HORIZONS * DL_DIRECTIONS * 2; i++) {
         known->product[i] *= factor;
         known->square[i] *= factor;
         known->came[i] *= factor;
@@ -87,7 +87,7 @@ static void drop_passed(dl_forecast_skill *known, int64_t t)
     memmove(known->issued, known->issued + gone, (size_t)known->issued_n * sizeof *known->issued);
 }
 
-void skill_compare(dl_forecast_skill *known, int64_t t, double now[DIRECTIONS][2], double ahead[SKILL_HORIZONS][DIRECTIONS][2])
+void skill_compare(dl_forecast_skill *known, int64_t t, double now[DL_DIRECTIONS][2], double ahead[SKILL_HORIZONS][DL_DIRECTIONS][2])
 {
     if (known->issued_n > 0) {
         fade(known, exp(-seconds(known->issued[known->issued_n - 1].t, t) / MEMORY_S));
@@ -107,14 +107,14 @@ void skill_compare(dl_forecast_skill *known, int64_t t, double now[DIRECTIONS][2
     memcpy(one->waves, ahead, sizeof one->waves);
 }
 
-void skill_factors(const dl_forecast_skill *known, const double w[DIRECTIONS], double factors[SKILL_HORIZONS][DIRECTIONS][2])
+void skill_factors(const dl_forecast_skill *known, const double w[DL_DIRECTIONS], double factors[SKILL_HORIZONS][DL_DIRECTIONS][2])
 {
     for (int h = 0; h < SKILL_HORIZONS; h++) {
-        for (int k = 0; k < DIRECTIONS; k++) {
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
             const double periods = SKILL_HORIZONS_S[h] * w[k] / (2.0 * acos(-1.0)), squared = periods * periods;
             const double prior = PRIOR * exp(-squared), count = PRIOR_COUNT + PRIOR_COUNT_FAR * squared * squared;
             for (int r = 0; r < 2; r++) {
-                const int at = (h * DIRECTIONS + k) * 2 + r;
+                const int at = (h * DL_DIRECTIONS + k) * 2 + r;
                 const double slope = known->product[at] / fmax(known->square[at], NOTHING);
                 const double mean = (count * prior + known->n[h] * slope) / (count + known->n[h]);
                 factors[h][k][r] = fmin(fmax(mean, 0.0), 1.0);
@@ -123,10 +123,10 @@ void skill_factors(const dl_forecast_skill *known, const double w[DIRECTIONS], d
     }
 }
 
-void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon_s, double found[DIRECTIONS][2])
+void skill_between(double factors[SKILL_HORIZONS][DL_DIRECTIONS][2], double horizon_s, double found[DL_DIRECTIONS][2])
 {
     const interval at = interval_of(horizon_s);
-    for (int k = 0; k < DIRECTIONS; k++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
         for (int r = 0; r < 2; r++) {
             const double before = at.before < 0 ? 1.0 : factors[at.before][k][r];
             found[k][r] = (1.0 - at.part) * before + at.part * factors[at.after][k][r];
@@ -134,13 +134,13 @@ void skill_between(double factors[SKILL_HORIZONS][DIRECTIONS][2], double horizon
     }
 }
 
-void skill_misses(const dl_forecast_skill *known, double factors[SKILL_HORIZONS][DIRECTIONS][2], forecast_misses *misses)
+void skill_misses(const dl_forecast_skill *known, double factors[SKILL_HORIZONS][DL_DIRECTIONS][2], forecast_misses *misses)
 {
     for (int h = 0; h < SKILL_HORIZONS; h++) {
         misses->trust[h] = known->n[h] / (CLAIMED_COUNT + known->n[h]);
-        for (int k = 0; k < DIRECTIONS; k++) {
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
             for (int r = 0; r < 2; r++) {
-                const int at = (h * DIRECTIONS + k) * 2 + r;
+                const int at = (h * DL_DIRECTIONS + k) * 2 + r;
                 const double f = factors[h][k][r];
                 const double sum = known->came[at] + f * (f * known->square[at] - 2.0 * known->product[at]);
                 misses->rms[h][k][r] = known->n[h] > 0.0 ? sqrt(fmax(sum, 0.0) / known->n[h]) : 0.0;

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_VESSEL_H
 #define DECKLANDER_VESSEL_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "filter/propagate.h"
 
 /* Fuse a vessel's report: the velocity that its own navigation has, steady and wave motion together, its heading, or both. */

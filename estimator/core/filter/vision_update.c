@@ -242,7 +242,7 @@ static void withhold(const dl_belief *b, const double *before, double dx[DL_N], 
 }
 
 /* Roll and pitch of a pad that was seen whole, and their variances. */
-static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DIRECTIONS], double var[DIRECTIONS])
+static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DL_DIRECTIONS], double var[DL_DIRECTIONS])
 {
     double pad[9], into_pad[9];
     product(R_ned_level, s->pose_R, pad);
@@ -262,7 +262,7 @@ static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const do
 /* Update the bank of wave oscillators with the pad's measured position and tilt. */
 static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
-    double A[9], back[9], seen[3], place[3], y[DIRECTIONS] = {0.0}, var[DIRECTIONS];
+    double A[9], back[9], seen[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
     if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * LOOK_PERIOD_S) {
         return;
     }
@@ -273,7 +273,7 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
         seen[i] -= AT(row->seen.H, i, DL_CAMERA_DELAY) * b->x[DL_CAMERA_DELAY];
     }
     rotated(back, seen, place);
-    for (int k = 0; k < DIRECTIONS; k++) {
+    for (int k = 0; k < DL_DIRECTIONS; k++) {
         var[k] = k < 3 ? 0.0 : NOT_SEEN_VAR;
     }
     for (int k = 0; k < 3; k++) {

@@ -2,7 +2,7 @@
 #ifndef DECKLANDER_VISION_H
 #define DECKLANDER_VISION_H
 
-#include "decklander.h"
+#include "filter/belief.h"
 #include "filter/propagate.h"
 
 /* The bank that belongs to a belief. What writes it takes the place. */

@@ -95,12 +95,12 @@ double axis_tilt(const dl_law_axis *x, const dl_law_gains *gains, double off_m, 
 
 static int is_number_of_commands(int64_t n)
 {
-    return n >= 1 && n <= UNDER_WAY_MAX;
+    return n >= 1 && n <= DL_UNDER_WAY_MAX;
 }
 
 static int gains_fit(const dl_law_gains *gains)
 {
-    return gains->n >= 0 && gains->n <= UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
+    return gains->n >= 0 && gains->n <= DL_UNDER_WAY_MAX && is_number_of_commands(gains->tilt_delay) &&
            is_number_of_commands(gains->climb_delay);
 }
 

@@ -191,7 +191,7 @@ static void note(const dl_law_params *o, double north, double east, double down,
     under_way_note(o->remembered, down, memory->climbs);
 }
 
-int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
+bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
                  dl_law_command *out)
 {
     const dl_law_params *o = &law->params;
@@ -199,7 +199,7 @@ int32_t dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_l
     const nose n = {cos(in->heading_rad), sin(in->heading_rad)};
     deck_then here, then;
     dl_axis_measured z[2];
-    if (!law_fits(law) || course->n < 0 || course->n > HORIZONS_MAX) {
+    if (!law_fits(law) || course->n < 0 || course->n > DL_HORIZONS_MAX) {
         return 0;
     }
     *after = *before;

@@ -304,7 +304,7 @@ def test_a_hand_flies_on_by_tilt_while_the_velocity_repeats_itself() -> None:
         pilot.operator.move(sender, StickPositions(forward=1.0), now)
         decision = pilot.decide(now)
         kinds.append(type(decision.command))
-        assert n != 95 or "the velocity repeats its readings" in (decision.reason + "".join(pilot.estimation.memory.guard.lost))
+        assert n != 95 or "the velocity repeats its readings" in (decision.reason + "".join(pilot.estimator.guard.lost))
     assert set(kinds[:50]) == {Velocity}
     assert kinds[95:99] == [Lean] * 4
     assert kinds[-1] is Velocity

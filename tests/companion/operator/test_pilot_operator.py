@@ -58,7 +58,7 @@ def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_
     assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
     assert operator.pause() is None
     assert operator.steer_by("median_mean") is None
-    assert pilot.estimation.memory.paths[0].name == pilot.estimation.memory.options.path == "median_mean"
+    assert pilot.estimator.path == "median_mean"
     assert operator.start() is None
     assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
 

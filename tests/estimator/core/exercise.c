@@ -9,6 +9,7 @@
 #include "decklander.h"
 #include "decklander_sim.h"
 #include "filter/bank.h"
+#include "filter/filter.h"
 #include "filter/propagate.h"
 #include "filter/sighting.h"
 
@@ -97,48 +98,33 @@ static void parameters(dl_filter_params *o, int surface)
     o->accel_step_m_s2 = 15.0, o->gyro_step_rad_s = 4.0, o->deck_radius_m = 2.0, o->not_measured_var = 1e5;
     o->psd_accel = 1e-3, o->psd_coast = 2.0, o->psd_coast_turn = 0.1;
     o->wave_yaw_rad_s = 1.0, o->sigma_wave_yaw_rate_rad_s = 0.04;
-    for (int i = 0; i < KINDS; i++) {
+    for (int i = 0; i < DL_KINDS; i++) {
         o->correlation_s[i] = 0.2;
     }
-    for (int i = 0; i < ROWS_MAX; i++) {
+    for (int i = 0; i < DL_ROWS_MAX; i++) {
         o->nis_max[i] = 15.0 + 2.0 * i;
     }
     for (int i = 0; i < DL_N; i++) {
         o->psd[i] = 1e-4;
+    }
+    o->history_ns = 1000000000, o->max_ahead_ns = 50000000, o->leap_ns = 2000000000, o->leap_count = 5;
+    o->velocity_scale = 1.0, o->sigma_initial_tilt_rad = 0.05, o->sigma_initial_heading_rad = 0.1, o->sigma_attitude_bias_rad = 0.02;
+    for (int i = 0; i < DL_N; i++) {
+        o->initial_var[i] = 1e-3;
     }
     o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
     o->min_confidence = 0.05, o->heading_memory_s = 1.0, o->sigma_turn_rate_rad_s = 0.05;
     for (int i = 0; i < 3; i++) {
         o->carrying_psd_accel[i] = o->carrying_psd_drift[i] = o->carrying_psd_tilt[i] = 1e-3;
     }
-    for (int g = 0; g < MEMBERS; g++) {
+    for (int g = 0; g < DL_MEMBERS; g++) {
         o->members.w[g] = 0.4 + 0.02 * g;
         o->members.zeta[g] = 0.3;
         o->members.log_zeta[g] = log(0.3);
-        o->members.log_prior[g] = g == 0 ? log(0.5) : log(0.5 / (MEMBERS - 1));
-        for (int k = 0; k < DIRECTIONS; k++) {
-            o->members.sigma[k * MEMBERS + g] = 0.01 * (1 + g % 5);
+        o->members.log_prior[g] = g == 0 ? log(0.5) : log(0.5 / (DL_MEMBERS - 1));
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
+            o->members.sigma[k * DL_MEMBERS + g] = 0.01 * (1 + g % 5);
         }
-    }
-}
-
-static void hover(dl_belief *b, double *P)
-{
-    memset(b, 0, sizeof *b);
-    b->sighted = b->is_levelled = b->heading_is_given = 1;
-    for (int i = 0; i < 3; i++) {
-        b->R[4 * i] = b->R_cov[4 * i] = b->levelled_by[4 * i] = 1.0;
-    }
-    b->x[DL_VEL_SCALE] = 1.0;
-    b->x[DL_POS_REL + 2] = 2.0;
-    for (int i = 0; i < 5; i++) {
-        b->wave_w[i] = 0.8, b->wave_zeta[i] = 0.3, b->wave_sigma[i] = 0.2;
-    }
-    for (int i = 0; i < KINDS; i++) {
-        b->aids[i].fused = b->aids[i].refused = -1;
-    }
-    for (int i = 0; i < DL_N * DL_N; i++) {
-        P[i] = i % (DL_N + 1) == 0 ? 1e-3 : 0.0;
     }
 }
 
@@ -146,7 +132,8 @@ static void hover(dl_belief *b, double *P)
 static void sample(dl_event *e, int64_t t)
 {
     const double size = draw() % 10 == 0 ? 1e3 : 0.1;
-    e->kind = draw() % (DL_SIGHTING + 2);
+    memset(e, 0, sizeof *e);
+    e->kind = draw() % DL_SIGHTING;
     e->t = t;
     double *values = e->sample.attitude.R_ned_body;
     for (int i = 0; i < 18; i++) {
@@ -193,19 +180,60 @@ static void look(dl_sighting *s)
 static void parts(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const dl_bank *bank, int64_t t)
 {
     sighting_rows *rows = malloc(sizeof *rows);
-    double *y = numbers(DIRECTIONS), *var = numbers(DIRECTIONS);
+    double *y = numbers(DL_DIRECTIONS), *var = numbers(DL_DIRECTIONS);
     dl_bank *after = malloc(sizeof *after);
     sighting_model(b, s, b->cov_levelled_by, 0.3, draw() % 2, rows);
     const int m = rows->m;
-    for (int i = 0; i < DIRECTIONS; i++) {
+    for (int i = 0; i < DL_DIRECTIONS; i++) {
         var[i] = i < m ? 1e-4 : 1e6;
     }
     bank_observe(o, t, y, var, draw() % 2 ? 0.1 : 0.0, 2.0, bank, after);
-    fold(rows->innov, m), fold(rows->R, m * m), fold(after->sigma, DIRECTIONS);
+    fold(rows->innov, m), fold(rows->R, m * m), fold(after->sigma, DL_DIRECTIONS);
     void *all[] = {rows, y, var, after};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
         free(all[i]);
     }
+}
+
+/* What is known of an instant, by a filter and by its parts. */
+static void query(dl_filter *f, const dl_filter_params *o, int64_t t)
+{
+    enum { HORIZONS = 3 };
+    const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5 + 0.1 * (double)(draw() % 60)};
+    const checkpoint *newest = filter_before(f, INT64_MAX);
+    dl_answer *found = malloc(sizeof *found);
+    dl_deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
+    if (dl_filter_answer(f, t, found)) {
+        fold(found->d, 3), fold(found->cov, 49), fold(found->a_body, 3), fold(found->cov_deck, 36);
+    }
+    if (dl_filter_forecast(f, t, HORIZONS, horizons_s, ahead)) {
+        fold(ahead[2].d, 3), fold(ahead[1].cov_d, 9), fold(&ahead[2].rise, 2);
+    }
+    if (newest != NULL) {
+        double *F = numbers(DL_N * DL_N), *Q = numbers(DL_N * DL_N);
+        dl_belief *after = malloc(sizeof *after);
+        dl_sighting *seen = malloc(sizeof *seen);
+        *after = newest->belief;
+        look(seen);
+        propagated_belief(o, after, F, Q);
+        parts(o, &newest->belief, seen, &newest->bank->bank, newest->belief.t + 1000);
+        fold(newest->belief.x, DL_N), fold(newest->P->P, DL_N * DL_N);
+        free(F), free(Q), free(after), free(seen);
+    }
+    free(found), free(ahead);
+}
+
+/* The same filter, from the bytes that it was saved in, or from a part of them. */
+static dl_filter *saved_and_loaded(dl_filter *f, const dl_filter_params *o)
+{
+    const int64_t bytes = dl_filter_save(f, NULL, 0);
+    uint8_t *saved = malloc((size_t)bytes);
+    dl_filter_save(f, saved, bytes);
+    dl_filter_free(dl_filter_load(o, saved, (int64_t)(draw() % (uint64_t)bytes)));
+    dl_filter_free(f);
+    f = dl_filter_load(o, saved, bytes);
+    free(saved);
+    return f;
 }
 
 static void fly(int surface, int rounds, double poison)
@@ -213,63 +241,28 @@ static void fly(int surface, int rounds, double poison)
     enum { LENGTH = 60 };
     dl_filter_params *o = malloc(sizeof *o);
     dl_event *events = malloc(LENGTH * sizeof *events);
-    dl_belief *before = malloc(sizeof *before), *after = malloc(sizeof *after);
-    double *P = numbers(DL_N * DL_N), *P_after = numbers(LENGTH * DL_N * DL_N), *F = numbers(DL_N * DL_N), *Q = numbers(DL_N * DL_N);
+    dl_outcome *outcomes = malloc(LENGTH * sizeof *outcomes);
     int64_t t = 0;
-    dl_filter_step *steps = malloc(LENGTH * sizeof *steps);
-    dl_sighting *seen = malloc(LENGTH * sizeof *seen);
-    dl_bank *bank = malloc(sizeof *bank), *banks = malloc(LENGTH * sizeof *banks);
-    dl_answer *said = malloc(sizeof *said);
-    enum { HORIZONS = 3 };
-    const double horizons_s[HORIZONS] = {0.0, 0.3, 2.5};
-    dl_horizon_reach *there = malloc(HORIZONS * sizeof *there);
-    dl_deck_ahead *ahead = malloc(HORIZONS * sizeof *ahead);
     parameters(o, surface);
-    hover(before, P);
-    dl_bank_begin(&o->members, bank);
-    dl_bank_reach(&o->members, HORIZONS, horizons_s, there);
-    P[DL_N + 1] *= poison;
-    poisoned(P, DL_N * DL_N), poisoned(before->x, DL_N), poisoned(before->R, 9), poisoned(before->f, 3);
-    for (int round = 0; round < rounds; round++) {
+    o->initial_var[DL_POS_REL] *= poison;
+    dl_filter *f = dl_filter_new(o);
+    for (int round = 0; round < rounds && f != NULL; round++) {
         for (int i = 0; i < LENGTH; i++) {
             t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
-            sample(&events[i], t);
-            look(&seen[i]);
-        }
-        const dl_whole_belief whole = {before, P, bank};
-        const dl_filter_row row = {steps, P_after, banks};
-        const int sightings = draw() % 8 == 0 ? 3 : LENGTH, done = dl_filter_run(o, LENGTH, events, sightings, seen, &whole, &row);
-        if (done > 0) {
-            const dl_filter_step *last = &steps[done - 1];
-            *before = last->after;
-            if (last->bank_index >= 0) {
-                *bank = banks[last->bank_index];
+            sample(&events[i], draw() % 4 == 0 ? t - (int64_t)(draw() % 400000000) : t);
+            events[i].received_at = draw() % 500 == 0 ? t + 10000000000 : t;
+            if (draw() % 4 == 0) {
+                events[i].kind = DL_SIGHTING, events[i].seq = i;
+                look(&events[i].sample.sighting);
             }
-            if (last->P_index >= 0) {
-                memcpy(P, P_after + last->P_index * DL_N * DL_N, DL_N * DL_N * sizeof *P);
-            }
-            fold(before->x, DL_N), fold(P, DL_N * DL_N), fold(steps->outcome.innov, 3), fold(&steps->outcome.nis, 1);
         }
-        *after = *before;
-        propagated_belief(o, after, F, Q);
-        parts(o, before, &seen[0], bank, t);
-        dl_filter_answer(o, t + draw() % 200000000, &whole, said);
-        if (dl_filter_forecast(o, t + draw() % 200000000, &whole, HORIZONS, there, ahead)) {
-            fold(ahead[2].d, 3), fold(ahead[1].cov_d, 9), fold(&ahead[2].rise, 2);
-        }
-        fold(said->d, 3), fold(said->cov, 49), fold(said->a_body, 3), fold(said->cov_deck, 36);
-        dl_filter_propagate(o, round % 2 ? DL_WITH_AIDING : DL_WITH_COVARIANCE, t + 1000, &whole, after, P_after);
-        *before = *after;
-        memcpy(P, P_after, DL_N * DL_N * sizeof *P);
-        if (round % 20 == 19) {
-            hover(before, P);
-            before->t = before->t_cov = before->t_imu = before->sighted = t;
-        }
+        dl_filter_put(f, LENGTH, events, outcomes);
+        fold(outcomes[LENGTH - 1].innov, 3), fold(&outcomes[LENGTH - 1].nis, 1);
+        query(f, o, t + (int64_t)(draw() % 200000000));
+        f = round % 20 == 19 ? saved_and_loaded(f, o) : f;
     }
-    void *all[] = {o, events, before, after, P, P_after, F, Q, steps, seen, bank, banks, said, there, ahead};
-    for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
-        free(all[i]);
-    }
+    dl_filter_free(f);
+    free(o), free(events), free(outcomes);
 }
 
 static void gate(int m, double poison)
@@ -300,10 +293,10 @@ static void fuzz_one(const uint8_t *bytes, size_t size)
     begin(bytes, size);
     const int what = fuzzed_byte() % 13;
     if (what == 0) {
-        const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % ROWS_MAX;
+        const int n = 1 + draw() % ORDER_MAX, m = 1 + draw() % DL_ROWS_MAX;
         algebra(n, m, 1.0);
     } else if (what == 1) {
-        gate(1 + draw() % ROWS_MAX, 1.0);
+        gate(1 + draw() % DL_ROWS_MAX, 1.0);
     } else if (what == 2) {
         const int surface = draw() % (DL_OVER_EITHER + 1);
         fly(surface, 2, 1.0);
@@ -370,14 +363,14 @@ int main(int count, char **files)
     printf("%u dl_digest\n", dl_digest());
     const double poisons[] = {1.0, 0.0, -1e300, 1e300, NAN, INFINITY};
     for (int n = 1; n <= ORDER_MAX; n += 7) {
-        for (int m = 1; m <= ROWS_MAX; m++) {
+        for (int m = 1; m <= DL_ROWS_MAX; m++) {
             algebra(n, m, poisons[(n + m) % 6]);
             gate(m, poisons[n % 6]);
         }
     }
-    algebra(ORDER_MAX, ROWS_MAX, 1.0);
+    algebra(ORDER_MAX, DL_ROWS_MAX, 1.0);
     report("kalman_predict kalman_correct nis_of");
-    for (int m = 1; m <= ROWS_MAX; m++) {
+    for (int m = 1; m <= DL_ROWS_MAX; m++) {
         attitudes(m, 1.0), attitudes(m, NAN), attitudes(m, -1e300);
     }
     report("remove_attitude");
@@ -386,7 +379,7 @@ int main(int count, char **files)
         fly(surface, 3, NAN);
         fly(surface, 3, -1e300);
     }
-    report("dl_filter_run dl_filter_propagate dl_filter_answer dl_filter_forecast dl_bank_reach dl_bank_begin");
+    report("dl_filter_new dl_filter_put dl_filter_answer dl_filter_forecast dl_filter_save dl_filter_load dl_filter_free");
     scenes(24);
     report("dl_sim_render_deck dl_sim_render_fill dl_sim_render_smear dl_sim_render_average dl_sim_render_shadow dl_sim_render_sea dl_sim_render_swell "
            "dl_sim_render_water dl_sim_render_pad_kinds dl_sim_render_pad_shares dl_sim_render_pad_lens dl_sim_render_expose "

@@ -7,16 +7,16 @@ static void gains_of(dl_law_gains *gains, int64_t remembered)
     gains->tilt_delay = 1 + draw() % remembered;
     gains->climb_delay = 1 + draw() % remembered;
     double *values = &gains->slowness_s;
-    for (int i = 0; i < 6 + UNDER_WAY_MAX; i++) {
+    for (int i = 0; i < 6 + DL_UNDER_WAY_MAX; i++) {
         values[i] = uniform();
     }
-    poisoned(values, 6 + UNDER_WAY_MAX);
+    poisoned(values, 6 + DL_UNDER_WAY_MAX);
 }
 
 static void law_parameters(dl_law_params *o)
 {
     memset(o, 0, sizeof *o);
-    o->remembered = 1 + draw() % UNDER_WAY_MAX;
+    o->remembered = 1 + draw() % DL_UNDER_WAY_MAX;
     o->over_ground = draw() % 2, o->keeps_in_view = draw() % 2, o->looks_ahead = draw() % 4 != 0;
     o->period_s = 0.02, o->frequency_rad_s = 9.0, o->damping = 0.7, o->lag_s = draw() % 2 ? 0.08 : 0.0, o->tilt_max_m_s2 = 3.5;
     o->climb_lag_s = 0.3, o->climb_max_m_s = 1.0, o->half_forward_rad = 0.4, o->half_right_rad = 0.6;
@@ -41,14 +41,14 @@ static void cycle_of(dl_law_cycle *in)
 static void course_of(dl_law_course *course)
 {
     memset(course, 0, sizeof *course);
-    course->n = draw() % 12 ? draw() % (HORIZONS_MAX + 1) : HORIZONS_MAX + 1;
-    for (int i = 0; i < HORIZONS_MAX; i++) {
+    course->n = draw() % 12 ? draw() % (DL_HORIZONS_MAX + 1) : DL_HORIZONS_MAX + 1;
+    for (int i = 0; i < DL_HORIZONS_MAX; i++) {
         course->horizons_s[i] = i == 0 ? uniform() : course->horizons_s[i - 1] + 0.2;
         for (int k = 0; k < 3; k++) {
             course->rates_m_s[i][k] = uniform();
         }
     }
-    poisoned(course->horizons_s, HORIZONS_MAX), poisoned(course->rates_m_s[0], 3 * HORIZONS_MAX);
+    poisoned(course->horizons_s, DL_HORIZONS_MAX), poisoned(course->rates_m_s[0], 3 * DL_HORIZONS_MAX);
 }
 
 static void law(int rounds, double poison)
@@ -69,7 +69,7 @@ static void law(int rounds, double poison)
         const int64_t delay = flown.gains.tilt_delay;
         course_of(&course), cycle_of(&in);
         in.v[0] *= poison;
-        flown.gains.tilt_delay = draw() % 20 ? delay : UNDER_WAY_MAX + 1;
+        flown.gains.tilt_delay = draw() % 20 ? delay : DL_UNDER_WAY_MAX + 1;
         if (dl_law_step(&flown, &in, &course, &memory, &after, &command)) {
             memory = after;
             fold(&command.a[0], 8), fold(&memory.pushed_down_m_s2, 3);

@@ -7,14 +7,20 @@ import numpy as np
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
-from estimator.ekf.deck_motion_bank import DeckMotionBank, PackedSea
-from estimator.ekf.history import process_event
-from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import packed_event
+from estimator.ekf.event import packed
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import Vec3
-from estimator.ekf.state import Belief, N
+from estimator.ekf.state import N
+from tests.estimator.ekf.belief import (
+    Belief,
+    DeckMotionBank,
+    Outcome,
+    Vec3,
+    process_event,
+    read_bank,
+    read_belief,
+    write_bank,
+    write_belief,
+)
 from tests.estimator.ekf.hand import belief
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement
 from tests.support.core_parts import PARTS, part
@@ -42,11 +48,12 @@ def sighting(
     """Return the core's model of a sighting, with the arguments of the oracle's."""
     turning: Vec3 = tuple(np.asarray(w, dtype=float).tolist())  # type: ignore[assignment]
     smooth = (turning[0] - math.sqrt(rate_var), *turning[1:])
-    packed = PackedBelief.of(belief(R, x=x, w=turning, w_smooth=smooth, levelled_by=levelled_by))
-    seen = np.frombuffer(packed_event(s).seen, CORE.dtype("dl_sighting"))
+    numbers = write_belief(belief(R, x=x, w=turning, w_smooth=smooth, levelled_by=levelled_by))
+    event = np.frombuffer(packed(s), CORE.dtype("dl_event"))[0, ...]
+    seen = np.frombuffer(event["sample"]["sighting"].tobytes(), CORE.dtype("dl_sighting"))
     rows = PARTS.new("sighting_rows *")
     cov = np.ascontiguousarray(cov_levelled_by)
-    part("sighting_model")(packed.numbers, seen, cov, yaw_sigma, int(place_only), rows)
+    part("sighting_model")(numbers, seen, cov, yaw_sigma, int(place_only), rows)
     m = rows.m
     innov, H, noise, by_rate = (
         np.frombuffer(PARTS.buffer(member)).copy() for member in (rows.innov, rows.H, rows.R, rows.by_rate)
@@ -58,15 +65,14 @@ def observe(
     bank: DeckMotionBank, t: int, y: F64, var: F64, params: FilterParams, reach_m: float, ins_var: float = 0.0
 ) -> DeckMotionBank:
     """Return the core's bank after one look."""
-    before, after = PackedSea.of(bank), PackedSea.of(bank).apart()
+    before, after = write_bank(bank), write_bank(bank)
     options = PARTS.cast("dl_filter_params *", params.core)
-    part("bank_observe")(options, t, y, var, ins_var, reach_m, before.record, after.record)
-    return after.bank
+    part("bank_observe")(options, t, y, var, ins_var, reach_m, before, after)
+    return read_bank(after)
 
 
 def settled(b: Belief, params: FilterParams) -> tuple[Belief, F64, F64]:
     """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
-    packed, F, Q = PackedBelief.of(b), np.empty((N, N)), np.empty((N, N))
-    own = packed.apart(packed.P, packed.sea)
-    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), own.numbers, F, Q)
-    return own.belief, F, Q
+    numbers, F, Q = write_belief(b), np.empty((N, N)), np.empty((N, N))
+    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), numbers, F, Q)
+    return read_belief(numbers, b.P, b.sea), F, Q

@@ -7,9 +7,10 @@ from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import EkfOptions, deck_motion_bank
+from estimator.ekf import EkfOptions
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, Belief, N, initial
+from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, N
+from tests.estimator.ekf.belief import Belief, DeckMotionBank, initial, unknown
 
 OPTIONS = EkfOptions()
 TOOLS = FilterParams(OPTIONS)
@@ -69,11 +70,11 @@ def diagonal(**var: float) -> F64:
     return P
 
 
-def learned(*, t: int = T, heave_m_s: float = 0.0) -> deck_motion_bank.DeckMotionBank:
+def learned(*, t: int = T, heave_m_s: float = 0.0) -> DeckMotionBank:
     """Return a sea after a look just now, with this heave rate; the other directions move differently."""
     sigma, w = np.array([0.3, 0.4, 0.0, 0.02, 0.03]), np.array([0.7, 0.9, 0.8, 1.1, 1.2])
     sigma[2] = heave_m_s / w[2]
-    return deck_motion_bank.unknown()._replace(t=t, sigma=sigma, w_rad_s=w)
+    return unknown()._replace(t=t, sigma=sigma, w_rad_s=w)
 
 
 def belief(R: F64 = LEVEL, *, t: int = T, x: F64 | None = None, P: F64 | None = None, **fields: object) -> Belief:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import ROWS_MAX
+from estimator.core.abi import DL_ROWS_MAX as ROWS_MAX
 from tests.estimator.ekf.oracle.algebra import Algebra, nis_of
 
 N = 22

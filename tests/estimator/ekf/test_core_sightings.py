@@ -12,33 +12,22 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import deck_motion_bank
-from estimator.ekf.deck_motion_bank import DeckMotionBank
-from estimator.ekf.history import process_event
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import Event, packed_event
+from estimator.ekf import Event, deck_motion_bank
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import about_down, heading
-from estimator.ekf.state import (
-    CAMERA_DELAY,
-    CAMERA_MOUNT,
-    PAD_YAW,
-    POS_REL,
-    Belief,
-    InnovationExcesses,
-    RejectionStreak,
-)  # fmt: skip
+from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL
 from tests.estimator.ekf import flown
-from tests.estimator.ekf.hand import MS, OPTIONS, TOOLS, T, params, stamp
+from tests.estimator.ekf.belief import Belief, DeckMotionBank, InnovationExcesses, RejectionStreak, process_event, unknown
+from tests.estimator.ekf.hand import MS, TOOLS, T, params, stamp
 from tests.estimator.ekf.oracle import bank as oracle_bank
 from tests.estimator.ekf.oracle import sighting as models
 from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.bank import pairs_of
 from tests.estimator.ekf.oracle.samples import Sample, process_sample
 from tests.estimator.ekf.oracle.sighting import deck, levelling
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 from tests.estimator.ekf.oracle.vessel_update import fuse_vessel
 from tests.estimator.ekf.oracle.vision_update import fuse_sighting
-from tests.estimator.ekf.test_core import beginning, close, row, same, same_outcome, same_sea
+from tests.estimator.ekf.test_core import beginning, close, same, same_outcome, same_sea
 from tests.support.estimator_truth import Setting, TruthFlight, events
 
 EXACT = params(sighting_has_attitude_error=False, min_confidence=0.5)
@@ -50,7 +39,7 @@ ALL = (TOOLS, EXACT, EASILY_RESET, TURNED_PAD)
 def learned_sea(seed: int, looks: int, t: int) -> DeckMotionBank:
     """Return a bank after some looks at some sea, the newest a while before `t`."""
     rng = np.random.default_rng(seed)
-    sea = deck_motion_bank.unknown()
+    sea = unknown()
     t -= int(rng.integers(0, 400)) * MS
     for k in range(looks):
         y = rng.normal(size=5) * [0.3, 0.3, 0.5, 0.05, 0.05]
@@ -116,11 +105,11 @@ def expected(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Any
 
 def agrees(b: Belief, event: Event, chosen: FilterParams) -> tuple[Belief, Verdict]:
     """Process an event in both ways; return the oracle's belief."""
-    made = PackedBelief.of(b).follow(chosen, [packed_event(event)])
-    (ours,), (outcome,) = made, made.outcomes(1)
+    ours, outcome = process_event(b, event, chosen)
+    assert ours is not None
     oracle, oracle_outcome = expected(b, event, chosen)
     same_outcome(outcome, oracle_outcome)
-    same(ours.belief, oracle)
+    same(ours, oracle)
     return oracle, outcome.verdict
 
 
@@ -179,25 +168,6 @@ def test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief(seed: int, 
         b, _ = agrees(b, report(rng, T + k * 40 * MS), chosen)
 
 
-@given(st.integers(0, 2**31), st.sampled_from(ALL))
-@settings(max_examples=15)
-def test_a_row_of_all_kinds_in_one_call_is_one_call_for_each(seed: int, chosen: FilterParams) -> None:
-    rng = np.random.default_rng(seed)
-    b = sighted_belief(seed)
-    mixed: list[Event] = [*row(seed, 20, 0.1, 5.0)]
-    mixed += [look(rng, b, T + k * 50 * MS) for k in range(5)] + [report(rng, T + 70 * MS)]
-    mixed.sort(key=lambda event: event.stamp.measured_at)
-    one_by_one = PackedBelief.of(b)
-    together = one_by_one.follow(chosen, [packed_event(one) for one in mixed])
-    for one, after in zip(mixed, together, strict=False):
-        (one_by_one,) = one_by_one.follow(chosen, [packed_event(one)])
-        assert one_by_one.numbers.tobytes() == after.numbers.tobytes()
-        assert one_by_one.belief.P.tobytes() == after.belief.P.tobytes()
-        for name in ("t", "log_weight", "x", "pairs", "weight", "sigma"):
-            assert np.array_equal(getattr(one_by_one.belief.sea, name), getattr(after.belief.sea, name)), name
-    assert len(together) == len(mixed) or not isinstance(mixed[len(together)], Sighting)
-
-
 @given(st.integers(0, 2**31), st.sampled_from([1e-6, 1e-4, 1e-2, 1.0]), st.booleans())
 @settings(max_examples=60)
 def test_the_model_of_a_sighting_is_the_oracle_s(seed: int, attitude_var: float, place_only: bool) -> None:
@@ -216,7 +186,7 @@ def test_the_model_of_a_sighting_is_the_oracle_s(seed: int, attitude_var: float,
 @pytest.mark.parametrize("seed", range(6))
 def test_the_bank_learns_what_the_oracle_s_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    ours, oracle = deck_motion_bank.unknown(), oracle_bank.unknown()
+    ours, oracle = unknown(), oracle_bank.unknown()
     same_sea(ours, oracle)
     t, noise = T, TOOLS
     w, by = rng.uniform(0.5, 2.0, 5), noise.carrying
@@ -254,17 +224,9 @@ def test_the_sightings_of_a_flight_over_a_rough_sea() -> None:
     assert b.sea.t > 0
 
 
-def test_a_snapshot_of_a_belief_with_a_history_gives_it_back() -> None:
-    b = sighted_belief(5)
-    read = PackedBelief.of(b)
-    read._belief = read.sea._bank = None
-    same(read.belief, b)
-    assert OPTIONS.forget_s > 1.0
-
-
 def test_the_triangles_of_the_members_covariances_are_whole_again() -> None:
     rng = np.random.default_rng(0)
     P: F64 = rng.normal(size=(5, 136, 7, 7))
     P = P + P.transpose(0, 1, 3, 2)
-    bank = deck_motion_bank.unknown()._replace(pairs=pairs_of(P))
+    bank = unknown()._replace(pairs=pairs_of(P))
     np.testing.assert_array_equal(bank.P, P)

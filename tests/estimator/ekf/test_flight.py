@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.estimator.ekf.belief import newest
 from tests.support import mocap_flight
 
 pytestmark = pytest.mark.skipif(not mocap_flight.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")
@@ -32,6 +33,4 @@ def test_the_velocity_scale_of_the_real_drone_is_found() -> None:
     flight = mocap_flight.load()
     path = mocap_flight.MocapFilter()
     mocap_flight.run(flight, path, mocap_flight.sightings(flight, 5.0, []), 24.0)
-    belief = path.memory.belief
-    assert belief is not None
-    assert 0.75 < belief.x[15] < 1.0
+    assert 0.75 < newest(path.memory).x[15] < 1.0

@@ -10,12 +10,9 @@ from hypothesis import strategies as st
 from companion.guidance.controller import HORIZONS_S
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf import Ekf, Forecast, deck_motion_bank, forecast
-from estimator.ekf.deck_motion_bank import DeckMotionBank, Skill
-from estimator.ekf.history import History
-from estimator.ekf.packed_belief import PackedBelief
+from estimator.ekf import Forecast, deck_motion_bank
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import Belief
+from tests.estimator.ekf.belief import Belief, DeckMotionBank, Skill, holding, unknown
 from tests.estimator.ekf.hand import MS, TOOLS, S, T, belief, diagonal, params, under
 from tests.estimator.ekf.oracle import answers, bank
 from tests.estimator.ekf.oracle import forecast as oracle
@@ -49,7 +46,7 @@ def expected(b: Belief, now: int, horizons_s: F64, chosen: FilterParams) -> Fore
 
 
 def same_forecast(b: Belief, now: int, horizons_s: tuple[float, ...], chosen: FilterParams) -> None:
-    ours = forecast(Ekf(chosen, History(base=PackedBelief.of(b))), MonoNs(now), horizons_s)
+    ours = holding(b, chosen).forecast(MonoNs(now), horizons_s)
     assert ours is not None
     theirs = expected(b, now, np.array(horizons_s), chosen)
     assert ours.at == theirs.at
@@ -68,7 +65,7 @@ def same_forecast(b: Belief, now: int, horizons_s: tuple[float, ...], chosen: Fi
 @settings(max_examples=40, deadline=None)
 def test_a_forecast_is_the_oracle_s(seed, later_ms, chosen, looks, size, horizons_s):
     """The states and banks are random: one or many horizons; no look, one or many; at rest and moving."""
-    sea = learned(seed % 1000, looks, size) if looks else deck_motion_bank.unknown()
+    sea = learned(seed % 1000, looks, size) if looks else unknown()
     b = beginning(seed)._replace(sighted=T - 20 * MS, sea=sea)
     same_forecast(b, b.t + later_ms * MS, horizons_s, chosen)
 
@@ -105,7 +102,7 @@ def test_a_sea_looked_at_in_the_first_instant_is_foretold_from_there() -> None:
 def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> None:
     for seed in range(20):
         b = beginning(seed)._replace(sighted=T, sea=learned(seed, 5, float(seed % 2)))
-        found = forecast(Ekf(TOOLS, History(base=PackedBelief.of(b))), MonoNs(T + 5 * MS), HORIZONS_S)
+        found = holding(b, TOOLS).forecast(MonoNs(T + 5 * MS), HORIZONS_S)
         assert found is not None
         np.testing.assert_allclose(found.cov_d_level, found.cov_d_level.transpose(0, 2, 1), rtol=1e-12, atol=1e-15)
         for name in FIELDS:
@@ -116,12 +113,12 @@ def test_a_covariance_is_symmetric_and_finite_and_a_sigma_is_not_negative() -> N
 @pytest.mark.parametrize(("ago_ns", "foretold"), [(S // 2, True), (S // 2 + 1, False)])
 def test_a_pad_is_foretold_until_it_is_forgotten_to_the_nanosecond(ago_ns: int, foretold: bool) -> None:
     b = beginning(2)._replace(sighted=T - ago_ns)
-    found = forecast(Ekf(params(forget_s=0.5), History(base=PackedBelief.of(b))), MonoNs(T), HORIZONS_S)
+    found = holding(b, params(forget_s=0.5)).forecast(MonoNs(T), HORIZONS_S)
     assert (found is not None) is foretold
 
 
 def test_no_horizons_make_a_forecast_of_nothing() -> None:
-    found = forecast(Ekf(TOOLS, History(base=PackedBelief.of(beginning(2)._replace(sighted=T)))), MonoNs(T), [])
+    found = holding(beginning(2)._replace(sighted=T), TOOLS).forecast(MonoNs(T), [])
     assert found is not None
     assert (found.d_body_pad_level.shape, found.cov_d_level.shape, found.roll_rad.shape) == ((0, 3), (0, 3, 3), (0,))
 

@@ -7,9 +7,8 @@ import pytest
 
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import packed_event
 from estimator.ekf.state import CAMERA_MOUNT, N
+from tests.estimator.ekf.belief import process_event
 from tests.estimator.ekf.hand import LEVEL, TILTED, TOOLS, T, belief, correlated, sighting, stamp, state, under, whole
 from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.test_core_sightings import agrees
@@ -21,7 +20,7 @@ def innovation(R: F64) -> F64:
     """Return the rotation vector, (3,) rad, by which a level belief finds an attitude turned."""
     event = Attitude(stamp(T), Rotation(R), 1e-4 * np.eye(3))
     b = belief(LEVEL, x=np.zeros(N), P=1e-4 * np.eye(N))
-    (outcome,) = PackedBelief.of(b).follow(TOOLS, [packed_event(event)]).outcomes(1)
+    _, outcome = process_event(b, event, TOOLS)
     assert outcome.innovation is not None
     return np.asarray(outcome.innovation)
 

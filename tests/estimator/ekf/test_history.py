@@ -1,9 +1,6 @@
 """Late is as good as in order; what is too late, too new, or nothing at all is said to be so."""
 
-import sys
-import threading
-import tracemalloc
-from dataclasses import replace
+import pickle
 from typing import Any
 
 import numpy as np
@@ -12,17 +9,18 @@ import pytest
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Baro, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, at, start, step
+from estimator.ekf import EkfOptions, Filter
+from tests.estimator.ekf.belief import belief_of, newest
 from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 
 
-def run(what: list[Any], options: EkfOptions | None = None) -> tuple[Ekf, list[Verdict]]:
-    ekf = start(options or EkfOptions())
+def run(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter, list[Verdict]]:
+    ekf = Filter(options or EkfOptions())
     verdicts = []
     for event in what:
-        ekf, outcomes = step(ekf, event)
+        outcomes = ekf.put([event])
         assert len(outcomes) == 1
         verdicts.append(outcomes[0].verdict)
     return ekf, verdicts
@@ -53,44 +51,34 @@ def test_late_and_shuffled_equals_in_order() -> None:
         late, verdicts = run(order, options)
         assert Verdict.TOO_OLD not in verdicts
         for t in (4.6, 4.9, 5.1):
-            assert same(at(late, ns(t)), at(reference, ns(t))) < 1e-9
+            assert same(late.at(ns(t)), reference.at(ns(t))) < 1e-9
 
 
-def test_an_older_memory_is_not_touched() -> None:
+def test_events_together_are_one_after_the_other() -> None:
+    received_at = events(TruthFlight(SETTING))
+    one_by_one, verdicts = run(received_at)
+    together, rng, at = Filter(), np.random.default_rng(0), 0
+    found: list[Verdict] = []
+    while at < len(received_at):
+        n = int(rng.integers(1, 30))
+        found += [result.verdict for result in together.put(received_at[at : at + n])]
+        at += n
+    assert found == verdicts
+    assert together.save() == one_by_one.save()
+    assert together.put([]) == []
+
+
+def test_a_saved_filter_goes_on_as_the_first_does_and_apart_from_it() -> None:
     received_at = events(TruthFlight(SETTING))
     half, _ = run(received_at[:600])
-    before = at(half, ns(3.0))
-    for event in received_at[600:900]:
-        step(half, event)
-    assert same(before, at(half, ns(3.0))) == 0.0
-
-
-def test_reading_on_another_thread_changes_nothing() -> None:
-    """The eyes ask where the pad is expected while the loop goes on stepping."""
-    received_at = events(TruthFlight(replace(SETTING, duration_s=2.0)))
-    alone, _ = run(received_at)
-    half, _ = run(received_at[: len(received_at) // 2])
-    done, read = threading.Event(), [0]
-
-    def tracker() -> None:
-        while not done.is_set():
-            assert at(half, ns(1.1)) is not None
-            read[0] += 1
-
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    thread = threading.Thread(target=tracker)
-    thread.start()
-    try:
-        watched = half
-        for event in received_at[len(received_at) // 2 :]:
-            watched, _ = step(watched, event)
-    finally:
-        done.set()
-        thread.join()
-        sys.setswitchinterval(interval)
-    assert read[0] > 20
-    assert same(at(watched, ns(1.99)), at(alone, ns(1.99))) == 0.0
+    before, saved = half.at(ns(3.0)), pickle.loads(pickle.dumps(half))
+    saved.put(received_at[600:900])
+    assert same(before, half.at(ns(3.0))) == 0.0
+    half.put(received_at[600:900])
+    assert saved.save() == half.save()
+    for cut in (0, 1, 40, len(half.save()) - 1):
+        with pytest.raises(ValueError, match="saved"):
+            Filter(saved=half.save()[:cut])
 
 
 def test_too_old_and_too_new() -> None:
@@ -98,11 +86,9 @@ def test_too_old_and_too_new() -> None:
     now = EPOCH_NS + 5_000_000_000
     old = Baro(Stamp(MonoNs(now - 2_000_000_000), MonoNs(now), 0.0, "sim"), 1.0, 0.1)
     new = Baro(Stamp(MonoNs(now + 300_000_000), MonoNs(now), 0.1, "sim"), 1.0, 0.1)
-    after, outcomes = step(ekf, old)
-    assert outcomes[0].verdict is Verdict.TOO_OLD
-    assert after.belief is ekf.belief
-    _, outcomes = step(ekf, new)
-    assert outcomes[0].verdict is Verdict.TOO_NEW
+    before = newest(ekf)
+    assert [result.verdict for result in ekf.put([old, new])] == [Verdict.TOO_OLD, Verdict.TOO_NEW]
+    assert newest(ekf).t == before.t
 
 
 def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
@@ -113,7 +99,7 @@ def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
     ]
     verdicts = []
     for event in later:
-        ekf, outcomes = step(ekf, event)
+        outcomes = ekf.put([event])
         verdicts.append((type(event), outcomes[0].verdict))
     # The first few might be wrong stamps; when they agree with one another, time has passed.
     assert [v for _, v in verdicts].count(Verdict.TOO_NEW) == EkfOptions().leap_count - 1
@@ -121,53 +107,23 @@ def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
 
 
 def test_nothing_known_is_none_and_needs_an_attitude() -> None:
-    ekf = start()
-    assert at(ekf, ns(0.0)) is None
+    ekf = Filter()
+    assert ekf.at(ns(0.0)) is None
     sightings = [e for e in events(TruthFlight(SETTING)) if isinstance(e, Sighting)]
-    ekf, outcomes = step(ekf, sightings[0])
+    outcomes = ekf.put([sightings[0]])
     assert outcomes[0].verdict is Verdict.NO_ATTITUDE
-    assert at(ekf, ns(1.0)) is None
+    assert ekf.at(ns(1.0)) is None
 
 
 def test_history_is_bounded() -> None:
     ekf, _ = run(events(TruthFlight(SETTING)), EkfOptions(history_s=0.5))
-    times = [node.key[0] for node in ekf.history.nodes]
-    assert times[-1] - times[0] <= 500_000_000
-    assert len(times) < 200
+    newest_at = newest(ekf).t
+    assert belief_of(ekf, newest_at - 490_000_000) is not None
+    assert belief_of(ekf, newest_at - 560_000_000) is None
+    assert len(ekf.save()) < 6e6
 
 
 def test_what_is_no_measurement_is_a_mistake_of_the_caller() -> None:
     status = VehicleStatus(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), None, "landed", None, False, True)
     with pytest.raises(TypeError, match="VehicleStatus"):
-        step(start(), status)  # type: ignore[arg-type]
-
-
-def test_samples_that_are_all_late_do_not_keep_the_memory_of_what_came_after_each() -> None:
-    flight = sorted(events(TruthFlight(SETTING)), key=lambda e: e.stamp.measured_at)
-    known, late = flight[::2], flight[1::2]
-    options = EkfOptions(max_ahead_s=5.0)
-    ekf, _ = run(known, options)
-    oldest = ekf.history.nodes[0].key[0]
-    inserted = [event for event in late if event.stamp.measured_at > oldest]
-    assert len(inserted) > 80
-    in_order = [event for i, event in enumerate(flight) if i % 2 == 0 or event.stamp.measured_at > oldest]
-    reference = at(run(in_order, options)[0], ns(5.1))
-    tracemalloc.start()
-    for event in inserted:
-        ekf, _ = step(ekf, event)
-    grown, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert same(at(ekf, ns(5.1)), reference) < 1e-9
-    # Without it each event keeps some hundred beliefs: 100 MB.
-    assert grown < 2 * sum(block.nbytes for block in blocks(ekf)) < 60e6
-
-
-def blocks(ekf: Ekf) -> list[np.ndarray]:
-    """Return every block of memory that the history's beliefs refer to."""
-    packed = [node.packed for node in ekf.history.nodes if node.packed is not None]
-    found = [block for p in packed for block in map(_whole, (p.numbers, p.P, p.sea.record))]
-    return list({id(block): block for block in found}.values())
-
-
-def _whole(array: np.ndarray) -> np.ndarray:
-    return array if array.base is None else _whole(array.base)
+        Filter().put([status])  # type: ignore[list-item]

@@ -15,28 +15,11 @@ from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import deck_motion_bank
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.packed_belief import PackedBelief
-from estimator.ekf.packed_event import packed_event
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import (
-    ATT_ERR,
-    CAMERA_DELAY,
-    CAMERA_MOUNT,
-    G_NED,
-    PAD_YAW,
-    POS_REL,
-    VEL,
-    VEL_SCALE,
-    VESSEL_VEL,
-    Aid,
-    Belief,
-    Gathered,
-    N,
-    initial,
-)
+from estimator.ekf.state import ATT_ERR, CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL, N
 from tests.estimator.ekf import flown
+from tests.estimator.ekf.belief import G_NED, Aid, Belief, Gathered, initial, process_event, unknown
 from tests.estimator.ekf.hand import correlated, params, stamp
 from tests.estimator.ekf.oracle import motion as oracle_motion
 from tests.estimator.ekf.oracle import sighting as models
@@ -53,7 +36,7 @@ WALK = FilterParams(OPTIONS)
 def random_belief(seed: int) -> Belief:
     rng = np.random.default_rng(seed)
     R = Rotation.from_rpy(*rng.uniform((-0.4, -0.4, -3.0), (0.4, 0.4, 3.0))).matrix
-    b = initial(OPTIONS, 0, R, 0.05, 0.1, deck_motion_bank.unknown())
+    b = initial(OPTIONS, 0, R, 0.05, 0.1, unknown())
     x = b.x.copy()
     x[POS_REL] = rng.uniform(-2, 2, 3) + np.array([0, 0, 4])
     x[VEL] = rng.normal(size=3)
@@ -161,8 +144,9 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
 
 def gathered(b: Belief, sample: Sample, chosen: FilterParams) -> Gathered:
     """Return what the core keeps of a sample until it is fused: its Jacobian and its innovation."""
-    (after,) = PackedBelief.of(b).follow(chosen, [packed_event(sample)])
-    (found,) = (aid.gathered for aid in after.belief.aids if aid.gathered is not None)
+    after, _ = process_event(b, sample, chosen)
+    assert after is not None
+    (found,) = (aid.gathered for aid in after.aids if aid.gathered is not None)
     return found
 
 

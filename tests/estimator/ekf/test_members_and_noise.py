@@ -11,12 +11,12 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
-from estimator.ekf import Forecast, deck_motion_bank, state
-from estimator.ekf.deck_motion_bank import PackedSea, carrying, log_evidence_of_rest
-from estimator.ekf.forecast import probability_of_motion
-from estimator.ekf.packed_event import Event, packed_event
+from estimator.ekf import Event, Forecast, deck_motion_bank, state
+from estimator.ekf.deck_motion_bank import carrying
+from estimator.ekf.event import packed
+from estimator.ekf.forecast import log_evidence_of_rest, probability_of_motion
 from estimator.ekf.params import NOT_MEASURED_VAR
-from tests.estimator.ekf.hand import T, imu, learned, params, sighting, stamp
+from tests.estimator.ekf.hand import T, imu, params, sighting, stamp
 
 
 def test_the_members_are_every_period_damping_and_size_and_a_deck_at_rest() -> None:
@@ -48,30 +48,9 @@ def test_a_position_carried_by_an_imu_errs_as_its_sensors_do() -> None:
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-5, 0.3, 0.5, 1.0])
-def test_the_evidence_of_rest_is_finite_and_the_same_packed(rest: float) -> None:
-    bank = learned()
-    weight = bank.weight.copy()
-    weight[0, 0] = rest
-    bank = bank._replace(weight=weight)
+def test_the_evidence_of_rest_is_finite(rest: float) -> None:
     bounded = min(max(rest, 1e-12), 1.0 - 1e-12)
-    expected = math.log(bounded / (1.0 - bounded))
-    assert log_evidence_of_rest(bank) == pytest.approx(expected, abs=1e-12)
-    assert PackedSea.of(bank).log_evidence_of_rest == log_evidence_of_rest(bank)
-
-
-def test_a_bank_apart_is_the_same_bank_and_knows_nothing_of_the_first() -> None:
-    bank = learned(heave_m_s=0.4)
-    packed = PackedSea.of(bank)
-    assert packed.bank is bank
-    read = packed.apart().bank
-    assert read is not bank
-    assert (read.t, len(read.skill.issued)) == (bank.t, len(bank.skill.issued))
-    for name in ("log_weight", "x", "pairs", "weight", "w_rad_s", "zeta", "sigma", "P", "at_rest"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(bank, name))
-        assert not getattr(read, name).flags.writeable or name in {"P", "at_rest"}
-    np.testing.assert_array_equal(read.P, read.P.swapaxes(-1, -2))
-    assert read.P[2, 5, 1, 3] == bank.pairs[2, 9, 5]
-    assert deck_motion_bank.unknown().t == -1
+    assert log_evidence_of_rest(rest) == pytest.approx(math.log(bounded / (1.0 - bounded)), abs=1e-12)
 
 
 def test_every_state_s_noise_is_its_option_squared() -> None:
@@ -134,18 +113,20 @@ def test_neither_rest_nor_motion_is_ever_certain() -> None:
 
 
 def test_the_core_s_record_of_an_event_holds_its_values_and_zeros_to_its_end() -> None:
-    zero, at, words = np.zeros(3), stamp(T), CORE.dtype("dl_event").itemsize // 8
+    zero, at = np.zeros(3), stamp(T)
+    head = CORE.ffi.offsetof("dl_event", "sample")
     events: list[tuple[Event, int]] = [
-        (imu(T, zero, zero), 6), (Attitude(at, Rotation.identity(), np.eye(3)), 18), (BodyVelocity(at, zero, np.eye(3)), 12),
-        (Range(at, 1.0, 0.1), 2), (Baro(at, 1.0, 0.1), 2), (VesselReport(at, zero, np.eye(3), 1.0, 0.1), 16),
-        (sighting((0.0, 0.0, 2.0)), 0),
+        (imu(T, zero, np.ones(3)), 6),
+        (Attitude(at, Rotation.identity(), np.eye(3)), 18), (BodyVelocity(at, zero, np.eye(3)), 12),
+        (Range(at, 1.0, 0.1), 2), (Baro(at, 1.0, 0.1), 2), (VesselReport(at, zero, np.eye(3), 1.0, 0.1), 15),
     ]  # fmt: skip
     for event, n in events:
-        record = packed_event(event).record
-        assert len(record) == 8 * words
-        assert not any(record[8 * (2 + n) :])
-    blind = packed_event(VesselReport(at, None, None, None, None)).record
-    assert not any(blind[16:])
-    no_pose = np.frombuffer(packed_event(sighting((0.0, 0.0, 2.0))).seen, CORE.dtype("dl_sighting"))
+        record = packed(event)
+        assert len(record) == CORE.dtype("dl_event").itemsize
+        assert any(record[head + 8 * n - 8 : head + 8 * n])
+        assert not any(record[head + 8 * n :])
+    blind = packed(VesselReport(at, None, None, None, None))
+    assert not any(blind[head:])
+    no_pose = np.frombuffer(packed(sighting((0.0, 0.0, 2.0))), CORE.dtype("dl_event"))[0]["sample"]["sighting"]
     assert not any(no_pose[name].any() for name in ("has_yaw", "yaw_ambiguous", "has_pose6", "yaw_rad"))
     assert not any(no_pose[name].any() for name in ("pose_d_level", "pose_R", "pose_cov"))

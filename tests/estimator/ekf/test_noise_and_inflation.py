@@ -7,11 +7,12 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, at, start, step
-from estimator.ekf.so3 import about_down, heading
-from estimator.ekf.state import ATT_BIAS, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, Belief
+from estimator.ekf import EkfOptions, Filter
+from estimator.ekf.state import ATT_BIAS, CAMERA_DELAY, PAD_YAW, POS_REL, VEL
 from tests.estimator.ekf import flown as core
+from tests.estimator.ekf.belief import Belief, copied, newest
 from tests.estimator.ekf.oracle.measure import BY_ATTITUDE
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 
 EPOCH = 1_000_000_000_000
 REST = np.array([0.0, 0.0, -9.80665])
@@ -36,16 +37,15 @@ def imu(t_s: float, w: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Imu:
     return Imu(stamp(t_s), np.array(w), REST)
 
 
-def fed(*events: object, options: EkfOptions | None = None) -> Ekf:
-    ekf = start(options)
+def fed(*events: object, options: EkfOptions | None = None) -> Filter:
+    ekf = Filter(options)
     for event in events:
-        ekf, _ = step(ekf, event)  # type: ignore[arg-type]
+        ekf.put([event])  # type: ignore[list-item]
     return ekf
 
 
-def belief(ekf: Ekf) -> Belief:
-    assert ekf.belief is not None
-    return ekf.belief
+def belief(ekf: Filter) -> Belief:
+    return newest(ekf)
 
 
 # The time of a sighting
@@ -87,10 +87,11 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     for k in range(1, 40):
         events += [imu(0.01 * k), sighting(0.01 * k)]
     before = fed(*events)
-    after, outcomes = step(before, attitude(0.4, yaw=1.2))
+    after = copied(before)
+    outcomes = after.put([attitude(0.4, yaw=1.2)])
     assert outcomes[0].verdict is Verdict.FUSED
     now = MonoNs(EPOCH + 400_000_000)
-    one, two = at(before, now), at(after, now)
+    one, two = before.at(now), after.at(now)
     assert one is not None
     assert two is not None
     assert one.yaw_rad is not None

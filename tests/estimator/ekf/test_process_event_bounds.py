@@ -8,27 +8,12 @@ import pytest
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.ekf.history import process_event
-from estimator.ekf.packed_event import Event
-from estimator.ekf.so3 import about_down
-from estimator.ekf.state import (
-    ATT_BIAS,
-    ATT_ERR,
-    ATTITUDE,
-    HEIGHT,
-    PAD_YAW,
-    POS_REL,
-    RANGE,
-    VEL,
-    VELOCITY,
-    VESSEL_VEL,
-    WAVES,
-    Belief,
-    N,
-    initial,
-)  # fmt: skip
+from estimator.ekf import Event
+from estimator.ekf.state import ATT_BIAS, ATT_ERR, PAD_YAW, POS_REL, VEL, VESSEL_VEL, WAVES, N
+from tests.estimator.ekf.belief import ATTITUDE, HEIGHT, RANGE, VELOCITY, Belief, initial, process_event
 from tests.estimator.ekf.hand import LEVEL, MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, sighting, stamp, state
 from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf.oracle.so3 import about_down
 
 G = 9.80665
 REST = np.array([0.0, 0.0, -G])

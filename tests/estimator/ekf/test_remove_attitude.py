@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import eigh
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import ROWS_MAX
+from estimator.core.abi import DL_ROWS_MAX as ROWS_MAX
 from tests.support.core_parts import part
 
 KEPT, NOT_A_PART = 0.02, 1.5

@@ -10,9 +10,9 @@ from msgspec import structs
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import BodyVelocity, Imu
 from estimator.contracts.time import MonoNs
-from estimator.ekf import Ekf, at, moving, start, step
-from estimator.ekf.params import FilterParams
+from estimator.ekf import Filter
 from estimator.ekf.state import TURN_RATE, VEL
+from tests.estimator.ekf.belief import copied, newest
 from tests.support import voyage_faults, voyage_truth
 from tests.support.voyage_faults import BEGIN_S, SCENE, suffered
 from tests.support.voyage_score import CHI2_7, Score, fly
@@ -41,8 +41,7 @@ def test_the_rate_of_a_turn_is_learned_and_goes_on_out_of_sight() -> None:
     scene = replace(QUICK, sea="turning", seed=4, speed_m_s=2.0, blind=((15.0, 18.0),), gaps=0)
     s = fly(scene, since_s=15.0, forecasts=False)
     assert s.memory is not None
-    assert s.memory.belief is not None
-    assert abs(abs(math.degrees(s.memory.belief.x[TURN_RATE])) - 3.0) < 1.0
+    assert abs(abs(math.degrees(newest(s.memory).x[TURN_RATE])) - 3.0) < 1.0
     gap = [e for t, e in zip(s.t, s.error_m, strict=True) if t < 18.2]
     assert max(gap) < 0.5
 
@@ -84,29 +83,29 @@ def test_a_pad_that_stands_is_not_reported_to_move_because_the_attitude_errs() -
     scene = replace(QUICK, sea="calm", speed_m_s=0.0, attitude_bias_deg=3.0, outliers=0.0)
     s = fly(scene, since_s=7.0, from_s=6.0, forecasts=False)
     assert s.memory is not None
-    p = moving(s.memory)
-    assert p is not None
-    assert p < 0.3
+    state = s.memory.at(ns(19.9))
+    assert state is not None
+    assert dict(state.details)["probability_moving"] < 0.3
 
 
-def followed(scene: VoyageScene, until_s: float) -> tuple[Ekf, list[Event]]:
+def followed(scene: VoyageScene, until_s: float) -> tuple[Filter, list[Event]]:
     received_at, _ = voyage_truth.events(Voyage(scene))
-    ekf = start(OPTIONS)
+    ekf = Filter(OPTIONS)
     for event in received_at:
         if event.stamp.received_at > ns(until_s):
             break
-        ekf, _ = step(ekf, event)
+        ekf.put([event])
     return ekf, received_at
 
 
 def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
     ekf, _ = followed(replace(QUICK, duration_s=9.0), 8.0)
     for later_s, expected in ((8.1, True), (8.6, True), (9.5, False), (29.0, False)):
-        state = at(ekf, ns(later_s))
+        state = ekf.at(ns(later_s))
         assert state is not None
         assert state.consistent is expected
-    strict = replace(ekf, params=FilterParams(structs.replace(OPTIONS, consistent_sigma_m=1e-3)))
-    state = at(strict, ns(8.1))
+    strict = Filter(structs.replace(OPTIONS, consistent_sigma_m=1e-3), ekf.save())
+    state = strict.at(ns(8.1))
     assert state is not None
     assert not state.consistent, "a sigma beyond the bound"
 
@@ -116,8 +115,8 @@ def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() 
         ekf, received_at = followed(replace(QUICK, duration_s=11.0), 8.0)
         for event in received_at:
             if event.stamp.received_at > ns(8.0) and not isinstance(event, left_out):
-                ekf, _ = step(ekf, event)
-        state = at(ekf, ns(10.0))
+                ekf.put([event])
+        state = ekf.at(ns(10.0))
         assert state is not None
         assert state.consistent is expected
 
@@ -129,73 +128,49 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
         stamp = structs.replace(
             rest[0].stamp, measured_at=MonoNs(rest[0].stamp.measured_at + by), received_at=MonoNs(rest[0].stamp.received_at + by)
         )
-        after, outcomes = step(ekf, structs.replace(rest[0], stamp=stamp))
+        after = copied(ekf)
+        outcomes = after.put([structs.replace(rest[0], stamp=stamp)])
         assert outcomes[0].verdict is (Verdict.TOO_NEW if by > 0 else Verdict.TOO_OLD)
-        assert after.belief is ekf.belief
-        assert after.history.received_at == ekf.history.received_at
-        _, outcomes = step(after, rest[1])
+        assert newest(after).t == newest(ekf).t
+        outcomes = after.put([rest[1]])
         assert outcomes[0].verdict in (Verdict.FUSED, Verdict.GATED)
         # Every one of them so far away: it is time itself.
-        verdicts, leapt = [], ekf
+        verdicts, leapt = [], copied(ekf)
         for event in rest:
             stamp = structs.replace(
                 event.stamp, measured_at=MonoNs(event.stamp.measured_at + by), received_at=MonoNs(event.stamp.received_at + by)
             )
-            leapt, outcomes = step(leapt, structs.replace(event, stamp=stamp))
+            outcomes = leapt.put([structs.replace(event, stamp=stamp)])
             verdicts.append(outcomes[0].verdict)
         refused = [v for v in verdicts if v in (Verdict.TOO_NEW, Verdict.TOO_OLD)]
         assert len(refused) == OPTIONS.leap_count - 1
         assert verdicts[-1] in (Verdict.FUSED, Verdict.GATED)
 
 
-def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_taken_in_part() -> None:
+def test_a_step_that_no_vehicle_makes_is_taken_in_part() -> None:
+    """Within reach, but not from one sample to the next: part of it is taken, the rest is doubt."""
     ekf, received_at = followed(replace(QUICK, duration_s=10.0), 5.0)
     imu = next(e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0))
-    for w, f in ((0.0, 80.1), (35.0, 0.0)):
-        spike = structs.replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f]))
-        after, outcomes = step(ekf, spike)
-        assert outcomes[0].verdict is Verdict.IMPOSSIBLE
-        assert after.belief is ekf.belief
-        unguarded, outcomes = step(replace(ekf, limits=None), spike)
-        assert outcomes[0].verdict is Verdict.FUSED, "a guard before the filter is the only one"
-        assert unguarded.belief is not ekf.belief
-    # Within reach, but not from one sample to the next: part of it is taken, the rest is doubt.
-    after, outcomes = step(ekf, structs.replace(imu, f_body=np.array([40.0, 0.0, -9.81])))
-    assert outcomes[0].verdict is Verdict.FUSED
-    assert after.belief is not None
-    assert ekf.belief is not None
-    usual, _ = step(ekf, imu)
-    assert usual.belief is not None
-    grown = after.belief.P[VEL, VEL] - usual.belief.P[VEL, VEL] + after.belief.jolt_var_m2_s2 * np.eye(3)
+    jolted, usual, before = copied(ekf), copied(ekf), newest(ekf)
+    (result,) = jolted.put([structs.replace(imu, f_body=np.array([40.0, 0.0, -9.81]))])
+    assert result.verdict is Verdict.FUSED
+    usual.put([imu])
+    after = newest(jolted)
+    grown = after.P[VEL, VEL] - newest(usual).P[VEL, VEL] + after.jolt_var_m2_s2 * np.eye(3)
     assert float(np.diag(grown).min()) > (30.0 * 0.02) ** 2 / 2.0
-    assert after.belief.f[0] < ekf.belief.f[0] + OPTIONS.accel_step_m_s2 + 1e-9
-
-
-def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
-    ekf, received_at = followed(replace(QUICK, duration_s=10.0), 5.0)
-    samples = [e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0)]
-    first, verdicts = samples[0], []
-    for imu in samples[:20]:
-        ekf, outcomes = step(ekf, structs.replace(imu, w_body=first.w_body, f_body=first.f_body))
-        verdicts.append(outcomes[0].verdict)
-    held = 1 + int(0.15 * QUICK.imu_hz)
-    assert verdicts == [Verdict.FUSED] * held + [Verdict.FROZEN] * (20 - held)
-    assert ekf.belief is not None
-    assert ekf.belief.t == samples[held - 1].stamp.measured_at, "time goes on by the other sensors"
-    ekf, outcomes = step(ekf, samples[20])
-    assert outcomes[0].verdict is Verdict.FUSED
+    assert after.f[0] < before.f[0] + OPTIONS.accel_step_m_s2 + 1e-9
 
 
 def test_a_heading_that_stays_turned_round_is_accepted_in_the_end() -> None:
     scene = replace(QUICK, duration_s=14.0, gaps=0, outliers=0.0)
     voyage = Voyage(scene)
     received_at, _ = voyage_truth.events(voyage)
-    ekf, believed_at = start(OPTIONS), math.inf
+    ekf, believed_at = Filter(OPTIONS), math.inf
     for event in received_at:
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(4.0):
             event = voyage_faults.FAULTS["heading turned round"]().spoil(event)[0]
-        ekf, _ = step(ekf, event)
-        state = at(ekf, event.stamp.received_at) if isinstance(event, Sighting) else None
+        ekf.put([event])
+        state = ekf.at(event.stamp.received_at) if isinstance(event, Sighting) else None
         if state is not None and state.yaw_rad is not None and event.stamp.measured_at > ns(4.0):
             t = (event.stamp.received_at - voyage_truth.EPOCH_NS) * 1e-9
             wrong = abs(math.remainder(state.yaw_rad - voyage.relative(t)[2], math.tau))

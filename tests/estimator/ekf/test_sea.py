@@ -12,10 +12,10 @@ from scipy.linalg import expm
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, start, step
-from estimator.ekf.deck_motion_bank import stationary
+from estimator.ekf import EkfOptions, Filter, deck_motion_bank
 from estimator.ekf.params import FilterParams
 from tests.estimator.ekf import flown
+from tests.estimator.ekf.belief import newest, stationary, unknown
 from tests.estimator.ekf.oracle.oscillator import transition
 from tests.support.estimator_truth import Setting, TruthFlight, events, ns, stamp
 
@@ -55,7 +55,7 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
     a = transition(np.array(w), np.array(zeta), dt)
     x = np.zeros(4)
     L = np.linalg.cholesky(sigma**2 * a.q + 1e-15 * np.eye(4))
-    bank = deck_motion_bank.unknown()
+    bank = unknown()
     var = np.array([1e6, 1e6, 0.01**2, 1e6, 1e6])
     for k in range(400):
         x = a.A @ x + L @ rng.standard_normal(4)
@@ -76,7 +76,7 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
 
 def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     rng = np.random.default_rng(1)
-    bank = deck_motion_bank.unknown()
+    bank = unknown()
     var = np.array([1.0, 1.0, 1.0, 1.0, 1.0]) * 0.01**2
     for k in range(150):
         bank = flown.observe(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var, NOISE, 2.0)
@@ -84,12 +84,12 @@ def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     assert bank.sigma[:3].max() < 0.05
 
 
-def run(s: Setting) -> tuple[TruthFlight, Ekf, list[float]]:
+def run(s: Setting) -> tuple[TruthFlight, Filter, list[float]]:
     """Return the flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
-    flight, ekf, nees, next_s = TruthFlight(s), start(), [], 6.0
+    flight, ekf, nees, next_s = TruthFlight(s), Filter(), [], 6.0
     for event in events(flight):
         while event.stamp.received_at > ns(next_s):
-            state = at(ekf, ns(next_s))
+            state = ekf.at(ns(next_s))
             assert state is not None
             assert state.yaw_rad is not None
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
@@ -97,7 +97,7 @@ def run(s: Setting) -> tuple[TruthFlight, Ekf, list[float]]:
             e = np.concatenate([state.d_body_pad_level - d, state.v_pad_level - v, [turn]])
             nees.append(float(e @ np.linalg.solve(state.cov, e)))
             next_s += 0.5
-        ekf, _ = step(ekf, event)
+        ekf.put([event])
     return flight, ekf, nees
 
 
@@ -106,11 +106,11 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
     total, nees = 0, []
     for seed in (3, 4):
         nees += run(replace(QUICK, seed=seed))[2]
-    ekf, next_s = start(), 10.0
+    ekf, next_s = Filter(), 10.0
     flight = TruthFlight(QUICK)
     for event in events(flight):
         if event.stamp.received_at > ns(next_s) and next_s < 17.0:
-            reported = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
+            reported = ekf.forecast(ns(next_s), (1.0, 2.0, 3.0))
             assert reported is not None
             p, v, _ = flight.pad(next_s + np.array([1.0, 2.0, 3.0]))
             for probability in inside:
@@ -120,7 +120,7 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
                 inside[probability] += int(np.sum((low < -v[:, 2]) & (-v[:, 2] < high)))
             total += 6
             next_s += 0.5
-        ekf, _ = step(ekf, event)
+        ekf.put([event])
     assert inside[0.68] / total > 0.5
     assert inside[0.95] / total > 0.8
     assert 0.4 < np.mean(nees) / 7.0 < 2.5
@@ -129,14 +129,14 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
 def test_forecast_grows_with_the_horizon_and_starts_at_the_belief() -> None:
     _, ekf, _ = run(replace(QUICK, duration_s=8.0))
     now = ns(7.9)
-    reported, state = forecast(ekf, now, (0.0, 1.0, 3.0)), at(ekf, now)
+    reported, state = ekf.forecast(now, (0.0, 1.0, 3.0)), ekf.at(now)
     assert reported is not None
     assert state is not None
     np.testing.assert_allclose(reported.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
     np.testing.assert_allclose(reported.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
     assert reported.sigma_deck_height_m[0] < reported.sigma_deck_height_m[1] < reported.sigma_deck_height_m[2]
     with pytest.raises(ValueError, match="horizons"):
-        forecast(ekf, now, [-1.0])
+        ekf.forecast(now, [-1.0])
 
 
 def test_moving_or_not() -> None:
@@ -144,33 +144,32 @@ def test_moving_or_not() -> None:
     for sea_state, speed in ((0, 0.0), (0, 1.0), (4, 0.0)):
         s = replace(QUICK, sea=sea_state, vessel_speed_m_s=speed, duration_s=14.0, accel_bias=0.05)
         _, ekf, _ = run(s)
-        p = moving(ekf)
-        assert p is not None
-        probabilities.append(p)
+        state = ekf.at(ns(13.9))
+        assert state is not None
+        probabilities.append(dict(state.details)["probability_moving"])
     assert probabilities[0] < 0.2
     assert probabilities[1] > 0.9
     assert probabilities[2] > 0.99
-    assert moving(start()) is None
 
 
 def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_it() -> None:
     s = replace(QUICK, blind=((10.0, 14.0),), duration_s=17.0)
-    flight, ekf = TruthFlight(s), start()
+    flight, ekf = TruthFlight(s), Filter()
     sigma, before = list[float](), None
     for event in events(flight):
         now = event.stamp.received_at
         first = isinstance(event, Sighting) and event.stamp.measured_at > ns(14.0) and before is None
         if first:
-            before = at(ekf, now)
-        ekf, _ = step(ekf, event)
+            before = ekf.at(now)
+        ekf.put([event])
         if first:
-            after = at(ekf, now)
+            after = ekf.at(now)
         if (
             ns(10.3) < now < ns(14.0)
             and isinstance(event, Sighting) is False
             and len(sigma) < (now - ns(10.3)) // 500_000_000 + 1
         ):
-            state = at(ekf, now)
+            state = ekf.at(now)
             assert state is not None
             sigma.append(float(np.sqrt(np.trace(state.cov[:3, :3]))))
             error = state.d_body_pad_level - flight.relative(np.array([(now - ns(0.0)) * 1e-9]))[0][0]
@@ -185,41 +184,40 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
 
 def test_a_report_of_the_ship_gives_its_velocity_and_heading() -> None:
     s = replace(QUICK, sea=0, vessel_speed_m_s=1.2, velocity_hz=0.0, duration_s=6.0)
-    flight, ekf, next_s = TruthFlight(s), start(), 1.0
+    flight, ekf, next_s = TruthFlight(s), Filter(), 1.0
     for event in events(flight):
-        ekf, _ = step(ekf, event)
+        ekf.put([event])
         if event.stamp.received_at > ns(next_s):
             heading = math.atan2(flight.u[1], flight.u[0])
             report = VesselReport(stamp(next_s), flight.u, np.eye(3) * 0.05**2, heading, 0.02)
-            ekf, outcomes = step(ekf, report)
+            outcomes = ekf.put([report])
             assert outcomes[0].verdict.value == "fused"
             next_s += 0.5
-    assert ekf.belief is not None
-    np.testing.assert_allclose(ekf.belief.x[16:18], flight.u[:2], atol=0.1)
+    np.testing.assert_allclose(newest(ekf).x[16:18], flight.u[:2], atol=0.1)
 
 
 def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
     """An H alone: its heading may be 180 degrees off."""
     flight = TruthFlight(replace(QUICK, duration_s=5.0, pose6=False))
-    ekf, ambiguous = start(), 0
+    ekf, ambiguous = Filter(), 0
     for event in events(flight):
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(1.0):
             assert event.yaw_rad is not None
             opposite = math.remainder(event.yaw_rad + math.pi, math.tau)
             event = structs.replace(event, yaw_rad=opposite, yaw_ambiguous=True)
             ambiguous += 1
-        ekf, _ = step(ekf, event)
-    state = at(ekf, ns(4.9))
+        ekf.put([event])
+    state = ekf.at(ns(4.9))
     assert state is not None
     assert state.yaw_rad is not None
     assert abs(math.remainder(state.yaw_rad - flight.relative(np.array([4.9]))[2][0], math.tau)) < 0.15
 
-    ekf = start()
+    ekf = Filter()
     for event in events(flight):
         if isinstance(event, Sighting):
             event = structs.replace(event, yaw_ambiguous=True)
-        ekf, _ = step(ekf, event)
-    state = at(ekf, ns(4.9))
+        ekf.put([event])
+    state = ekf.at(ns(4.9))
     assert state is not None
     assert state.yaw_rad is None
     assert ambiguous > 20

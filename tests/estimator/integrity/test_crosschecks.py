@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from estimator import pipeline
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Baro, Imu, Range
@@ -24,6 +23,7 @@ from estimator.integrity.crosschecks import (
 )
 from estimator.integrity.options import IntegrityOptions
 from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
 from tests.make import stamp as make_stamp
 from tests.make import stamp_at
 
@@ -101,12 +101,12 @@ def test_without_a_gyro_the_report_is_all_there_is() -> None:
 
 
 def test_frames_and_paths_get_the_held_heading() -> None:
-    memory = pipeline.start(EstimatorOptions())
+    memory = RelativeEstimator(EstimatorOptions())
     for i in range(600):
         t = i * DT
-        memory, _ = pipeline.step(memory, imu(t, 0.0))
-        memory, _ = pipeline.step(memory, attitude(t, math.radians(60.0) * (t > 1.5) + 1e-9 * i))
-    held = pipeline.attitude_at(memory, stamp(2.9))
+        memory.put([imu(t, 0.0)])
+        memory.put([attitude(t, math.radians(60.0) * (t > 1.5) + 1e-9 * i)])
+    held = memory.attitude_at(stamp(2.9))
     assert held is not None
     assert abs(math.degrees(held.R_ned_body.rpy_rad[2])) < 3.0
     assert abs(math.degrees(memory.guard.heading.off_rad)) > 50.0

@@ -104,7 +104,7 @@ def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
         at = MonoNs(deck.at + round(later_s * 1e9))
         stamp = Stamp(at, at, 0.001, "sim")
         level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
-        return pilot.detect(Frame(stamp, 0, blank), level).on_pad
+        return pilot.detect(pilot.look_at(Frame(stamp, 0, blank), level)).on_pad
 
     pilot.search._memory = TrackerMemory(deck=deck)
     check = looked(1.0, State.REFUSED)

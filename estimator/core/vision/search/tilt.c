@@ -67,7 +67,7 @@ static void cone_of(const double p[CONIC], const double mean[2], double scale, d
 /* Eigenvalues of a symmetric matrix, the largest first, and the vectors of the largest and of the least. */
 static void sorted_eigen(const double Q[9], double values[3], double most[3], double least[3])
 {
-    double A[ROWS_MAX][ROWS_MAX], found[ROWS_MAX], V[ROWS_MAX][ROWS_MAX];
+    double A[DL_ROWS_MAX][DL_ROWS_MAX], found[DL_ROWS_MAX], V[DL_ROWS_MAX][DL_ROWS_MAX];
     int first = 0, last = 0;
     for (int i = 0; i < 9; i++) {
         A[i / 3][i % 3] = Q[i];

@@ -7,36 +7,29 @@ import numpy as np
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro, BodyVelocity, Range
-from estimator.ekf import gate
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.outcome import Outcome
 from estimator.ekf.params import FilterParams
+from estimator.ekf.params import nis_max as limit
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
-    ATTITUDE,
     BARO_OFFSET,
-    HEIGHT,
     PAD_YAW,
     POS_DOWN,
     POS_EAST,
     POS_NORTH,
     POS_REL,
-    RANGE,
     VEL,
     VEL_EAST,
     VEL_NORTH,
     VEL_SCALE,
-    VELOCITY,
     VESSEL_EAST,
     VESSEL_NORTH,
     VESSEL_VEL,
     WAVES,
-    Aid,
-    Belief,
-    Gathered,
     N,
-)  # fmt: skip
+)
+from tests.estimator.ekf.belief import ATTITUDE, HEIGHT, RANGE, VELOCITY, Aid, Belief, Gathered, Outcome
 from tests.estimator.ekf.oracle import algebra, measure, motion
 from tests.estimator.ekf.oracle.algebra import nis_of
 from tests.estimator.ekf.oracle.pad_velocity import pad_velocity
@@ -139,7 +132,7 @@ def _refused_at_an_edge(b: Belief, event: BodyVelocity, begun: Gathered, innov: 
         return None
     if (1.0 if begun.deck_weight < 0.5 else -1.0) * _for_the_deck(ground, deck, b.P) <= 0.0:
         return None
-    return Outcome(Verdict.GATED, innov, S, nis, gate.nis_max(o.gate_probability, len(innov)), begun.axes)
+    return Outcome(Verdict.GATED, innov, S, nis, limit(o.gate_probability, len(innov)), begun.axes)
 
 
 def _for_the_deck(ground: LinearizedMeasurement, deck: LinearizedMeasurement, P: F64) -> float:
@@ -209,7 +202,7 @@ def gather(
     nis = nis_of(innov, S)
     if nis is None:
         return b, Outcome(Verdict.SINGULAR, innov, S, axes=axes)
-    nis_max = gate.nis_max(o.gate_probability, len(innov))
+    nis_max = limit(o.gate_probability, len(innov))
     if nis > nis_max:
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:

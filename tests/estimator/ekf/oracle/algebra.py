@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import ORDER_MAX, ROWS_MAX
+from estimator.core.abi import DL_N as ORDER_MAX
+from estimator.core.abi import DL_ROWS_MAX as ROWS_MAX
 from estimator.ekf.state import N
 from tests.support.core_parts import PARTS, part
 

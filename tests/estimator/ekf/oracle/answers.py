@@ -7,7 +7,6 @@ import numpy as np
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, skew, wrap_pi
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import about_down, heading
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -15,7 +14,6 @@ from estimator.ekf.state import (
     DECK_DISP,
     DECK_RATE,
     DECK_TRIM,
-    G_NED,
     GYRO_BIAS,
     PAD_YAW,
     POS_REL,
@@ -23,13 +21,14 @@ from estimator.ekf.state import (
     VEL,
     VESSEL_VEL,
     WAVES,
-    Belief,
     N,
 )
+from tests.estimator.ekf.belief import G_NED, Belief
 from tests.estimator.ekf.oracle import motion, so3
 from tests.estimator.ekf.oracle.motion import QUARTER
 from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, v_pad_ned
 from tests.estimator.ekf.oracle.propagate import propagated
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 
 _IMU_HZ = 200.0
 

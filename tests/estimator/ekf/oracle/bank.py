@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import MEMBER_STATES
-from estimator.ekf.deck_motion_bank import HORIZONS_S, LOG_PRIOR, REST_ODDS, SIGMA, ZETA, Carrying, DeckMotionBank, W, stationary
+from estimator.ekf.deck_motion_bank import LOG_PRIOR, REST_ODDS, SIGMA, ZETA, Carrying, W
+from tests.estimator.ekf.belief import HORIZONS_S, MEMBER_STATES, DeckMotionBank, stationary
 from tests.estimator.ekf.oracle import skill
 from tests.estimator.ekf.oracle.oscillator import transition
 

@@ -17,20 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.core.abi import EXCESSES_MAX
-from estimator.ekf.state import (
-    PAD_YAW,
-    POS_AXES,
-    POS_EAST,
-    POS_NORTH,
-    TURN_RATE,
-    VESSEL_EAST,
-    VESSEL_NORTH,
-    WAVES,
-    Belief,
-    InnovationExcesses,
-    N,
-)
+from estimator.ekf.state import PAD_YAW, POS_AXES, POS_EAST, POS_NORTH, TURN_RATE, VESSEL_EAST, VESSEL_NORTH, WAVES, N
+from tests.estimator.ekf.belief import EXCESSES_MAX, Belief, InnovationExcesses
 
 RATIO_MAX = 2.5
 """Squared innovation over its variance above which the covariance grows; the median of five honest ones is above this once in

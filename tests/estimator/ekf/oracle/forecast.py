@@ -8,26 +8,16 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf.deck_motion_bank import SIGMA, ZETA, DeckMotionBank, W
+from estimator.ekf.deck_motion_bank import SIGMA, ZETA, W
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.so3 import about_down, heading
-from estimator.ekf.state import (
-    ATT_ERR,
-    DECK_DISP,
-    DECK_RATE,
-    DECK_TRIM,
-    POS_REL,
-    TURN_RATE,
-    VEL,
-    VESSEL_VEL,
-    Belief,
-    N,
-)
+from estimator.ekf.state import ATT_ERR, DECK_DISP, DECK_RATE, DECK_TRIM, POS_REL, TURN_RATE, VEL, VESSEL_VEL, N
+from tests.estimator.ekf.belief import Belief, DeckMotionBank
 from tests.estimator.ekf.oracle import skill, so3
 from tests.estimator.ekf.oracle.bank import AT_REST, weight_ahead
 from tests.estimator.ekf.oracle.motion import QUARTER, turned
 from tests.estimator.ekf.oracle.oscillator import transition
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 
 _PRESENT = np.array([1.0, 0.0, 0.0, 0.0])
 

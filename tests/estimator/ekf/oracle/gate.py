@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import RejectionStreak
+from tests.estimator.ekf.belief import RejectionStreak
 
 _GROWTH_M_S = 2.0
 """Rate at which two sightings of the same object may come to differ because the belief drifts between them. A deck whose heave

@@ -6,7 +6,6 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, skew
 from estimator.ekf.params import NOT_MEASURED_VAR
-from estimator.ekf.so3 import Vec3, about_down, heading
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -25,9 +24,11 @@ from estimator.ekf.state import (
     VESSEL_NORTH,
     N,
 )
+from tests.estimator.ekf.belief import Vec3
 from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, pad_velocity, v_pad_ned
 from tests.estimator.ekf.oracle.sighting import LinearizedMeasurement, deck
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 
 _I3 = np.eye(3)
 _POS = np.array(POS_AXES)

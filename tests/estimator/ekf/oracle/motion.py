@@ -9,13 +9,11 @@ import numpy as np
 from estimator.contracts.geometry import F64, orthonormalised, skew
 from estimator.contracts.motion import G_M_S2
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_AXES,
     ATT_ERR,
     GYRO_BIAS,
-    NO_VEC3,
     PAD_YAW,
     POS_AXES,
     POS_DOWN,
@@ -31,9 +29,9 @@ from estimator.ekf.state import (
     WAVE_YAW,
     WAVES,
     YAW_RATE,
-    Belief,
     N,
-)  # fmt: skip
+)
+from tests.estimator.ekf.belief import NO_VEC3, Belief, Vec3
 from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.algebra import Algebra
 from tests.estimator.ekf.oracle.oscillator import transition

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.ekf.deck_motion_bank import stationary
+from tests.estimator.ekf.belief import stationary
 
 
 class Transition(NamedTuple):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import DECK_RATE, VESSEL_EAST, VESSEL_NORTH, N
+from tests.estimator.ekf.belief import Vec3
 
 _SURGING, _SWAYING, _HEAVING = DECK_RATE[:3].tolist()
 BY_V_PAD = np.zeros((3, N))

@@ -3,11 +3,10 @@
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew, wrap_pi
-from estimator.core.abi import DL_WITH_AIDING
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.packed_belief import PackedBelief
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, Belief, N, RejectionStreak
+from estimator.ekf.state import ATT_ERR, PAD_YAW, POS_REL, VEL_SCALE, N
+from tests.estimator.ekf.belief import Belief, RejectionStreak
 from tests.estimator.ekf.oracle import algebra, motion, so3
 from tests.estimator.ekf.oracle.algebra import Correction
 
@@ -35,10 +34,11 @@ def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belie
 def ready_to_fuse(b: Belief, t: int, params: FilterParams) -> Belief:
     """Propagate state and covariance to `t`, ns, and fuse the means of all gathered samples together.
 
-    Gathered samples must be fused before any other correction; otherwise that correction would be applied twice. The core does
-    this; its samples are held to the oracle's by themselves.
+    Gathered samples must be fused before any other correction; otherwise that correction would be applied twice.
     """
-    return PackedBelief.of(b).propagated(t, params, DL_WITH_AIDING).belief
+    from tests.estimator.ekf.oracle.aiding import aided
+
+    return aided(propagated_with_covariance(b, t, params), params)
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:

@@ -8,13 +8,8 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.outcome import Outcome
 from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import Vec3
-from estimator.ekf.state import (
-    ATTITUDE,
-    Belief,
-)  # fmt: skip
+from tests.estimator.ekf.belief import ATTITUDE, Belief, Outcome, Vec3
 from tests.estimator.ekf.oracle import algebra, measure, motion
 from tests.estimator.ekf.oracle.aiding import fuse_baro, fuse_range, fuse_velocity, gather
 from tests.estimator.ekf.oracle.propagate import forgotten, propagated

@@ -11,7 +11,6 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, rpy_matrix, skew, wrap_pi
-from estimator.ekf.so3 import Vec3, about_down, heading
 from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
@@ -30,8 +29,10 @@ from estimator.ekf.state import (
     YAW_RATE,
     N,
 )
+from tests.estimator.ekf.belief import Vec3
 from tests.estimator.ekf.oracle import so3
 from tests.estimator.ekf.oracle.pad_velocity import BY_V_PAD, v_pad_ned
+from tests.estimator.ekf.oracle.so3 import about_down, heading
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))

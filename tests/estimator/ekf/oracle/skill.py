@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.ekf.deck_motion_bank import HORIZONS_S, IssuedForecast, Skill
+from tests.estimator.ekf.belief import HORIZONS_S, IssuedForecast, Skill
 
 PERIOD_S = 0.5
 """Interval between forecasts, and between comparisons, s."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from estimator.contracts.geometry import F64, skew
-from estimator.ekf.so3 import Vec3
+from tests.estimator.ekf.belief import Vec3
 
 
 def exp(v: F64) -> F64:
@@ -75,3 +75,14 @@ def heading_row(m: F64) -> F64:
     c, s, down = float(m[0, 0]), float(m[1, 0]), float(m[2, 0])
     flat = max(c * c + s * s, 1e-12)
     return np.array([-down * c / flat, -down * s / flat, 1.0])
+
+
+def heading(m: F64) -> float:
+    """Return the heading, rad: the direction of the first axis seen from above, the yaw of `from_rpy`."""
+    return math.atan2(float(m[1, 0]), float(m[0, 0]))
+
+
+def about_down(angle_rad: float) -> F64:
+    """Return the rotation (3, 3) by an angle about the down axis, Rz(angle)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

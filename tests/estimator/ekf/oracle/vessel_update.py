@@ -4,10 +4,9 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import gate
-from estimator.ekf.outcome import Outcome
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import Belief
+from estimator.ekf.params import nis_max as limit
+from tests.estimator.ekf.belief import Belief, Outcome
 from tests.estimator.ekf.oracle import algebra, sighting
 from tests.estimator.ekf.oracle.propagate import corrected, ready_to_fuse
 
@@ -36,7 +35,7 @@ def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[B
     fix = algebra.ALGEBRA.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
     if fix is None:
         return b, Outcome(Verdict.SINGULAR, innov, axes=axes)
-    nis_max = gate.nis_max(o.gate_probability, n)
+    nis_max = limit(o.gate_probability, n)
     if fix.nis > nis_max:
         return b, Outcome(Verdict.GATED, innov, fix.S, fix.nis, nis_max, axes)
     b = corrected(b, fix.dx, fix.P)

@@ -7,11 +7,8 @@ import numpy as np
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.ekf.deck_motion_bank import CARRIED
-from estimator.ekf.gate import nis_max
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.outcome import Outcome
-from estimator.ekf.params import FilterParams
-from estimator.ekf.so3 import heading
+from estimator.ekf.params import FilterParams, nis_max
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -24,15 +21,13 @@ from estimator.ekf.state import (
     WAVE_YAW,
     WAVES,
     YAW_RATE,
-    Belief,
-    InnovationExcesses,
     N,
-    RejectionStreak,
-    waves_unknown,
-)  # fmt: skip
+)
+from tests.estimator.ekf.belief import Belief, InnovationExcesses, Outcome, RejectionStreak, waves_unknown
 from tests.estimator.ekf.oracle import algebra, bank, deck_jolt, gate, sighting, so3
 from tests.estimator.ekf.oracle.algebra import Correction
 from tests.estimator.ekf.oracle.propagate import corrected, forgotten, partial, ready_to_fuse
+from tests.estimator.ekf.oracle.so3 import heading
 
 _WITHHELD_MOUNT = 0.95
 """Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it."""

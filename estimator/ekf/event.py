@@ -1,0 +1,122 @@
+"""Events as the native core reads them."""
+
+import struct
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.core import abi
+from estimator.core.library import CORE
+
+Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
+"""Events that the filter processes."""
+
+_HEAD = struct.Struct("@I4x3qQ")
+"""The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
+_HALVES = struct.Struct("2d")
+_new, _bytes_of, _EVENT = CORE.ffi.new, CORE.ffi.buffer, CORE.ffi.typeof("dl_event *")
+
+
+def packed(event: Event) -> bytes:
+    """Return the core's `dl_event` of an event.
+
+    Raises:
+        TypeError: the object is not a measurement.
+    """
+    try:
+        record = _RECORDS[type(event)]
+    except KeyError:
+        raise TypeError(f"the filter takes samples and sightings, not {type(event).__name__}") from None
+    return record(event)
+
+
+def _head(kind: int, event: Event) -> bytes:
+    return _HEAD.pack(kind, event.stamp.measured_at, event.stamp.received_at, 0, 0)
+
+
+def _record(kind: int, event: Event, sample: dict[str, Any], seq: int = 0, method: int = 0) -> bytes:
+    """Return the core's `dl_event` with a sample given by its name in the header."""
+    values = kind, event.stamp.measured_at, event.stamp.received_at, seq, method, sample
+    return _bytes_of(_new(_EVENT, values))[:]  # type: ignore[no-any-return]
+
+
+def _padding(sample: str) -> bytes:
+    """Return what follows a sample in an event."""
+    return bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
+
+
+def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
+    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such.
+
+    Args:
+        kind: the kind of event.
+        sample: the structure of its sample.
+        at: where the event has an array whose name is not the member's.
+    """
+    paths = [at.get(name, name).split(".") for name, _ in CORE.ffi.typeof(sample).fields]
+    rest = _padding(sample)
+
+    def record(event: Any) -> bytes:
+        arrays = [reduce(getattr, path, event).tobytes() for path in paths]
+        return b"".join([_head(kind, event), *arrays, rest])
+
+    return record
+
+
+def _of_imu(event: Imu) -> bytes:
+    lost = _HALVES.pack(event.gyro_lost_s, event.accel_lost_s)
+    return b"".join([_head(abi.DL_IMU, event), event.w_body.tobytes(), event.f_body.tobytes(), lost, _AFTER_IMU])
+
+
+def _of_range(event: Range) -> bytes:
+    return _record(abi.DL_RANGE, event, {"distance": (event.range_m, event.sigma_m)})
+
+
+def _of_height(event: Baro) -> bytes:
+    return _record(abi.DL_HEIGHT, event, {"distance": (event.height_m, event.sigma_m)})
+
+
+def _of_vessel(report: VesselReport) -> bytes:
+    v, cov, values = report.v_vessel_ned, report.cov_v_ned, dict[str, Any]()
+    if v is not None and cov is not None:
+        values |= {"has_velocity": True, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
+    if report.heading_rad is not None:
+        values |= {"has_heading": True, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
+    return _record(abi.DL_VESSEL, report, {"vessel": values})
+
+
+def _of_sighting(s: Sighting) -> bytes:
+    values: dict[str, Any] = {
+        "has_yaw": s.yaw_rad is not None,
+        "yaw_ambiguous": s.yaw_ambiguous,
+        "confidence": s.confidence,
+        "sigma_s": s.stamp.sigma_s,
+        "d_level": s.d_body_pad_level.tolist(),
+        "yaw_rad": s.yaw_rad or 0.0,
+        "cov": s.cov.ravel().tolist(),
+    }
+    whole = s.pose6
+    if whole is not None:
+        values |= {
+            "has_pose6": True,
+            "pose_d_level": whole.d_body_pad_level.tolist(),
+            "pose_R": whole.R_level_pad.matrix.ravel().tolist(),
+            "pose_cov": whole.cov.ravel().tolist(),
+        }
+    # Methods are ordered as their names are.
+    method = int.from_bytes(s.method.encode()[:8].ljust(8, b"\0"), "big")
+    return _record(abi.DL_SIGHTING, s, {"sighting": values}, s.seq, method)
+
+
+_AFTER_IMU = _padding("dl_imu")
+_RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
+    Imu: _of_imu,
+    Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
+    BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
+    Range: _of_range,
+    Baro: _of_height,
+    VesselReport: _of_vessel,
+    Sighting: _of_sighting,
+}
