@@ -31,7 +31,7 @@ class Look(Struct, frozen=True):
     tracker: TrackerConfig
     """The tracker as it is for this frame: with the camera as it was held, and its motion."""
     expected: RelativeState | None
-    """Where the pad is expected; None for anywhere."""
+    """The estimate at the exposure; None for a search of the whole frame."""
     asks_alone: Callable[[Sighting], bool] | None = None
     """Tells whether to search for a second pad, for a frame without an attitude of its own."""
 

@@ -77,7 +77,7 @@ class FilterParams:
 
 
 def _initial_var(o: EkfOptions) -> F64:
-    """Return the variances (N,) of a state of which nothing is known but the attitude; attitude and waves are left out."""
+    """Return the variances (N,) before any event; those of attitude and waves are left out."""
     var = np.zeros(N)
     var[POS_REL] = LOST_VAR_M2
     var[VEL] = o.sigma_initial_velocity_m_s**2

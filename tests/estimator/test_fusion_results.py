@@ -17,7 +17,7 @@ from estimator.ekf.params import nis_max
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
 from estimator.pipeline import RelativeEstimator
-from tests.make import attitude, baro, range_down, sighting, stamp, velocity, vessel
+from tests.make import attitude, baro, imu, range_down, sighting, stamp, velocity, vessel
 
 D = np.array([0.1, -0.05, 2.0])
 EVERY_PATH = EstimatorOptions(path="ekf")
@@ -41,8 +41,7 @@ def sensed(i: int) -> list[Event]:
     ]
 
 
-@pytest.fixture
-def hovering() -> tuple[RelativeEstimator, list[FusionResult]]:
+def flown() -> tuple[RelativeEstimator, list[FusionResult]]:
     """Return a second of flight, and every result of it."""
     memory, results = RelativeEstimator(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
     for i in range(101):
@@ -53,6 +52,11 @@ def hovering() -> tuple[RelativeEstimator, list[FusionResult]]:
             (made,) = memory.put([event])
             results += made
     return memory, results
+
+
+@pytest.fixture
+def hovering() -> tuple[RelativeEstimator, list[FusionResult]]:
+    return flown()
 
 
 def ekf_result(memory: RelativeEstimator, event: Event) -> FusionResult:
@@ -79,8 +83,8 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(hovering):
             r.innovation_cov[0, 0] = 1.0
 
 
-def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(hovering):
-    good, bad = (ekf_result(hovering[0], pad_seen(1.0, aside_m=aside)) for aside in (0.01, 0.18))
+def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused() -> None:
+    good, bad = (ekf_result(flown()[0], pad_seen(1.0, aside_m=aside)) for aside in (0.01, 0.18))
     assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
     assert good.innovation is not None
     assert bad.innovation is not None
@@ -114,7 +118,7 @@ def test_each_source_names_what_it_compared(hovering, event, components):
 
 def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[RelativeEstimator, list[FusionResult]]) -> None:
     memory, results = hovering
-    imu = [r for r in results if r.source == "imu"]
+    inertial = [r for r in results if r.source == "imu"]
     other = [r for r in results if r.path in ("median_mean", "dead_reckoning")]
     early = ekf_result(RelativeEstimator(EVERY_PATH, shadows=SHADOWS), range_down(1.0, 2.0, 0.05))
     refused = memory.put([imu(1.01, f=(0.0, 0.0, -1e4))])[0]
@@ -123,7 +127,7 @@ def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[Relat
         (path, Verdict.IMPOSSIBLE) for path in ("ekf", "median_mean", "dead_reckoning")
     }
     assert {r.source for r in other} == {"sighting"}
-    for r in (*imu, *other, early, *refused, *late):
+    for r in (*inertial, *other, early, *refused, *late):
         assert (r.innovation, r.innovation_cov, r.components) == (None, None, ())
         assert math.isnan(r.nis)
         assert math.isnan(r.test_ratio)

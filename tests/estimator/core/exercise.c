@@ -151,6 +151,9 @@ static void sample(dl_event *e, int64_t t)
         }
     }
     poisoned(values, 18);
+    if (e->kind == DL_VESSEL) {
+        e->sample.vessel.has_velocity = draw() % 2, e->sample.vessel.has_heading = draw() % 2;
+    }
 }
 
 /* A sighting of any kind, of a pad below or of anything. */
