@@ -42,7 +42,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "if len(outcomes) < wanted and row  ->  if True": _UNREAD,
         "if len(outcomes) < wanted  ->  if True": _UNREAD,
     },
-    "companion/guidance/mission/cone.py": {
+    "companion/guidance/mission/descend.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
         "  ->  error_m <= math.sqrt(INSIDE) * radius_m(height_m, options)": _ROUNDED,
         "error_m > math.sqrt(OUT) * radius_m(height_m, options)"
@@ -52,9 +52,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "0  ->  1": "one horizon is no course, as none is",
         "0.0  ->  1.0": "a flag beside it says that there is none, and the core reads none",
     },
-    "companion/guidance/mission/rendezvous.py": {
+    "companion/guidance/mission/search.py": {
         "0.0 < along < way_m  ->  0.0 <= along < way_m": _ROUNDED,
         "abs(turn) <= _ROUND_RAD  ->  abs(turn) < _ROUND_RAD": _ROUNDED,
+    },
+    "companion/guidance/mission/vessel_track.py": {
         "report.v_vessel_ned is not None and report.cov_v_ned is not None"
         "  ->  report.v_vessel_ned is not None or report.cov_v_ned is not None": "no report has one of them alone",
         "math.hypot(*v_vessel) >= _COURSE_FROM_M_S  ->  math.hypot(*v_vessel) > _COURSE_FROM_M_S": _ROUNDED,

@@ -23,7 +23,12 @@ _FORECASTS = ("tests/estimator/ekf/test_forecast.py",)
 _PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
 _NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
 _INTEGRITY = "tests/estimator/integrity"
-_MISSION = ("tests/companion/test_mission_flights.py", "tests/companion/test_rendezvous.py")
+_MISSION = (
+    "tests/companion/test_mission_states.py",
+    "tests/companion/test_mission_flights.py",
+    "tests/companion/test_rendezvous.py",
+)
+_AIM = ("tests/companion/test_steer.py", "tests/companion/test_clearance.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py", "tests/companion/test_deck_turn.py")
 _FLOWN = ("tests/companion/test_follow_deck.py", "tests/companion/test_law.py")
 _LAW_CORE = "tests/companion/test_law_core.py"
@@ -106,40 +111,29 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/crosschecks.py": (f"{_INTEGRITY}/test_crosschecks.py",),
     "estimator/integrity/sensors.py": (f"{_INTEGRITY}/test_sensors.py",),
     "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks.py",),
-    "companion/guidance/mission/machine.py": ("tests/companion/test_mission_table.py",),
+    "companion/guidance/mission/machine.py": (
+        "tests/companion/test_mission_table.py",
+        "tests/companion/test_mission_step.py",
+        *_MISSION,
+    ),
     "companion/guidance/landing.py": ("tests/companion/test_mission_step.py", *_MISSION, "tests/companion/test_held_up.py"),
-    "companion/guidance/mission/progress.py": (
-        "tests/companion/test_progress.py",
-        "tests/companion/test_heading.py",
-        "tests/companion/test_attempt.py",
-        *_MISSION,
-    ),
-    "companion/guidance/mission/watch.py": (
-        "tests/companion/test_mission_events.py",
-        "tests/companion/test_mission_ways.py",
-        "tests/companion/test_mission_account.py",
-    ),
-    "companion/guidance/mission/steer.py": (
-        "tests/companion/test_blind_hold.py",
-        "tests/companion/test_steer.py",
-        *_MISSION,
-        "tests/companion/test_clearance.py",
-    ),
-    "companion/guidance/mission/cone.py": (
-        "tests/companion/test_cone.py",
-        "tests/companion/test_steer.py",
-        *_MISSION,
-        "tests/companion/test_clearance.py",
-    ),
+    "companion/guidance/mission/progress.py": _MISSION,
+    "companion/guidance/mission/rules.py": _MISSION,
+    "companion/guidance/mission/descend.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/gate.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/commit.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/press.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/hold_blind.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/go_around.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/another_pad.py": _MISSION,
+    "companion/guidance/mission/thesis.py": _MISSION,
+    "companion/guidance/mission/waiting.py": (*_MISSION, *_AIM),
+    "companion/guidance/mission/holding.py": ("tests/companion/test_blind_hold.py", *_AIM, *_MISSION),
     "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
     "companion/guidance/mission/contact.py": ("tests/companion/test_held_up.py", "tests/companion/test_contact.py"),
     "companion/guidance/mission/clearance.py": ("tests/companion/test_clearance.py",),
-    "companion/guidance/mission/rendezvous.py": (
-        "tests/companion/test_rendezvous_way.py",
-        "tests/companion/test_vessel_track_bounds.py",
-        "tests/companion/test_vessel_track.py",
-        "tests/companion/test_rendezvous.py",
-    ),
+    "companion/guidance/mission/search.py": ("tests/companion/test_rendezvous_way.py", "tests/companion/test_rendezvous.py"),
+    "companion/guidance/mission/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
     "companion/guidance/law/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
     "companion/guidance/law/records.py": (_LAW_CORE, "tests/companion/test_follow_deck.py"),
     "companion/guidance/law/margins.py": ("tests/companion/test_margins.py",),
@@ -156,10 +150,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_distinguished",
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
-    "companion/guidance/law/response_watch.py": (
-        "tests/companion/test_response_watch_bounds.py",
-        "tests/companion/test_response_watch.py",
-    ),
+    "companion/guidance/law/response_watch.py": ("tests/companion/test_response_watch.py",),
     "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),

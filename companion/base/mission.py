@@ -8,55 +8,33 @@ from estimator.contracts.time import MonoNs
 
 
 class State(Enum):
-    """Phases of the flight; the value is the phase that people read."""
+    """Phases of the flight; the value is the phase that people read. `companion/guidance/mission` has a file for each."""
 
     # By identity: an enumeration's own hash is that of its name, and the tables here are read in every guidance cycle.
     __hash__ = object.__hash__
 
     STANDBY = "waiting for the vehicle and the start"
-    """The vehicle is on the ground, or its state is unknown; no landing is ordered."""
     WAIT = "waiting for the vehicle"
-    """A landing was requested; the vehicle does not fly yet."""
     READY = "waiting for the start"
-    """Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it."""
     PAUSED = "paused"
-    """Held still by the operator."""
     RENDEZVOUS = "rendezvous"
-    """Flying to the place that the vessel reports."""
     SEARCH = "search"
-    """Waiting for the first sight of the pad."""
     INTERCEPT = "intercept"
-    """Flying over the pad at height."""
     DESCEND = "descend"
-    """Descending in the cone over the pad."""
     GATE = "gate"
-    """Following the deck just above it until every limit holds."""
     COMMIT = "commit"
-    """Going down to the deck under full control."""
     PRESS = "press"
-    """Pressing on level after the contact."""
     DOWN = "down"
-    """Ordering the vehicle to stop its motors, in every cycle."""
     HOLD_BLIND = "hold blind"
-    """Still against the deck without sight of the pad."""
     GO_AROUND = "go around"
-    """Climbing on the clear side, to begin again."""
     ANOTHER_PAD = "another pad"
-    """Climbing, then waiting for the operator's decision about a pad in another place."""
     LANDED = "landed"
-    """The vehicle is on the ground after our order."""
     LANDED_BY_OTHERS = "landed by others"
-    """The vehicle is on the ground without our order."""
     REFUSED = "refused"
-    """Held still: the conditions are beyond the limits."""
     GAVE_UP = "gave up"
-    """Held still: the pad was not found, or the attempts are used up."""
     ABORTED = "aborted"
-    """Held still: the operator ended the flight."""
     TAKEN = "taken over"
-    """Left alone: a failsafe of the autopilot or a person flies the vehicle."""
     EMERGENCY = "emergency"
-    """The vehicle cut its motors."""
 
 
 class Event(Enum):

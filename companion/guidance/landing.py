@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, State, StateChange
+from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
@@ -16,18 +16,19 @@ from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of
 from companion.guidance.law.margins import expected_error_m
 from companion.guidance.law.response_course import reported_lean
 from companion.guidance.law.response_watch import ResponseIdentifier
-from companion.guidance.mission import limits, rendezvous, steer
+from companion.guidance.mission import limits
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
 from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
-from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition, unfit
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition, unfit
+from companion.guidance.mission.gate import gate_of
 from companion.guidance.mission.held_course import OFF_M, ClimbWatch
-from companion.guidance.mission.limits import ChargeWatch, InputQuality, ends, last_landing
-from companion.guidance.mission.machine import TABLES
+from companion.guidance.mission.hold_blind import keep_up
+from companion.guidance.mission.limits import ChargeWatch, InputQuality, battery_ends
+from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
-from companion.guidance.mission.progress import Progress, entered
-from companion.guidance.mission.rendezvous import VesselTrack
-from companion.guidance.mission.steer import Aim, aim
-from companion.guidance.mission.watch import account, events
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.vessel_track import VesselTrack
+from companion.guidance.mission.waiting import ends_here
 from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
 from companion.guidance.mission.wind import watched as watched_wind
 from companion.guidance.operator.command_limits import Unmeasured, without_velocity
@@ -55,90 +56,8 @@ from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.detection import PadCheck
 
-_MOST = 4
-"""Most transitions in one cycle; what is left is taken in the next."""
-
 _TILT_LEFT_DEG = 2.0
 """Distance that is kept from an autopilot's own limit of the tilt, deg: its loops overshoot."""
-_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
-"""States whose orders the height is compared with."""
-
-Transitions = tuple[StateChange, ...]
-
-
-def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim, Transitions]:
-    """Run one guidance cycle; return the memory, the aim and what changed.
-
-    Args:
-        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
-    """
-    o = last_landing(o) if ends(s.battery, o) else o
-    p = account(p, s, o)
-    changes: list[StateChange] = []
-    while len(changes) < _MOST:
-        moved, change = _first(p, s, o)
-        if change is None:
-            break
-        changes.append(change)
-        p = moved
-    p, wanted = aim(p, s, o, over_ground=over_ground)
-    if p.in_sight and p.state in _ORDERS:
-        rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
-        p = replace(p, course=p.course.ordered(rate))
-    return p, wanted, tuple(changes)
-
-
-def ordered(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
-    """Take an order of the operator: BEGIN, PAUSE or ABORT."""
-    return _taken(p, event, Reason(ReasonCause.OPERATOR), at, o)
-
-
-def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:
-    """Take the vehicle's report about itself.
-
-    Args:
-        resumes: whether a landing that a person took over goes on when the vehicle is not taken any more.
-    """
-    at = status.stamp.received_at
-    if status.emergency:
-        return _taken(p, Event.CUT, Reason(ReasonCause.MOTORS_CUT), at, o)
-    if status.flying is False:
-        if p.state in ENDED:
-            return replace(p, stood=True), ()
-        by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
-        return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
-    # A report from before the order to begin belongs to the flight before.
-    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
-        return _taken(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
-    if resumes and status.taken is None and p.state is State.TAKEN and not p.stood:
-        return _taken(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
-    if status.flying is None or (p.state in ENDED and not p.stood):
-        return p, ()
-    next_one = p.state in ENDED
-    p, changes = _taken(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
-    if next_one and p.automatic and changes:
-        p, more = _taken(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)
-        changes = (*changes, *more)
-    return p, changes
-
-
-def _taken(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
-    target = TABLES[o.mission][p.state][event]
-    if target is p.state:
-        return p, ()
-    change = StateChange(at, p.state, event, target, reason)
-    return entered(p, change), (change,)
-
-
-def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
-    """Take the first event of the cycle that leads to another state."""
-    for event, reason in events(p, s, o):
-        moved, changes = _taken(p, event, reason, s.at, o)
-        if changes:
-            return moved, changes[0]
-    return p, None
-
-
 FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
 _NIS_WEIGHT = 0.1
@@ -208,7 +127,7 @@ class LandingGuidance:
         self._make_law = law
         self._law = law(guidance)
         self._law_memory = self._law.start()
-        self._over_ground, self._resumes = over_ground, resumes
+        self._hold, self._resumes = VehicleHold(over_ground), resumes
         self._response = ResponseIdentifier(tilt, guidance)
         self._changes: list[StateChange] = []
         self._left = False
@@ -269,7 +188,8 @@ class LandingGuidance:
     def reason(self) -> str:
         """Reason why the vehicle does not simply descend, as text for the operator; empty while it does."""
         if self.mission.state is State.GATE:
-            return "" if self.mission.waits_for is None else self.mission.waits_for.text
+            waits_for = gate_of(self.mission).waits_for
+            return "" if waits_for is None else waits_for.text
         if isinstance(self._vessel, Reason) and self.mission.state in _BY_REPORTS:
             return self._vessel.text
         if isinstance(self._vessel, VesselPosition) and self.mission.state is State.RENDEZVOUS:
@@ -284,11 +204,7 @@ class LandingGuidance:
     def _lands_here(self) -> Reason | None:
         """Return that a drone that refused will land where it is, once its charge comes near to that."""
         battery, last = self._charge.fraction, self._guidance.last_charge
-        if (
-            battery is None
-            or battery >= last + _SAYS_CHARGE
-            or not steer.ends_here(self.mission, self._guidance, self._over_ground)
-        ):
+        if battery is None or battery >= last + _SAYS_CHARGE or not ends_here(self.mission, self._guidance, self._hold):
             return None
         return Reason(ReasonCause.LANDS_HERE, 100.0 * battery, 100.0 * last)
 
@@ -302,11 +218,11 @@ class LandingGuidance:
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
         if event is Event.BEGIN:
-            self._vessel_track = rendezvous.restarted(self._vessel_track)
+            self._vessel_track = self._vessel_track.restarted()
             self._climb_watch = ClimbWatch()
             # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.
             self._response.begin()
-        self.mission, changes = ordered(self.mission, event, self._now, self._guidance)
+        self.mission, changes = take_order(self.mission, event, self._now, self._guidance)
         self._changes += changes
 
     def retune(self, guidance: GuidanceOptions) -> None:
@@ -351,10 +267,10 @@ class LandingGuidance:
             elif type(sample) is Baro:
                 self._baro = sample
             elif type(sample) is BodyVelocity:
-                if self._over_ground and self._trusts_velocity and self.state not in GROUND:
+                if self._hold.over_ground and self._trusts_velocity and self.state not in GROUND:
                     self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
-                self._vessel_track = rendezvous.on_sample(self._vessel_track, sample)
+                self._vessel_track = self._vessel_track.on_sample(sample)
                 if of_ship(sample):
                     continue
             elif type(sample) is GimbalAttitude:
@@ -381,7 +297,7 @@ class LandingGuidance:
             self.before = None
         self._left = self._left and self.state is State.TAKEN
         resumes = self._resumes and not self._left
-        self.mission, changes = reported(self.mission, status, self._guidance, resumes=resumes)
+        self.mission, changes = take_status(self.mission, status, self._guidance, resumes=resumes)
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
             self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
@@ -402,7 +318,7 @@ class LandingGuidance:
         reason = Reason(ReasonCause.RESTARTED, seconds_between(before.at, at), detail=State[before.state].value)
         if event is Event.TAKEN:
             self._left, reason = True, Reason(ReasonCause.TAKEN_OVER, detail=f"while the service was away: mode {status.mode}")
-        self.mission, changes = _taken(self.mission, event, reason, at, self._guidance)
+        self.mission, changes = take(self.mission, event, reason, at, self._guidance)
         self.mission = carried_on(self.mission, before, at, taken=event is Event.TAKEN)
         self._changes += changes
 
@@ -483,7 +399,7 @@ class LandingGuidance:
         if air is None:
             return AtContact(*ahead, limits.sigma_m(estimate))
         gusts_m = limits.gusts_m(air.gust_m_s * self._tilt.drag_1_s, left_s)
-        gust_most_m_s = math.inf if ends(self._charge.fraction, self._guidance) else air.begins_most_m_s
+        gust_most_m_s = math.inf if battery_ends(self._charge.fraction, self._guidance) else air.begins_most_m_s
         return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), gusts_m), air.begins_m_s, gust_most_m_s)
 
     def command(self, knowledge: Knowledge) -> Command | None:
@@ -497,8 +413,8 @@ class LandingGuidance:
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
-                self._vessel_track = rendezvous.on_sample(self._vessel_track, self._attitude)
-            place = rendezvous.position(self._vessel_track, now)
+                self._vessel_track = self._vessel_track.on_sample(self._attitude)
+            place = self._vessel_track.position(now)
         self._vessel = place
         self._thing, unseen = self._lies_there(now)
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
@@ -507,17 +423,17 @@ class LandingGuidance:
         s = GuidanceCycle(
             now, knowledge, self._charge.fraction, wind, self._quality, self._frames, place, silent_s,
             self._contact.feels and self._unfelt_since is None,
-            self._response.late_s, self._touch, range_m, not self._over_ground, self._thing, unseen, self._off_orders(knowledge),
+            self._response.late_s, self._touch, range_m, self._hold, self._thing, unseen, self._off_orders(knowledge),
             0.0 if self._measured is None else max(0.0, seconds_between(self._measured, now)),
         )  # fmt: skip
-        self.mission, aim, changes = mission_step(self.mission, s, self._guidance, over_ground=self._over_ground)
+        self.mission, aim, changes = mission_step(self.mission, s, self._guidance)
         self._changes += changes
         self.memory = memory_of(self.mission, s)
         target = aim if isinstance(aim, Target) else None
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
         if isinstance(aim, Target):
-            aim = steer.allowed(command, self.mission, s, self._guidance, over_ground=self._over_ground)
-        self._ordered = aim if aim is None or self._over_ground else steer.kept_up(aim, self.mission, s, self._guidance)
+            aim = allowed(command, self.mission, s, self._guidance)
+        self._ordered = keep_up(aim, self.mission, s, self._guidance)
         return self._ordered
 
     def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool) -> Command:
@@ -529,7 +445,7 @@ class LandingGuidance:
         seen = knowledge.relative
         fit = seen is not None and unfit(seen, knowledge.at, self._guidance.stale_after_s) is None
         v_seen = -seen.v_pad_level if fit and seen is not None else None
-        flown = without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._over_ground), guided=guided)
+        flown = without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._hold.over_ground), guided=guided)
         if command is self._ordered:
             # It climbs as ordered, and so it counts.
             self._ordered = flown
@@ -542,7 +458,7 @@ class LandingGuidance:
         response = self._response.on_command(now, command, self.state)
         down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s
-        if self._over_ground:
+        if self._hold.over_ground:
             self._held = self._held.commanded(now, down_m_s)
             to_deck_m_s = self._held.to_deck(now, self._deck_down_m_s)
             self._held_by_deck = self._held_by_deck.commanded(now, to_deck_m_s)
@@ -615,7 +531,7 @@ class LandingGuidance:
 
     def vessel_velocity(self, now: MonoNs) -> F64 | None:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
-        return rendezvous.velocity_ned(self._vessel_track, now)
+        return self._vessel_track.velocity_ned(now)
 
 
 def of_ship(sample: Sample) -> bool:

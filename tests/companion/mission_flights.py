@@ -12,10 +12,10 @@ from msgspec import structs
 from companion.base.mission import Event, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.landing import mission_step, ordered, reported
-from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
+from companion.guidance.mission.holding import Aim
+from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.steer import Aim
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
@@ -40,6 +40,11 @@ def guided(mission="cone", **changes: dict[str, object]) -> GuidanceOptions:
     """Return options with some keys changed, by section: `guided(tries={"go_arounds_max": 1})`."""
     options = GuidanceOptions(mission=mission)
     return structs.replace(options, **{name: structs.replace(getattr(options, name), **keys) for name, keys in changes.items()})
+
+
+def holding(s: GuidanceCycle, over_ground: bool) -> GuidanceCycle:
+    """Return the cycle of a vehicle that holds over the ground, or of one that holds against the deck."""
+    return structs.replace(s, hold=VehicleHold(over_ground))
 
 
 def status(t: float, flying: bool, emergency: bool = False) -> VehicleStatus:
@@ -72,7 +77,7 @@ class PointFlight:
 
     def __post_init__(self) -> None:
         self.d = np.array(self.d, float)
-        self.progress, _ = reported(Progress.start(automatic=True), status(0.0, True), self.options)
+        self.progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), self.options)
         self.seen: RelativeState | None = None
         self.seen_at = 0.0
         self.impact: Impact | None = None
@@ -83,7 +88,7 @@ class PointFlight:
         return [state for i, (*_, state) in enumerate(self.rows) if i == 0 or self.rows[i - 1][3] is not state]
 
     def order(self, event: Event) -> None:
-        self.progress, changes = ordered(self.progress, event, ns(self.t), self.options)
+        self.progress, changes = take_order(self.progress, event, ns(self.t), self.options)
         self.changes += changes
 
     def cycle(self) -> None:
@@ -98,7 +103,7 @@ class PointFlight:
         deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), roll, 0, 0, 0, 1e-4 * np.eye(4))
         knowledge = Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact, response=self.response)
         s = GuidanceCycle(ns(self.t), knowledge, self.battery, silent_s=self.silent_s)
-        self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=self.over_ground)
+        self.progress, aim, changes = mission_step(self.progress, holding(s, self.over_ground), self.options)
         self.changes += changes
         self.rows.append((self.t, self.d.copy(), aim, self.progress.state))
         self._move(aim)
@@ -125,7 +130,7 @@ class PointFlight:
                 self.impact = Impact(ns(self.t + DT), "accelerometer", 9.0)
             self.d[2], self.v[2] = 0.0, min(0.0, self.v[2])
             if isinstance(aim, Land):
-                self.progress, changes = reported(self.progress, status(self.t, False), self.options)
+                self.progress, changes = take_status(self.progress, status(self.t, False), self.options)
                 self.changes += changes
 
     def run(self, seconds: float) -> PointFlight:

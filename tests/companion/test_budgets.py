@@ -9,8 +9,8 @@ from msgspec import structs
 
 from companion.base.mission import DESCENDS, ENDED, Event, State
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Land, Velocity
@@ -50,7 +50,7 @@ def test_the_stated_budget_is_that_of_the_defaults() -> None:
 )  # fmt: skip
 def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, another_pad, mission) -> None:
     o = structs.replace(SHORT, mission=mission, tries=structs.replace(SHORT.tries, another_pad=another_pad))
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     budget_s = o.tries.search_s + o.tries.landing_s + tail_s(o)
     t, track, impact = 0.0, 1, None
     while p.state not in ENDED:
@@ -66,7 +66,7 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
                 if felt and p.state in (State.COMMIT, State.GO_AROUND):
                     impact = Impact(ns(t), "accelerometer", 9.0)
                 s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=impact))
-                p, aim, _ = mission_step(p, s, o, over_ground=False)
+                p, aim, _ = mission_step(p, s, o)
                 stale_s = o.limits.commit_sighting_age_s if p.state is State.COMMIT else o.stale_after_s
                 fit = seen is not None and unfit(seen, ns(t), stale_s) is None and seen.track == p.track
                 if isinstance(aim, Target) and (aim.descent_rate_m_s or 0.0) > 0.0:
@@ -79,23 +79,21 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
 def test_flips_between_states_restart_no_budget() -> None:
     """Sight that comes and goes each second: descend, hold blind, descend; the attempt's and the landing's times go on."""
     o = guided(tries={"landing_s": 20.0, "losses_max": 1000, "blind_descent_max_m": 10.0, "climb_after_s": 15.0})
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     t = 0.0
     while p.state not in ENDED:
         t += 0.1
         age_s = 0.0 if t % 2.0 < 1.0 else 0.9
-        p, _, _ = mission_step(
-            p, GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, (0.0, 0.0, 2.5), age=age_s))), o, over_ground=False
-        )
+        p, _, _ = mission_step(p, GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, (0.0, 0.0, 2.5), age=age_s))), o)
         assert t < 20.0 + 23.0
     assert p.state is State.GAVE_UP
 
 
 def test_an_order_in_the_air_is_another_landing() -> None:
     o = SHORT
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     for k in range(1, 200):
-        p, _, _ = mission_step(p, GuidanceCycle(ns(0.1 * k), Knowledge(ns(0.1 * k), None)), o, over_ground=False)
+        p, _, _ = mission_step(p, GuidanceCycle(ns(0.1 * k), Knowledge(ns(0.1 * k), None)), o)
     assert p.state is State.GAVE_UP
-    p, _ = ordered(p, Event.BEGIN, ns(20.0), o)
+    p, _ = take_order(p, Event.BEGIN, ns(20.0), o)
     assert (p.state, p.asked_at) == (State.SEARCH, ns(20.0))

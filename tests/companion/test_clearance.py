@@ -9,13 +9,12 @@ from msgspec.structs import replace
 from companion.base.mission import Event, State
 from companion.base.reason import ReasonCause
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
-from companion.guidance.mission import cone
 from companion.guidance.mission.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
 from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.descend import descent_rate_m_s
 from companion.guidance.mission.limits import InputQuality, gate
+from companion.guidance.mission.machine import PHASES, aim
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.steer import aim
-from companion.guidance.mission.watch import events
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
@@ -104,7 +103,7 @@ def test_a_drone_that_keeps_this_height_is_not_reached_by_a_swell_that_it_cannot
         t = i * dt
         needed_m = rise_beyond_climb_m(knowledge(forecast(swell(1.6, t)))) if i % 10 == 0 else needed_m
         rise = 1.6 * math.cos(OMEGA * (t - 1.5))
-        rate = cone.descent_rate_m_s(0.0, height_m, GuidanceOptions().cone, 0.3 + needed_m)
+        rate = descent_rate_m_s(0.0, height_m, GuidanceOptions().cone, 0.3 + needed_m)
         height_m += dt * (min(CLIMB_M_S, rise - rate) - rise)
         lowest_m = min(lowest_m, height_m)
     assert 0.25 < lowest_m < 0.4, "not reached, and as low as the gate between two seas"
@@ -121,8 +120,8 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
     assert gate(ns(0.0), rough.relative, open_to, InputQuality(), o.limits, o.cone, aligned=False) is None
     for state in (State.INTERCEPT, State.DESCEND, State.GATE, State.HOLD_BLIND):
         p = replace(Progress.start(automatic=True), state=state, begun=True, entered_height_m=0.35, seen_height_m=0.35, track=1)
-        _, high = aim(p, GuidanceCycle(ns(0.0), rough), o, over_ground=False)
-        _, low = aim(p, GuidanceCycle(ns(0.0), open_to), o, over_ground=False)
+        _, high = aim(p, GuidanceCycle(ns(0.0), rough), o)
+        _, low = aim(p, GuidanceCycle(ns(0.0), open_to), o)
         assert isinstance(high, Target)
         assert isinstance(low, Target)
         assert high.d_body_pad_level[2] > 1.2
@@ -153,5 +152,5 @@ def test_a_deck_that_outruns_the_climb_by_more_than_the_safe_height_is_refused_b
     for outrun_m, watched_s, refused in ((1.6, 31.0, False), (1.8, 31.0, True), (1.8, 29.0, False)):
         s = GuidanceCycle(ns(9.0), replace(knowledge(None, at_s=9.0), outrun_m=outrun_m, swell_watched_s=watched_s))
         p = Progress(State.INTERCEPT, automatic=True, begun=True, since=ns(8.0), seen=ns(9.0), in_sight=True, track=1)
-        found = [reason.cause for event, reason in events(p, s, GuidanceOptions()) if event is Event.NO_CONDITIONS]
+        found = [why.cause for event, why in PHASES[p.state].events(p, s, GuidanceOptions()) if event is Event.NO_CONDITIONS]
         assert found == ([ReasonCause.DECK_RISE] if refused else [])

@@ -8,12 +8,12 @@ from msgspec import structs
 
 from companion.base.mission import State
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.landing import mission_step
 from companion.guidance.mission.contact import ANSWERS_S, HELD_S, HeldUp
 from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.machine import mission_step
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from tests.companion.mission_flights import PointFlight, estimate, guided, ns
+from tests.companion.mission_flights import PointFlight, estimate, guided, holding, ns
 
 STEP_S = 0.02
 
@@ -184,5 +184,5 @@ def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts(heigh
     progress = structs.replace(PointFlight([0.0, 0.0, height_m], o).progress, state=State.COMMIT, since=ns(began))
     seen = estimate(t, [0.0, 0.0, height_m])
     s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=Impact(ns(t - age_s), by, 9.0)))
-    after, _, _ = mission_step(progress, s, o, over_ground=True)
+    after, _, _ = mission_step(progress, holding(s, True), o)
     assert after.state is state

@@ -14,19 +14,20 @@ from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.landing import mission_step, ordered, reported
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.gate import gate_of
+from companion.guidance.mission.holding import Aim, never_lower
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
+from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.steer import Aim, never_lower
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import DT, PointFlight, estimate, guided, ns, status
+from tests.companion.mission_flights import DT, PointFlight, estimate, guided, holding, ns, status
 
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
 
@@ -50,7 +51,7 @@ def looks(flight: PointFlight, height_m: float, *, consistent: bool) -> Aim:
     flight.t += 0.02
     seen = estimate(flight.t, (0.0, 0.0, height_m), (0.0, 0.0, -0.4), consistent=consistent)
     s = GuidanceCycle(ns(flight.t), Knowledge(ns(flight.t), seen))
-    flight.progress, aim, _ = mission_step(flight.progress, s, flight.options, over_ground=False)
+    flight.progress, aim, _ = mission_step(flight.progress, s, flight.options)
     return aim
 
 
@@ -146,11 +147,14 @@ def test_a_pad_never_seen_from_near_is_not_tried_for_ever() -> None:
 
 
 def test_no_pad_at_all_ends_in_giving_up() -> None:
-    flight = PointFlight([0.0, 0.0, 3.0], guided(tries={"search_s": 9.0}), sight=lambda t, d: False).run(14)
+    options = guided(tries={"search_s": 9.0})
+    flight = PointFlight([0.0, 0.0, 3.0], options, sight=lambda t, d: False, over_ground=True).run(14)
     assert flight.states == [State.SEARCH, State.GAVE_UP]
-    assert all(aim == Hover() for t, _, aim, _ in flight.rows if t < 2.9 or t > 7.2)
-    climbs = [aim for _, _, aim, _ in flight.rows if aim != Hover()]
-    assert all(isinstance(aim, Velocity) and aim.v_level.tolist() == [0.0, 0.0, -0.5] for aim in climbs), "out of reach"
+    flown = [(t, aim.v_level.tolist()) for t, _, aim, _ in flight.rows if isinstance(aim, Velocity)]
+    assert len(flown) == len(flight.rows)
+    assert all(v == [0.0, 0.0, -0.0] for t, v in flown if t < 2.9 or t > 7.2)
+    climbs = [v for _, v in flown if v != [0.0, 0.0, -0.0]]
+    assert all(v == [0.0, 0.0, -0.5] for v in climbs), "out of reach"
     assert len(climbs) == pytest.approx(4.0 / DT, abs=2)
 
 
@@ -194,7 +198,7 @@ def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_rea
     while flight.progress.state is not State.REFUSED and flight.t < 40.0:
         flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
         flight.cycle()
-        waits_for = flight.progress.waits_for
+        waits_for = gate_of(flight.progress).waits_for
         assert flight.progress.state is State.GATE or waits_for is None
         if waits_for is not None and (not output or output[-1][1] is not waits_for):
             output.append((flight.t, waits_for))
@@ -224,10 +228,10 @@ def test_wind_and_battery_refuse_with_their_numbers() -> None:
     over = estimate(0.0, [0, 0, 3.0])
     for seen, situation, cause in ((over, {"wind": gale}, ReasonCause.WIND), (None, {"battery": 0.05}, ReasonCause.BATTERY)):
         o = GuidanceOptions()
-        progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+        progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
         s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
         progress = replace(progress, windy_since=ns(-21.0), since=ns(-11.0))
-        progress, _, _ = mission_step(progress, s, o, over_ground=False)
+        progress, _, _ = mission_step(progress, s, o)
         assert progress.fault is not None
         assert (progress.state, progress.fault.cause) == (State.REFUSED, cause)
 
@@ -256,7 +260,7 @@ def test_what_flies_nowhere_else_lands_where_it_is_with_its_last_charge(refused,
 
     def ordered_in(state: State, o: GuidanceOptions = o, **memory: Any) -> Any:
         p = Progress(state, automatic=True, begun=True, **{"stood": False, "since": ns(0.0), **memory})
-        return mission_step(p, s, o, over_ground=over_ground)[1]
+        return mission_step(p, holding(s, over_ground), o)[1]
 
     for state in (State.REFUSED, State.GAVE_UP):
         assert (ordered_in(state) == Land()) is lands
@@ -294,11 +298,11 @@ def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:
 def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:
     o = GuidanceOptions()
     progress = Progress.start(automatic=True)
-    progress, _ = reported(progress, status(0.0, True), o)
+    progress, _ = take_status(progress, status(0.0, True), o)
     for i, battery in enumerate([0.5] * 5 + [0.02] * 50):
         t = i * DT
         s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
-        progress, _, _ = mission_step(progress, s, o, over_ground=False)
+        progress, _, _ = mission_step(progress, s, o)
     assert progress.state is State.DESCEND
 
 
@@ -402,12 +406,12 @@ def test_a_climb_that_nobody_confirms_is_not_accepted() -> None:
 def test_giving_up_gives_the_reason_the_hold_began_and_not_what_ended_an_earlier_try(blind: str, cause: ReasonCause) -> None:
     o = GuidanceOptions()
     earlier = Reason(ReasonCause.DECK_TILT, 3.0, 2.5)
-    progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     progress = replace(progress, fault=earlier)
     for i in range(1, 900):
         t = i * DT
         seen = estimate(t, [0, 0, 2.5], age=0.0 if t < 2.0 or blind != "dark" else t - 2.0, consistent=t < 2.0 or blind == "dark")
-        progress, _, _ = mission_step(progress, GuidanceCycle(ns(t), Knowledge(ns(t), seen)), o, over_ground=False)
+        progress, _, _ = mission_step(progress, GuidanceCycle(ns(t), Knowledge(ns(t), seen)), o)
         if progress.state is State.GAVE_UP:
             break
     assert progress.state is State.GAVE_UP
@@ -417,13 +421,13 @@ def test_giving_up_gives_the_reason_the_hold_began_and_not_what_ended_an_earlier
 
 def test_height_lost_without_sight_ends_the_attempt() -> None:
     o, t, height = GuidanceOptions(), 0.0, 1.7
-    progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     while t < 20 and progress.state is not State.GO_AROUND:
         t += 0.1
         blind = (t % 1.0) < 0.5
         height -= 0.04 if blind else 0.0
         s = GuidanceCycle(ns(t), Knowledge(ns(t), None if blind else estimate(t, [0.02, 0, height])))
-        progress, _, _ = mission_step(progress, s, o, over_ground=False)
+        progress, _, _ = mission_step(progress, s, o)
     assert progress.fault is not None
     assert progress.fault.cause is ReasonCause.BLIND_DESCENT
 
@@ -490,12 +494,12 @@ def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() ->
         (down, True, False, 0.0),
         (lean, True, False, 0.0),
     ]:
-        kept = never_lower(command, known, fit=fit, over_ground=over_ground)
+        kept = never_lower(command, holding(GuidanceCycle(ns(1.0), known), over_ground), fit=fit)
         assert isinstance(kept, Velocity | Lean)
         assert kept.v_level == pytest.approx([0.1, 0.0, most])
         assert kept.yaw_rate_rad_s == 0.2
     up = Velocity(np.array([0.0, 0.0, -0.3]), 0.0)
-    assert never_lower(up, known, fit=False, over_ground=True) is up
+    assert never_lower(up, GuidanceCycle(ns(1.0), known), fit=False) is up
 
 
 @pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
@@ -503,26 +507,26 @@ def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() ->
 def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(order, over_ground):
     """A velocity would take an autopilot from whoever flies it, even one that holds still."""
     o = GuidanceOptions()
-    progress, _ = reported(Progress.start(automatic=False), status(0.0, True), o)
+    progress, _ = take_status(Progress.start(automatic=False), status(0.0, True), o)
     if order is not None:
-        progress, _ = ordered(progress, order, ns(0.1), o)
+        progress, _ = take_order(progress, order, ns(0.1), o)
     for n in range(10):
         t = 0.2 + n * DT
         s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [2.5, 0.3, 3.0], v=(1.0, 0.0, 0.0))))
-        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
         assert isinstance(aim, Hover)
     if order is not Event.ABORT:
-        progress, _ = ordered(progress, Event.BEGIN, ns(t), o)
-        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        progress, _ = take_order(progress, Event.BEGIN, ns(t), o)
+        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
         assert isinstance(aim, Target)
         assert progress.state is State.INTERCEPT
         # Held in the same flight it stays with the deck; in the next one it is left alone again.
-        progress, _ = ordered(progress, Event.PAUSE, ns(t), o)
-        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        progress, _ = take_order(progress, Event.PAUSE, ns(t), o)
+        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
         assert isinstance(aim, Target)
-        progress, _ = reported(progress, status(t, False), o)
-        progress, _ = reported(progress, status(t, True), o)
-        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        progress, _ = take_status(progress, status(t, False), o)
+        progress, _ = take_status(progress, status(t, True), o)
+        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
         assert isinstance(aim, Hover)
 
 
@@ -573,7 +577,7 @@ def test_nothing_descends_nor_lands_without_a_fresh_consistent_estimate(history,
         if kind == "impact":
             impact = Impact(ns(t), "accelerometer", 9.0)
         s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=impact))
-        flight.progress, aim, _ = mission_step(flight.progress, s, o, over_ground=False)
+        flight.progress, aim, _ = mission_step(flight.progress, s, o)
         state = flight.progress.state
         stale_s = o.limits.commit_sighting_age_s if state is State.COMMIT else o.stale_after_s
         fit = unfit(seen, ns(t), stale_s) is None and seen is not None and seen.track == flight.progress.track

@@ -5,14 +5,14 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, Event, State
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance import landing as module
 from companion.guidance.controller import Knowledge
-from companion.guidance.landing import Transitions, mission_step, ordered, reported
+from companion.guidance.mission import machine
 from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.machine import Transitions, mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
-from tests.companion.mission_flights import estimate, ns, status
+from tests.companion.mission_flights import estimate, holding, ns, status
 
 OPTIONS = GuidanceOptions()
 STAYS_UP = (State.REFUSED, State.GAVE_UP, State.ABORTED, State.EMERGENCY)
@@ -27,7 +27,7 @@ def told(changes: Transitions) -> list[tuple[int, State, Event, State, ReasonCau
 
 
 def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> None:
-    p, changes = reported(in_state(State.DESCEND), status(3.0, flying=True, emergency=True), OPTIONS)
+    p, changes = take_status(in_state(State.DESCEND), status(3.0, flying=True, emergency=True), OPTIONS)
     assert p.state is State.EMERGENCY
     assert told(changes) == [(ns(3), State.DESCEND, Event.CUT, State.EMERGENCY, ReasonCause.MOTORS_CUT)]
 
@@ -37,7 +37,7 @@ def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> N
     [(True, Event.GROUNDED, State.LANDED), (False, Event.GROUNDED_BY_OTHERS, State.LANDED_BY_OTHERS)],
 )
 def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, event: Event, target: State) -> None:
-    p, changes = reported(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
+    p, changes = take_status(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
     assert p.state is target
     assert told(changes) == [(ns(3), State.DOWN, event, target, ReasonCause.VEHICLE_STANDS)]
 
@@ -46,10 +46,10 @@ def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, e
 def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_stood(state: State) -> None:
     flying, standing = status(3.0, flying=True), status(4.0, flying=False)
     ended = in_state(state, automatic=True)
-    assert reported(ended, flying, OPTIONS) == (ended, ())
-    stood, changes = reported(ended, standing, OPTIONS)
+    assert take_status(ended, flying, OPTIONS) == (ended, ())
+    stood, changes = take_status(ended, standing, OPTIONS)
     assert (stood.state, stood.stood, changes) == (state, True, ())
-    again, changes = reported(stood, status(5.0, flying=True), OPTIONS)
+    again, changes = take_status(stood, status(5.0, flying=True), OPTIONS)
     assert again.state is State.SEARCH
     assert told(changes) == [
         (ns(5), state, Event.TAKEN_OFF, State.READY, ReasonCause.VEHICLE_FLIES),
@@ -59,13 +59,13 @@ def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_sto
 
 @pytest.mark.parametrize("state", sorted(ENDED, key=str))
 def test_without_the_setting_the_next_flight_waits_for_an_order(state: State) -> None:
-    p, changes = reported(in_state(state, stood=True), status(5.0, flying=True), OPTIONS)
+    p, changes = take_status(in_state(state, stood=True), status(5.0, flying=True), OPTIONS)
     assert (p.state, len(changes)) == (State.READY, 1)
 
 
 @pytest.mark.parametrize("state", [State.READY, State.SEARCH, State.STANDBY, State.PAUSED])
 def test_a_report_within_a_flight_begins_nothing_by_itself(state: State) -> None:
-    p, _ = reported(in_state(state, automatic=True), status(5.0, flying=True), OPTIONS)
+    p, _ = take_status(in_state(state, automatic=True), status(5.0, flying=True), OPTIONS)
     assert p.state is (State.READY if state is State.STANDBY else state)
 
 
@@ -73,22 +73,24 @@ def test_a_report_within_a_flight_begins_nothing_by_itself(state: State) -> None
 def test_a_vehicle_that_does_not_say_whether_it_flies_changes_nothing(state: State) -> None:
     p = in_state(state, automatic=True, stood=True)
     unknown = replace(status(3.0, flying=True), flying=None)
-    assert reported(p, unknown, OPTIONS) == (p, ())
+    assert take_status(p, unknown, OPTIONS) == (p, ())
 
 
 def test_an_order_that_the_state_does_not_know_leaves_no_trace() -> None:
     p = in_state(State.SEARCH)
-    assert ordered(p, Event.BEGIN, ns(1), OPTIONS) == (p, ())
-    moved, changes = ordered(p, Event.PAUSE, ns(1), OPTIONS)
+    assert take_order(p, Event.BEGIN, ns(1), OPTIONS) == (p, ())
+    moved, changes = take_order(p, Event.PAUSE, ns(1), OPTIONS)
     assert moved.state is State.PAUSED
     assert told(changes) == [(ns(1), State.SEARCH, Event.PAUSE, State.PAUSED, ReasonCause.OPERATOR)]
 
 
 def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:
     why = Reason(ReasonCause.OPERATOR)
-    monkeypatch.setattr(module, "events", lambda *_: [(Event.OUT_OF_CONE, why), (Event.IN_CONE, why)])
+    both = machine.PHASES[State.DESCEND]._replace(events=lambda *_: [(Event.OUT_OF_CONE, why), (Event.IN_CONE, why)])
+    phases = {state: both._replace(ways=machine.PHASES[state].ways) for state in (State.DESCEND, State.INTERCEPT)}
+    monkeypatch.setattr(machine, "PHASES", machine.PHASES | phases)
     cycle = GuidanceCycle(ns(1), Knowledge(ns(1), estimate(1.0, (0.0, 0.0, 3.0))))
-    p, _, changes = mission_step(in_state(State.DESCEND), cycle, OPTIONS, over_ground=False)
+    p, _, changes = mission_step(in_state(State.DESCEND), cycle, OPTIONS)
     assert [change.target for change in changes] == [State.INTERCEPT, State.DESCEND] * 2
     assert p.state is State.DESCEND
 
@@ -99,15 +101,15 @@ def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> No
     words = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
     taken = replace(status(3.0, flying=True), taken=words)
     for state in sorted(FLOWN, key=str):
-        p, changes = reported(replace(in_state(state), begun=True, asked_at=ns(1.0)), taken, OPTIONS)
+        p, changes = take_status(replace(in_state(state), begun=True, asked_at=ns(1.0)), taken, OPTIONS)
         assert (p.state, p.begun, changes[0].reason.text) == (State.TAKEN, True, words)
     cycle = GuidanceCycle(ns(3.1), Knowledge(ns(3.1), estimate(3.1, (0.0, 0.0, 2.0))))
-    still, aim, _ = mission_step(p, cycle, OPTIONS, over_ground=True)
+    still, aim, _ = mission_step(p, holding(cycle, True), OPTIONS)
     assert (still.state, aim) == (State.TAKEN, Hover())
-    assert reported(p, taken, OPTIONS) == (p, ())
-    assert reported(p, status(4.0, flying=True), OPTIONS) == (p, ()), "a ground station may choose that mode for its own ends"
-    back, changes = reported(p, status(4.0, flying=True), OPTIONS, resumes=True)
+    assert take_status(p, taken, OPTIONS) == (p, ())
+    assert take_status(p, status(4.0, flying=True), OPTIONS) == (p, ()), "a ground station may choose that mode for its own ends"
+    back, changes = take_status(p, status(4.0, flying=True), OPTIONS, resumes=True)
     assert (back.state, changes[0].reason.cause) == (State.SEARCH, ReasonCause.GIVEN_BACK)
-    assert reported(replace(back, asked_at=ns(3.0)), taken, OPTIONS)[1] == (), "a report from before the order"
+    assert take_status(replace(back, asked_at=ns(3.0)), taken, OPTIONS)[1] == (), "a report from before the order"
     for state in (State.READY, State.PAUSED):
-        assert reported(in_state(state), taken, OPTIONS)[1] == ()
+        assert take_status(in_state(state), taken, OPTIONS)[1] == ()

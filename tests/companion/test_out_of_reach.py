@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, State
 from companion.guidance.controller import Knowledge
-from companion.guidance.landing import mission_step
-from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition
+from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
@@ -20,7 +20,7 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import estimate, ns
+from tests.companion.mission_flights import estimate, holding, ns
 
 NOW, DT = 100.0, 0.05
 OPTIONS = GuidanceOptions()
@@ -64,7 +64,7 @@ def place(height_m: float | None) -> VesselPosition:
 def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, memory, range_m, rises_m_s, ship, over_ground):
     moved = None if rises_m_s is None else deck(rises_m_s)
     s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=moved), wind=WINDY, vessel=ship, range_m=range_m)
-    p, found, _ = mission_step(waiting(state, **memory), s, OPTIONS, over_ground=over_ground)
+    p, found, _ = mission_step(waiting(state, **memory), holding(s, over_ground), OPTIONS)
     if p.state in GROUND or p.state in ENDED - {State.REFUSED, State.GAVE_UP, State.ABORTED}:
         return
     assert isinstance(found, Velocity | Hover)
@@ -83,7 +83,7 @@ class Sea:
     """A drone that flies as it is ordered, with a lag, over a deck in a swell, and sees nothing."""
 
     def __init__(
-        self, state: State, height_m: float, *, ranged: float | bool | None, over_ground: bool, swell_m: float = 0.0
+        self, state: State, height_m: float, *, ranged: float | bool | None, over_ground: bool = False, swell_m: float = 0.0
     ) -> None:
         self.p = waiting(state)
         self.o = replace(OPTIONS, tries=replace(OPTIONS.tries, search_s=3600.0, give_up_after_s=600.0, operator_wait_s=3600.0))
@@ -104,7 +104,7 @@ class Sea:
             s = GuidanceCycle(
                 ns(NOW + self.t), Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), wind=WINDY, range_m=read or None
             )
-            self.p, found, _ = mission_step(self.p, s, self.o, over_ground=self.over_ground)
+            self.p, found, _ = mission_step(self.p, holding(s, self.over_ground), self.o)
             v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
             self.v_up += (-float(v[2]) - self.v_up) * DT / 0.4
             self.climbed_m += DT * self.v_up
@@ -115,8 +115,7 @@ class Sea:
         return self
 
 
-@pytest.mark.parametrize("over_ground", [False, True])
-@pytest.mark.parametrize("ranged", [True, False])
+@pytest.mark.parametrize(("over_ground", "ranged"), [(False, True), (True, True), (True, False)])
 @pytest.mark.parametrize("state", BY_ITSELF)
 def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged: bool, over_ground: bool) -> None:
     sea = Sea(state, 0.3, ranged=ranged, over_ground=over_ground).fly(9.0)
@@ -128,7 +127,7 @@ def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged
 
 @pytest.mark.parametrize("state", [State.SEARCH, State.HOLD_BLIND, State.REFUSED, State.PAUSED])
 def test_over_a_swell_a_range_sensor_keeps_it_clear_of_the_crests(state: State) -> None:
-    sea = Sea(state, 0.5, ranged=True, over_ground=False, swell_m=1.2).fly(12.0)
+    sea = Sea(state, 0.5, ranged=True, swell_m=1.2).fly(12.0)
     lowest = min(sea.fly(DT).height_m for _ in range(1200))
     assert lowest > 1.0
     assert sea.low_moves == 0.0
@@ -136,25 +135,25 @@ def test_over_a_swell_a_range_sensor_keeps_it_clear_of_the_crests(state: State) 
 
 @pytest.mark.parametrize("state", [State.SEARCH, State.REFUSED, State.PAUSED, State.RENDEZVOUS])
 def test_a_range_sensor_that_lies_ends_neither_the_search_nor_the_hold(state: State) -> None:
-    sea = Sea(state, 3.0, ranged=0.3, over_ground=False).fly(60.0)
+    sea = Sea(state, 3.0, ranged=0.3).fly(60.0)
     assert sea.climbed_m == pytest.approx(2.0 * SAFE_M, abs=0.3)
     s = GuidanceCycle(ns(NOW + 60.0), Knowledge(ns(NOW + 60.0), None), wind=WINDY, range_m=0.3)
-    found = mission_step(sea.p, s, sea.o, over_ground=False)[1]
+    found = mission_step(sea.p, s, sea.o)[1]
     assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is (state is State.SEARCH), "it looks upwind"
 
 
-@pytest.mark.parametrize("ranges_near", [True, False])
-def test_where_an_ultrasound_would_find_the_deck_its_silence_begins_the_search(ranges_near: bool) -> None:
-    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=WINDY, ranges_near=ranges_near)
-    found = mission_step(waiting(State.SEARCH), s, OPTIONS, over_ground=False)[1]
-    assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is ranges_near
+@pytest.mark.parametrize("over_ground", [True, False])
+def test_where_an_ultrasound_would_find_the_deck_its_silence_begins_the_search(over_ground: bool) -> None:
+    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=WINDY, hold=VehicleHold(over_ground))
+    found = mission_step(waiting(State.SEARCH), s, OPTIONS)[1]
+    assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is not over_ground
 
 
 def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:
     """WHY: a filter that begins anew takes a deck for one that falls from its crest, and the deck came up."""
     for range_m, climbs in ((1.0, True), (None, False), (1.9, False)):
         s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck(-0.8)), range_m=range_m)
-        found = mission_step(waiting(State.HOLD_BLIND, seen_height_m=2.5, deck_rise_m=-1.0), s, OPTIONS, over_ground=False)[1]
+        found = mission_step(waiting(State.HOLD_BLIND, seen_height_m=2.5, deck_rise_m=-1.0), s, OPTIONS)[1]
         assert isinstance(found, Velocity) is climbs
 
 
@@ -166,9 +165,9 @@ def test_what_a_person_holds_moves_by_a_witness_alone(state: State) -> None:
         ({"seen_height_m": 5.0}, 0.4, True),
     ):  # fmt: skip
         s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), range_m=range_m)
-        found = mission_step(waiting(state, **memory), s, OPTIONS, over_ground=False)[1]
+        found = mission_step(waiting(state, **memory), s, OPTIONS)[1]
         assert isinstance(found, Velocity) is climbs
-        stands = mission_step(replace(waiting(state, **memory), stood=True), s, OPTIONS, over_ground=False)[1]
+        stands = mission_step(replace(waiting(state, **memory), stood=True), s, OPTIONS)[1]
         assert state is State.PAUSED or stands == Hover(), "what was landed since is not taken off"
 
 
@@ -193,7 +192,7 @@ def test_a_refused_drone_climbs_no_further_where_range_and_estimate_agree_that_i
     """WHY: each wave lifted it a little without counting, and after it gave up it climbed by 3 m more, to 8.6 m."""
     seen = replace(estimate(NOW, (0.0, 0.0, height_m), age=20.0, sigma=0.2), alerts=alerts)
     p = waiting(State.GAVE_UP, seen_height_m=0.4, climbed_m=1.5)
-    p, _, _ = mission_step(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), seen), range_m=range_m), OPTIONS, over_ground=False)
+    p, _, _ = mission_step(p, GuidanceCycle(ns(NOW), Knowledge(ns(NOW), seen), range_m=range_m), OPTIONS)
     lost = GuidanceCycle(ns(NOW + DT), Knowledge(ns(NOW + DT), None))
-    _, found, _ = mission_step(p, lost, OPTIONS, over_ground=False)
+    _, found, _ = mission_step(p, lost, OPTIONS)
     assert (isinstance(found, Velocity) and bool(found.v_level[2] < 0.0)) is climbs

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.mission import FlightOutcome
-from companion.guidance.landing import mission_step
 from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import Progress
 from companion.guidance.pilot import Pilot, PilotOptions
 from companion.settings.follow_deck import FollowDeckOptions

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from companion.base.mission import State, StateChange
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
-from companion.guidance.landing import mission_step, reported
-from companion.guidance.mission import rendezvous
-from companion.guidance.mission.cycle import GuidanceCycle, VesselPosition
+from companion.guidance.mission import search
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition
+from companion.guidance.mission.machine import mission_step, take_status
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
@@ -31,7 +31,7 @@ def place(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, t=0.0, sigma=2.0)
 def fly(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, known=lambda t: True, seen=lambda t, d: False):
     """Fly a point by the machine; return its states, its ways from body to pad, and its heights."""
     o = GuidanceOptions(rendezvous=OPTIONS)
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     d, own = np.array(d, float), np.zeros(2)
     states: list[State] = []
     ways, heights, changes = [], [], list[StateChange]()
@@ -40,7 +40,7 @@ def fly(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, know
         vessel = place(d, v=v, axis=axis, bow=bow, height=height, t=t) if known(t) else Reason(ReasonCause.VESSEL_SILENT)
         sight = estimate(t, [*d, height]) if seen(t, d) else None
         s = GuidanceCycle(ns(t), Knowledge(ns(t), sight), vessel=vessel)
-        p, aim, made = mission_step(p, s, o, over_ground=False)
+        p, aim, made = mission_step(p, s, o)
         changes += made
         states.append(p.state)
         ways.append(d.copy())
@@ -72,7 +72,7 @@ def test_from_every_side_it_comes_behind_a_moving_ship_and_not_over_her(north: f
 
 
 def test_without_a_bow_it_holds_off_on_its_own_side() -> None:
-    point = rendezvous.hold_off(place([60.0, 0.0], bow=False), OPTIONS)
+    point = search.hold_off(place([60.0, 0.0], bow=False), OPTIONS)
     assert point == pytest.approx([60.0 - OPTIONS.range_m, 0.0])
 
 
@@ -105,10 +105,10 @@ def test_a_pad_in_sight_needs_no_place_of_the_ship() -> None:
 
 def test_a_ship_that_is_never_reached_is_given_up() -> None:
     o = GuidanceOptions(rendezvous=RendezvousOptions(enabled=True, time_s=5.0))
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     for n in range(70):
         s = GuidanceCycle(ns(n * DT), Knowledge(ns(n * DT), None), vessel=place([60.0, 0.0], t=n * DT))
-        p, _, _ = mission_step(p, s, o, over_ground=False)
+        p, _, _ = mission_step(p, s, o)
     assert p.state is State.GAVE_UP
 
 
@@ -119,13 +119,13 @@ def test_the_tilt_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> 
         WindOverDrone(12.0, 1.0, 8.0, (1.0, 0.0), 0.4, True),
         WindOverDrone(1.0, 1.0, 8.0, (1.0, 0.0), 0.1, False),
     )
-    p, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     states = []
     for n in range(round((way_s + 20.0) / DT)):
         t = n * DT
         far_away = [60.0, 0.0] if t < way_s else [OPTIONS.range_m, 0.0]
         s = GuidanceCycle(ns(t), Knowledge(ns(t), None), wind=strong if t > 0.5 else calm, vessel=place(far_away, t=t))
-        p, _, changes = mission_step(p, s, o, over_ground=False)
+        p, _, changes = mission_step(p, s, o)
         states.append(p.state)
         if p.state is State.REFUSED:
             assert changes[-1].reason.cause is ReasonCause.WIND
@@ -138,17 +138,15 @@ def test_the_tilt_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> 
 
 
 def test_the_square_expands_and_begins_again() -> None:
-    corners = [tuple(rendezvous.expanding_square(n)) for n in range(7)]
+    corners = [tuple(search.expanding_square(n)) for n in range(7)]
     assert corners == [(0, 0), (1, 0), (1, 1), (-1, 1), (-1, -1), (2, -1), (2, 2)]
     leg, seen = 0, []
     for _ in range(60):
-        corner = rendezvous.expanding_square(leg) * OPTIONS.spacing_m
+        corner = search.expanding_square(leg) * OPTIONS.spacing_m
         seen.append(leg)
-        leg = rendezvous.next_leg(leg, place(-corner), OPTIONS)
+        leg = search.next_leg(leg, place(-corner), OPTIONS)
     assert seen.count(0) > 1
-    assert (
-        max(math.hypot(*rendezvous.expanding_square(n)) * OPTIONS.spacing_m for n in seen) >= OPTIONS.extent_m - OPTIONS.spacing_m
-    )
+    assert max(math.hypot(*search.expanding_square(n)) * OPTIONS.spacing_m for n in seen) >= OPTIONS.extent_m - OPTIONS.spacing_m
 
 
 ANY = st.floats(-300, 300)
@@ -158,8 +156,8 @@ ANY = st.floats(-300, 300)
 def test_no_place_of_the_ship_brings_it_down_or_makes_it_too_fast(x, y, vx, vy, axis, height, leg, over_ground):
     at = place([x, y], v=(vx, vy), axis=axis, height=height)
     for command, most in (
-        (rendezvous.to_hold_off(at, OPTIONS, 0.5, over_ground=over_ground), OPTIONS.speed_m_s),
-        (rendezvous.along_pattern(leg, at, OPTIONS, 0.5, over_ground=over_ground), OPTIONS.search_speed_m_s),
+        (search.to_hold_off(at, OPTIONS, 0.5, VehicleHold(over_ground)), OPTIONS.speed_m_s),
+        (search.along_pattern(leg, at, OPTIONS, 0.5, VehicleHold(over_ground)), OPTIONS.search_speed_m_s),
     ):
         assert command.v_level[2] <= 0.0
         relative = command.v_level[:2] - (0.0 if over_ground else at.v_level)

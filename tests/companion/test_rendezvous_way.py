@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.mission.cycle import VesselPosition
-from companion.guidance.mission.rendezvous import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
+from companion.guidance.mission.cycle import VehicleHold, VesselPosition
+from companion.guidance.mission.search import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.geometry import F64
 from tests.companion.mission_flights import ns
@@ -81,31 +81,31 @@ def test_it_goes_round_the_ship_where_the_straight_way_crosses_her(at_goal_deg, 
     goal = pad + 8.0 * towards(behind)
     around = pad + 1.3 * 8.0 * towards(bearing - side * math.radians(50.0))
     wanted = around if goes_round else goal
-    v = to_hold_off(place(pad), OPTIONS, 0.8, over_ground=True).v_level
+    v = to_hold_off(place(pad), OPTIONS, 0.8, VehicleHold(True)).v_level
     assert v[:2] == pytest.approx(wanted / math.hypot(*wanted) * min(3.0, 0.4 * math.hypot(*wanted)))
 
 
 def test_it_slows_before_the_point_and_moves_with_the_ship() -> None:
     at = np.array([8.0, 0.0])  # over the hold-off point of a ship that heads forward
     for off, v in (([1.0, 0.0], (0.4, 0.0)), ([0.0, -2.0], (0.0, -0.8)), ([30.0, 0.0], (3.0, 0.0)), ([0.0, 0.0], (0.0, 0.0))):
-        by_driver = to_hold_off(place(at + off, axis=0.0), OPTIONS, 0.8, over_ground=True)
+        by_driver = to_hold_off(place(at + off, axis=0.0), OPTIONS, 0.8, VehicleHold(True))
         assert by_driver.v_level == pytest.approx([*v, 0.0])
         assert by_driver.yaw_rate_rad_s == 0.0
-        by_itself = to_hold_off(place(at + off, axis=0.0), OPTIONS, 0.8, over_ground=False)
+        by_itself = to_hold_off(place(at + off, axis=0.0), OPTIONS, 0.8, VehicleHold(False))
         assert by_itself.v_level == pytest.approx([v[0] + 0.3, v[1] - 0.2, 0.0])
 
 
 def test_on_the_point_itself_it_stays() -> None:
     before_her = RendezvousOptions(bearing_deg=0.0, range_m=8.0)
     assert not np.any(hold_off(place([-8.0, 0.0], axis=0.0), before_her))
-    assert not np.any(to_hold_off(place([-8.0, 0.0], axis=0.0), before_her, 0.8, over_ground=True).v_level)
+    assert not np.any(to_hold_off(place([-8.0, 0.0], axis=0.0), before_her, 0.8, VehicleHold(True)).v_level)
 
 
 @pytest.mark.parametrize(("height", "rate"), [(5.49, -0.8), (5.5, 0.0), (60.0, 0.0), (None, 0.0), (-1.0, -0.8)])
 def test_it_climbs_while_it_is_low_and_never_descends(height: float | None, rate: float) -> None:
     low = place([20.0, 1.0], height=height)
-    assert to_hold_off(low, OPTIONS, 0.8, over_ground=True).v_level[2] == rate
-    assert along_pattern(3, low, OPTIONS, 0.8, over_ground=False).v_level[2] == rate
+    assert to_hold_off(low, OPTIONS, 0.8, VehicleHold(True)).v_level[2] == rate
+    assert along_pattern(3, low, OPTIONS, 0.8, VehicleHold(False)).v_level[2] == rate
 
 
 def test_the_corners_are_a_square_that_grows_by_a_track_at_every_second_turn() -> None:
@@ -117,10 +117,10 @@ def test_the_corners_are_a_square_that_grows_by_a_track_at_every_second_turn() -
 def test_the_pattern_lies_along_the_ship_and_is_flown_at_its_own_speed(leg: int) -> None:
     forward, right = 2.5 * expanding_square(leg)
     corner = np.array([30.0, 40.0]) + forward * towards(AXIS) + right * towards(AXIS + math.pi / 2.0)
-    v = along_pattern(leg, place([30.0, 40.0]), OPTIONS, 0.8, over_ground=True).v_level
+    v = along_pattern(leg, place([30.0, 40.0]), OPTIONS, 0.8, VehicleHold(True)).v_level
     assert v[:2] == pytest.approx(corner / math.hypot(*corner))
     over = place(-(corner - np.array([30.0, 40.0])) + [0.5, 0.0])
-    assert along_pattern(leg, over, OPTIONS, 0.8, over_ground=True).v_level[:2] == pytest.approx([0.2, 0.0])
+    assert along_pattern(leg, over, OPTIONS, 0.8, VehicleHold(True)).v_level[:2] == pytest.approx([0.2, 0.0])
 
 
 def test_the_next_corner_is_flown_to_at_this_one_and_the_first_after_the_last() -> None:

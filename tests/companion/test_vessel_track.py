@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.mission import rendezvous
 from companion.guidance.mission.cycle import VesselPosition
-from companion.guidance.mission.rendezvous import VesselTrack
+from companion.guidance.mission.vessel_track import VesselTrack
 from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
@@ -42,19 +41,19 @@ def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until:
     """Return a track after these samples, of a vehicle 30 m up at the harbour whose own reports never stop."""
     track = VesselTrack(limits or ReportLimits())
     for sample in samples:
-        track = rendezvous.on_sample(track, sample)
-    track = rendezvous.on_sample(track, fix("vehicle", until, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
-    return rendezvous.on_sample(track, Attitude(stamp(until), Rotation.from_rpy(0.0, 0.0, yaw), 1e-4 * np.eye(3)))
+        track = track.on_sample(sample)
+    track = track.on_sample(fix("vehicle", until, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
+    return track.on_sample(Attitude(stamp(until), Rotation.from_rpy(0.0, 0.0, yaw), 1e-4 * np.eye(3)))
 
 
 def known(track: VesselTrack, t: float) -> VesselPosition:
-    place = rendezvous.position(track, ns(t))
+    place = track.position(ns(t))
     assert isinstance(place, VesselPosition), place
     return place
 
 
 def cause(track: VesselTrack, t: float) -> ReasonCause:
-    why = rendezvous.position(track, ns(t))
+    why = track.position(ns(t))
     assert isinstance(why, Reason)
     return why.cause
 
@@ -84,13 +83,13 @@ def test_it_is_less_certain_with_age_and_unknown_in_the_end() -> None:
     track = after(course(5.0, (1.5, 0.0)), fix("vessel", 5.0, 60.0, 0.0), until=5.0)
     sigmas = []
     for t in (5.0, 6.0, 8.0, 9.9):
-        track = rendezvous.on_sample(track, fix("vehicle", t, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
-        track = rendezvous.on_sample(track, Attitude(stamp(t), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+        track = track.on_sample(fix("vehicle", t, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
+        track = track.on_sample(Attitude(stamp(t), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
         sigmas.append(known(track, t).sigma_m)
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] > sigmas[0] + 0.5
-    track = rendezvous.on_sample(track, fix("vehicle", 10.2, 0.0, 0.0, 30.0))
-    track = rendezvous.on_sample(track, Attitude(stamp(10.2), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    track = track.on_sample(fix("vehicle", 10.2, 0.0, 0.0, 30.0))
+    track = track.on_sample(Attitude(stamp(10.2), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
     assert cause(track, 10.2) is ReasonCause.VESSEL_OLD
 
 
@@ -110,8 +109,8 @@ def test_what_cannot_be_hers_is_refused_counted_and_named(report: GeoFix, counte
         "flown by the one before, while it is fresh"
     )
     late = report.stamp.received_at * 1e-9 + 4.9
-    track = rendezvous.on_sample(track, fix("vehicle", late, 0.0, 0.0, 30.0))
-    track = rendezvous.on_sample(track, Attitude(stamp(late), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    track = track.on_sample(fix("vehicle", late, 0.0, 0.0, 30.0))
+    track = track.on_sample(Attitude(stamp(late), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
     assert cause(track, late) is why
 
 
@@ -123,16 +122,16 @@ def test_an_older_report_does_not_replace_a_newer_one() -> None:
 def test_a_jump_is_accepted_when_a_person_begins_again_or_after_a_long_silence() -> None:
     jumped = fix("vessel", 9.5, 140.0, 0.0)
     track = after(fix("vessel", 9.0, 40.0, 0.0), jumped)
-    again = rendezvous.on_sample(rendezvous.restarted(track), fix("vessel", 10.0, 140.0, 0.0))
+    again = track.restarted().on_sample(fix("vessel", 10.0, 140.0, 0.0))
     assert known(again, 10.0).distance_m == pytest.approx(140.0, abs=0.1)
     later = after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 45.0, 140.0, 0.0), until=45.0)
     assert known(later, 45.0).distance_m == pytest.approx(140.0, abs=0.1)
 
 
 def test_a_drone_without_a_place_or_a_heading_of_its_own_is_reported() -> None:
-    track = rendezvous.on_sample(VesselTrack(), fix("vessel", 1.0, 40.0, 0.0))
+    track = VesselTrack().on_sample(fix("vessel", 1.0, 40.0, 0.0))
     assert cause(track, 1.0) is ReasonCause.NO_OWN_PLACE
-    track = rendezvous.on_sample(track, fix("vehicle", 1.0, 0.0, 0.0))
+    track = track.on_sample(fix("vehicle", 1.0, 0.0, 0.0))
     assert cause(track, 1.0) is ReasonCause.NO_OWN_HEADING
     assert cause(after(), 10.0) is ReasonCause.VESSEL_SILENT
     assert cause(after(fix("vessel", 9.9, 40.0, 0.0, sigma_m=40.0)), 10.0) is ReasonCause.VESSEL_SIGMA
@@ -148,7 +147,7 @@ REPORT = st.builds(
 def test_every_place_of_the_ship_is_taken_or_counted_and_no_taken_one_is_late(reports: list[GeoFix]) -> None:
     track, limits = VesselTrack(), ReportLimits()
     for report in reports:
-        track = rendezvous.on_sample(track, report)
+        track = track.on_sample(report)
         if track.vessel is not None:
             assert track.vessel.stamp.delay_s <= limits.age_max_s
     ship = sum(report.whose == "vessel" for report in reports)

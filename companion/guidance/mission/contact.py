@@ -21,13 +21,17 @@ same ones to the deck (`to_deck`): a deck that falls faster and faster carries a
 """
 
 import math
+from collections.abc import Iterator
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.base.mission import Event
+from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact
 from companion.guidance.mission import limits
 from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu
@@ -68,6 +72,10 @@ _GOES_ON = 0.75
 """Share of the commit's rate from which on a descent goes on as ordered."""
 _ORDERED_S, _AFTER_S = 0.3, 0.1
 """Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
+_HELD_UP_BELOW = 0.75
+"""Share of the gate's height below which being held up is a contact."""
+_TOUCHES_MOST = 4
+"""Number of bounces after which a contact in a state that none belongs to no longer makes it press on."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
 """Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
 
@@ -194,6 +202,50 @@ def way_s(s: GuidanceCycle, o: GuidanceOptions, near_m: float = 0.0) -> float:
     if s.range_m is not None and s.range_m - o.cone.feet_below_m <= _RANGE_NEAR_M:
         return 0.0
     return feet / o.cone.commit_rate_m_s if feet - 3.0 * sigma_m > near_m else 0.0
+
+
+def felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Impact | None:
+    """Return the contact that was felt in the present state, or None.
+
+    An updraft holds up too, so being held up counts near the deck alone and while it lasts.
+    """
+    impact = s.knowledge.impact
+    if impact is None or p.since is None or impact.at < p.since:
+        return None
+    if impact.by != "velocity":
+        return impact
+    low = s.estimate is None or s.estimate.height_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
+    return impact if low and seconds_between(impact.at, s.at) <= HELD_S else None
+
+
+def stands_on_pad(s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether a vehicle whose feet touch the deck now comes to stand on the pad."""
+    height_m = feet_m(s, o.cone)
+    if s.estimate is None or height_m is None or height_m > NEAR_M:
+        return False
+    return limits.stop_m(s.estimate) <= limits.ON_PAD * o.limits.commit_error_m
+
+
+def stays(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[tuple[Event, Reason]]:
+    """Yield a contact in a state that none belongs to: near the pad's centre it is taken as the landing all the same."""
+    impact = felt(p, s, o)
+    if impact is not None and p.bounces < _TOUCHES_MOST and stands_on_pad(s, o):
+        yield Event.CONTACT, reason_of(impact)
+
+
+def is_own_thrust(impact: Impact | None, s: GuidanceCycle) -> bool:
+    """Return whether a push in a climb is no more than what the climb needs to begin, beyond the least of a contact."""
+    climb, fastest = s.knowledge.climb, s.knowledge.climb_max_m_s
+    if impact is None or impact.by != "accelerometer" or climb is None or fastest is None:
+        return False
+    return impact.size_m_s2 <= LEAST_M_S2 + fastest / climb.lag_s
+
+
+def reason_of(impact: Impact) -> Reason:
+    """Return a contact as a reason."""
+    if impact.by == "accelerometer":
+        return Reason(ReasonCause.FELT, impact.size_m_s2)
+    return Reason(ReasonCause.HELD_UP, impact.held_m_s) if impact.by == "velocity" else Reason(ReasonCause.REPORTED)
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:

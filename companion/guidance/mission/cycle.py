@@ -3,13 +3,16 @@
 import math
 from collections import Counter
 from collections.abc import Mapping
+from typing import TypeGuard
 
+import numpy as np
 from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.limits import InputQuality
 from companion.guidance.mission.wind import WindOverDrone
+from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
@@ -43,6 +46,41 @@ class VesselPosition(Struct, frozen=True, eq=False):
         return math.hypot(float(self.d_body_pad_level[0]), float(self.d_body_pad_level[1]))
 
 
+class VehicleHold(Struct, frozen=True):
+    """The hold that a vehicle has by itself, which decides what a command of guidance means to it."""
+
+    over_ground: bool
+    """True for an autopilot: its own hover holds over the ground, and its driver adds the deck's velocity to a `Velocity`, so one
+    of zero stays with the deck. False for an AR.Drone: it holds against the deck by optical flow, and ranges a near surface."""
+
+    def staying(self, climb_m_s: float) -> Command:
+        """Return the command that stays with the deck, or climbs from it, where no estimate of the pad will do."""
+        return Velocity(np.array([0.0, 0.0, -climb_m_s]), 0.0) if self.over_ground or climb_m_s != 0.0 else Hover()
+
+    def climbing(self, climb_m_s: float, knowledge: Knowledge) -> tuple[float, Command]:
+        """Return the climb over the ground, m/s, and the command that climbs so fast against the deck and else stays with it."""
+        if self.over_ground:
+            return with_deck_m_s(climb_m_s, knowledge), self.staying(climb_m_s)
+        rate_m_s = climb_m_s + (0.0 if climb_m_s == 0.0 else max(0.0, with_deck_m_s(0.0, knowledge)))
+        return rate_m_s, self.staying(rate_m_s)
+
+    def with_ship(self, v_level: F64, v_ship_level: F64) -> Velocity:
+        """Return the command that flies a velocity to the ship, (3,) m/s, whose own is (2,) m/s over the ground."""
+        v = np.array(v_level)
+        if not self.over_ground:
+            v[:2] += v_ship_level
+        return Velocity(v, 0.0)
+
+    def moves(self, command: Command) -> TypeGuard[Velocity | Lean]:
+        """Return whether a command has a vertical speed over the ground, to which no driver adds the deck's."""
+        return isinstance(command, Lean) or (isinstance(command, Velocity) and not self.over_ground)
+
+
+def with_deck_m_s(climb_m_s: float, knowledge: Knowledge) -> float:
+    """Return the climb over the ground of a vehicle that follows the deck and climbs from it, m/s."""
+    return climb_m_s - (0.0 if knowledge.deck is None else knowledge.deck.v_level.item(2))
+
+
 class GuidanceCycle(Struct, frozen=True, eq=False):
     """One guidance cycle."""
 
@@ -67,8 +105,7 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     """The newest push that one foot alone may have made; None before one."""
     range_m: float | None = None
     """The newest range to the surface below; None without a fresh one."""
-    ranges_near: bool = False
-    """True if a surface that is near is surely ranged: by the ultrasound that an AR.Drone itself flies by."""
+    hold: VehicleHold = VehicleHold(over_ground=False)
     thing: Reason | None = None
     """Objects on the pad; None if nothing was seen lately, or if the operator says that it is clear."""
     unseen: Reason | None = None

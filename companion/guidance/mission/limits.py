@@ -53,7 +53,7 @@ class ChargeWatch(Struct, frozen=True):
         return self.highest[0][1]
 
 
-def ends(charge: float | None, options: GuidanceOptions) -> bool:
+def battery_ends(charge: float | None, options: GuidanceOptions) -> bool:
     """Return whether the battery ends: a charge, 0 to 1, with which no landing begins; None if it is not known."""
     return charge is not None and charge < options.limits.battery
 

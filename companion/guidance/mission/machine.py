@@ -1,81 +1,249 @@
-"""The mission as one machine: the table that says for each of its states and events (`companion.base.mission`) what follows.
+"""The mission as one machine: one total table of states and events, assembled from the states' files, and a step of it.
 
-Everything that decides on a state lives here. What computes is beside it: `watch` finds the events of a guidance cycle, `steer`
-says where to be in each state, `mission_step` puts them together. A state that waits for something also has a time, and when that
-is over it goes up: to a go-around, a hold or a refusal, never down.
+Theory of operation
+-------------------
+**Phases.** A landing is a way down a chain of states, each with one purpose. SEARCH and RENDEZVOUS find the pad (`search`).
+INTERCEPT brings the drone over it and DESCEND down the cone (`descend`). GATE is the last place to wait: it follows the deck
+until every limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors
+(`press`). Three states lead back: HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again
+(`go_around`), ANOTHER_PAD asks (`another_pad`). In all others no landing is flown (`waiting`). `thesis` has what differs in the
+thesis' mission.
+
+**A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
+constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
+and `holding`, what all remember in `progress`. A guidance cycle is a pure step from memory and inputs to memory, aim and
+changes of state.
+
+**What holds in every state.**
+- Of the events of a cycle the first one that leads elsewhere is taken. The vehicle's own reports and a person's orders come
+  before all of them, as soon as they arrive. At most `_MOST` changes happen in a cycle.
+- The table is total and checked where it is made: an event that a state does not name changes nothing.
+- Nothing descends without a fresh, consistent estimate of the pad. `allows` of each state cuts the controller's command to
+  that, whatever the target was. Low without sight the drone only climbs (`out_of_reach`).
+- A state that waits has a time, and when that is over the drone goes up or stays: to a go-around, a hold or a refusal.
+- Motors stop only in DOWN, which is entered by a contact and a press (in the thesis' mission by a last way point and a lease).
+- On the ground, before the first order, and while somebody else has the vehicle, guidance sends nothing but a hover.
+
+**What a go-around costs.** Some ten seconds, a new budget for the attempt, and one of the allowed go-arounds; the time without
+sight and the time of the landing go on. Each one widens the limits of place and tilt a little: a landing that stays on the pad
+is better than another try. It is the way out of every doubt above the height of no return, below which a climb would touch the
+deck.
+
+**Why a refusal is no failure.** A deck that rolls too far, a wind that takes the whole tilt, or answers that come too late make
+some landings impossible, and then staying up is the right outcome. REFUSED names the condition with its number, GAVE_UP says
+that the pad was not found or the attempts are used up. Both hold the drone, and a person may begin again. Where its battery
+ends a landing is the last one (`limits.last_landing`), and a contact that is less good is better than to fall.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from companion.base.mission import Event, State
+from msgspec.structs import replace
+
+from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChange
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
+from companion.guidance.mission import (
+    another_pad,
+    commit,
+    descend,
+    gate,
+    go_around,
+    hold_blind,
+    out_of_reach,
+    press,
+    search,
+    thesis,
+    waiting,
+)
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.held_course import HeldCourse
+from companion.guidance.mission.holding import Aim, Aimed
+from companion.guidance.mission.limits import battery_ends, last_landing
+from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
+from companion.guidance.mission.phase import Phase, Row
+from companion.guidance.mission.progress import Progress, arrow_turned, entered
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Command, Hover
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
 from estimator.contracts.total_table import total
 
-Row = Mapping[Event, State]
-Table = Mapping[State, Row]
-
-_S, _E = State, Event
-
-_VEHICLE: Row = {_E.CUT: _S.EMERGENCY, _E.GROUNDED: _S.LANDED, _E.GROUNDED_BY_OTHERS: _S.LANDED_BY_OTHERS}
-_HELD: Row = {**_VEHICLE, _E.ABORT: _S.ABORTED}
-_FLIGHT: Row = {**_HELD, _E.PAUSE: _S.PAUSED}
-LANDING: Row = {**_FLIGHT, _E.TAKEN: _S.TAKEN}
-_AROUND: Row = {_E.LIMIT: _S.GO_AROUND, _E.TIMEOUT: _S.GO_AROUND}
-_TRY: Row = {
-    **LANDING, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.NO_CONDITIONS: _S.GO_AROUND, _E.SIGHT_LOST: _S.HOLD_BLIND,
-}  # fmt: skip
-_NEXT: Row = {_E.TAKEN_OFF: _S.READY}
-
-_CONE: Table = {
-    _S.STANDBY: {_E.BEGIN: _S.WAIT, _E.TAKEN_OFF: _S.READY, _E.ABORT: _S.ABORTED},
-    _S.WAIT: {_E.PAUSE: _S.STANDBY, _E.TAKEN_OFF: _S.SEARCH, _E.ABORT: _S.ABORTED},
-    _S.READY: {**_FLIGHT, _E.BEGIN: _S.SEARCH},
-    _S.PAUSED: {**_HELD, _E.BEGIN: _S.SEARCH},
-    _S.RENDEZVOUS: {
-        **LANDING, _E.NO_CONDITIONS: _S.REFUSED, _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT, _E.ARRIVED: _S.SEARCH,
-    },
-    _S.SEARCH: {
-        **LANDING, _E.NO_CONDITIONS: _S.REFUSED, _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT, _E.VESSEL_FAR: _S.RENDEZVOUS,
-    },
-    _S.INTERCEPT: {**_TRY, _E.IN_CONE: _S.DESCEND},
-    _S.DESCEND: {**_TRY, _E.OUT_OF_CONE: _S.INTERCEPT, _E.AT_GATE: _S.GATE},
-    _S.GATE: {**_TRY, _E.CONTACT: _S.PRESS, _E.OUT_OF_CONE: _S.DESCEND, _E.GATE_OPEN: _S.COMMIT},
-    # Half a second from the deck the drone goes up without sight, it does not wait; and nothing but a limit of its own ends it.
-    _S.COMMIT: {**LANDING, **_AROUND, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.SIGHT_LOST: _S.GO_AROUND, _E.CONTACT: _S.PRESS},
-    _S.PRESS: {**LANDING, **_AROUND, _E.PRESSED: _S.DOWN},
-    _S.DOWN: {**LANDING, **_AROUND},
-    _S.HOLD_BLIND: {
-        **LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.GO_AROUND, _E.LIMIT: _S.GO_AROUND,
-        _E.TIMEOUT: _S.GAVE_UP, _E.SIGHT: _S.INTERCEPT,
-    },
-    _S.GO_AROUND: {
-        **LANDING, _E.OTHER_PAD: _S.ANOTHER_PAD, _E.CONTACT: _S.PRESS, _E.NO_CONDITIONS: _S.REFUSED, _E.HOPELESS: _S.GAVE_UP,
-        _E.TIMEOUT: _S.GAVE_UP, _E.CLEAR: _S.INTERCEPT,
-    },
-    _S.ANOTHER_PAD: {**LANDING, _E.BEGIN: _S.SEARCH, _E.TIMEOUT: _S.GAVE_UP},
-    _S.LANDED: _NEXT,
-    _S.LANDED_BY_OTHERS: _NEXT,
-    _S.REFUSED: {**_NEXT, _E.BEGIN: _S.SEARCH, _E.BATTERY_ENDS: _S.SEARCH},
-    _S.GAVE_UP: {**_NEXT, _E.BEGIN: _S.SEARCH, _E.BATTERY_ENDS: _S.SEARCH},
-    _S.ABORTED: _NEXT,
-    _S.TAKEN: {**_NEXT, _E.BEGIN: _S.SEARCH},
-    _S.EMERGENCY: _NEXT,
-}  # fmt: skip
-
-
-def _without_contact(state: State) -> Row:
-    return {event: target for event, target in _CONE[state].items() if event is not _E.CONTACT}
-
-
-# The thesis' way ends at a height from which the vehicle lands by itself, still in the air.
-_THESIS: Table = {
-    **_CONE,
-    _S.GATE: {**_without_contact(_S.GATE), _E.GATE_OPEN: _S.DOWN},
-    _S.HOLD_BLIND: _without_contact(_S.HOLD_BLIND),
-    _S.DOWN: {**_CONE[_S.DOWN], _E.OTHER_PAD: _S.ANOTHER_PAD},
-    _S.GO_AROUND: _without_contact(_S.GO_AROUND),
-}
-
-
-TABLES: Mapping[str, Table] = MappingProxyType({"cone": total(_CONE, Event), "thesis": total(_THESIS, Event)})
+_STATES = (waiting, search, descend, gate, commit, press, hold_blind, go_around, another_pad)
+PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
+_CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
+TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
+    {"cone": total(_CONE, Event), "thesis": total(thesis.ways(_CONE), Event)}
+)
 """The tables by `guidance.mission`."""
+
+Transitions = tuple[StateChange, ...]
+
+_MOST = 4
+"""Most transitions in one cycle; what is left is taken in the next."""
+_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
+"""States whose orders the height is compared with."""
+_AGREE = 0.2
+"""Difference of an estimate out of sight from the range, of that, up to which two witnesses say the same height."""
+_FASTEST_M_S = 1.0
+"""Vertical speed of a vehicle whose law does not say, m/s."""
+_LEAN_SETTLES_S = 10.0
+"""Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+
+
+def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, Aim, Transitions]:
+    """Run one guidance cycle; return the memory, the aim and what changed."""
+    o = last_landing(o) if battery_ends(s.battery, o) else o
+    p = account(p, s, o)
+    changes: list[StateChange] = []
+    while len(changes) < _MOST:
+        moved, change = _first(p, s, o)
+        if change is None:
+            break
+        changes.append(change)
+        p = moved
+    p, wanted = aim(p, s, o)
+    if p.in_sight and p.state in _ORDERS:
+        rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
+        p = replace(p, course=p.course.ordered(rate))
+    return p, wanted, tuple(changes)
+
+
+def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    """Return the memory and the aim of this guidance cycle."""
+    if p.state in GROUND:
+        return p, None
+    if not p.begun or p.state is State.TAKEN or (p.stood and p.state in ENDED):
+        # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
+        return p, Hover()
+    return PHASES[p.state].aim(replace(p, climbs_m_s=0.0), s, o)
+
+
+def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    """Return the controller's command for a target as far as the state allows it."""
+    return PHASES[p.state].allows(command, p, s, o)
+
+
+def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    """Take an event: return the memory after it, and the change of state if it leads elsewhere."""
+    target = TABLES[o.mission][p.state][event]
+    if target is p.state:
+        return p, ()
+    change = StateChange(at, p.state, event, target, reason)
+    return entered(p, change), (change,)
+
+
+def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    """Take an order of the operator: BEGIN, PAUSE or ABORT."""
+    return take(p, event, Reason(ReasonCause.OPERATOR), at, o)
+
+
+def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:
+    """Take the vehicle's report about itself.
+
+    Args:
+        resumes: whether a landing that a person took over goes on when the vehicle is not taken any more.
+    """
+    at = status.stamp.received_at
+    if status.emergency:
+        return take(p, Event.CUT, Reason(ReasonCause.MOTORS_CUT), at, o)
+    if status.flying is False:
+        if p.state in ENDED:
+            return replace(p, stood=True), ()
+        by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
+        return take(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
+    # A report from before the order to begin belongs to the flight before.
+    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
+        return take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+    if resumes and status.taken is None and p.state is State.TAKEN and not p.stood:
+        return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
+    if status.flying is None or (p.state in ENDED and not p.stood):
+        return p, ()
+    next_one = p.state in ENDED
+    p, changes = take(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
+    if next_one and p.automatic and changes:
+        p, more = take(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)
+        changes = (*changes, *more)
+    return p, changes
+
+
+def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
+    """Take the first event of the cycle that leads to another state."""
+    for event, reason in PHASES[p.state].events(p, s, o):
+        moved, changes = take(p, event, reason, s.at, o)
+        if changes:
+            return moved, changes[0]
+    return p, None
+
+
+def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Charge the guidance cycle to the attempt, and note what was seen."""
+    since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
+    p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
+    p = out_of_reach.climbed(p, s, since_last_s)
+    if p.state not in FLOWN:
+        return _seen_from(p, s, o)
+    p = _in_wind(replace(p, attempt=p.attempt.cycle(since_last_s)), s)
+    # A question leaves the sight of the pad that was flown to as it was.
+    return PHASES[p.state].note(p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o), s, o)
+
+
+def _in_sight(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Note a sight of the pad, or that there is none."""
+    estimate, attempt = s.estimate, p.attempt
+    other = estimate is not None and p.track is not None and estimate.track != p.track
+    if estimate is None or other or unfit(estimate, s.at, o.stale_after_s) is not None:
+        if p.in_sight and p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M and p.state is not State.COMMIT:
+            attempt = attempt.lost()
+        if p.seen is not None:
+            attempt = attempt.unseen(p.since_last_s)
+        return replace(p, attempt=attempt, in_sight=False)
+    if not p.in_sight and p.seen is not None and p.state is not State.GO_AROUND:
+        attempt = attempt.descended(p.seen_height_m - estimate.height_m)
+    return replace(
+        p,
+        attempt=attempt.seen(s.at, p.since_last_s),
+        landing_began=s.at if p.landing_began is None else p.landing_began,
+        course=_course(p, s, estimate),
+        in_sight=True,
+        seen=s.at,
+        was_silent=False,
+        deck_rise_m=0.0,
+        climbed_m=0.0,
+        seen_height_m=estimate.height_m,
+        track=estimate.track,
+        heading_rad=p.heading_rad if estimate.yaw_rad is None else estimate.yaw_rad,
+        turned=arrow_turned(p.heading_rad, estimate) or p.turned,
+    )
+
+
+def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Note the height that is seen while no landing is flown, or found by a range that the estimate agrees with."""
+    if s.estimate is None:
+        return p
+    height_m, range_m = s.estimate.height_m, s.range_m
+    if unfit(s.estimate, s.at, o.stale_after_s) is not None:
+        if range_m is None or s.estimate.alerts or abs(range_m - height_m) >= _AGREE * range_m:
+            return p
+        height_m = min(height_m, range_m)
+    return replace(p, seen_height_m=height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
+
+
+def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:
+    """Note since when the wind has been beyond what the vehicle can fly; its own speed on the way to the ship is no wind."""
+    if p.state is State.RENDEZVOUS:
+        p = replace(p, on_way=s.at)
+    slow = p.on_way is None or seconds_between(p.on_way, s.at) > _LEAN_SETTLES_S
+    if s.wind is None or not slow or not s.wind.too_strong:
+        return p if p.windy_since is None else replace(p, windy_since=None)
+    return p if p.windy_since is not None else replace(p, windy_since=s.at)
+
+
+def _course(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> HeldCourse:
+    """Return the height against what was ordered, after a cycle with sight."""
+    if p.course.sign < 0 and not p.in_sight:
+        return HeldCourse(p.course.sign).at_height(s.at, estimate.height_m, explained=False)
+    deck, fastest = s.knowledge.deck, s.knowledge.climb_max_m_s or _FASTEST_M_S
+    away = deck is not None and p.course.sign * deck.v_level.item(2) > fastest
+    return p.course.at_height(s.at, estimate.height_m, explained=away)

@@ -83,7 +83,7 @@ def low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
         return True
     known_m = height_m(p, s)
     if known_m is None:
-        return s.range_m is None and not s.ranges_near and p.state in _BY_TIME and p.climbed_m < safe_m
+        return s.range_m is None and s.hold.over_ground and p.state in _BY_TIME and p.climbed_m < safe_m
     return known_m < wanted * safe_m and p.climbed_m < _MOST * safe_m
 
 

@@ -1,16 +1,12 @@
 """docs/mission.md, written from the table."""
 
-import ast
-import inspect
 import re
-import sys
-from collections.abc import Iterator
-from enum import Enum
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.guidance.advice import advised_alerts, advised_causes
-from companion.guidance.mission.machine import LANDING, TABLES, Table
+from companion.guidance.mission.machine import PHASES, TABLES
+from companion.guidance.mission.phase import LANDING, Row
 from estimator.contracts.total_table import next_states
 
 _HEAD = """# The mission
@@ -57,8 +53,8 @@ _ALWAYS = (Event.PAUSE, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
 
 def _states() -> Iterator[str]:
     yield from ("## States", "", "| state | what the drone does | may come nearer to the deck |", "|---|---|---|")
-    for member, words in _documented(State):
-        yield f"| {member.value} | {words} | {'yes' if member in DESCENDS else 'no'} |"
+    for state in State:
+        yield f"| {state.value} | {PHASES[state].does} | {'yes' if state in DESCENDS else 'no'} |"
     yield ""
 
 
@@ -90,7 +86,7 @@ def _thesis() -> Iterator[str]:
     yield from _rows("thesis", TABLES["cone"])
 
 
-def _rows(name: str, usual: Table) -> Iterator[str]:
+def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:
     """Yield a row for each state: its next states, each with the events that lead there, where they are not the usual ones."""
     yield from ("| state | next state: events |", "|---|---|")
     if name == "cone":
@@ -104,14 +100,3 @@ def _rows(name: str, usual: Table) -> Iterator[str]:
         if cells := [f"**{to.value}**: {', '.join(e.value for e in by)}" for to, by in next_states(named, usual[state])]:
             yield f"| {state.value} | {'; '.join(cells)} |"
     yield ""
-
-
-def _documented(kind: type[Enum]) -> Iterator[tuple[State, str]]:
-    """Yield each member with the docstring that follows it in the source."""
-    tree = ast.parse(inspect.getsource(sys.modules[kind.__module__]))
-    body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind.__name__)
-    for line, after in pairwise(body):
-        if isinstance(line, ast.Assign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-            name = line.targets[0]
-            assert isinstance(name, ast.Name)
-            yield State[name.id], str(after.value.value)

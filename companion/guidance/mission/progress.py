@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -24,7 +25,7 @@ _GAP_MAX_S = 1.0
 
 
 class Attempt(Struct, frozen=True):
-    """Time and retries that a landing attempt has used so far."""
+    """Time and retries that a landing attempt has used so far. A go-around or an order begins another."""
 
     began: MonoNs | None = None
     """Time of the first sight of the pad."""
@@ -32,12 +33,8 @@ class Attempt(Struct, frozen=True):
     """Number of losses of sight below the safe height."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
-    over_pad_s: float = 0.0
-    """Time over the pad at height, all visits together."""
-    in_descent_s: float = 0.0
-    """Time in the descent, all visits together."""
-    at_gate_s: float = 0.0
-    """Time at the gate, all visits together."""
+    spent_s: Mapping[State, float] = field(default_factory=dict)
+    """Time in each state whose visits share one time budget."""
     with_sight_s: float = 0.0
     """Time of unbroken sight, seconds."""
     starved_s: float = 0.0
@@ -54,17 +51,9 @@ class Attempt(Struct, frozen=True):
         without = self.without_sight_s + _counted_s(since_last_s)
         return replace(self, with_sight_s=0.0, without_sight_s=without)
 
-    def over_pad(self, since_last_s: float) -> Attempt:
-        """Add one guidance cycle over the pad at height."""
-        return replace(self, over_pad_s=self.over_pad_s + _counted_s(since_last_s))
-
-    def in_descent(self, since_last_s: float) -> Attempt:
-        """Add one guidance cycle in the descent."""
-        return replace(self, in_descent_s=self.in_descent_s + _counted_s(since_last_s))
-
-    def at_gate(self, since_last_s: float) -> Attempt:
-        """Add one guidance cycle at the gate."""
-        return replace(self, at_gate_s=self.at_gate_s + _counted_s(since_last_s))
+    def spend(self, state: State, since_last_s: float) -> Attempt:
+        """Add one guidance cycle in a state: a gust that takes the drone out of it, and a loss of sight, give it no more time."""
+        return replace(self, spent_s={**self.spent_s, state: self.spent_s.get(state, 0.0) + _counted_s(since_last_s)})
 
     def cycle(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle as late as it comes."""
@@ -102,31 +91,16 @@ def _counted_s(since_last_s: float) -> float:
 
 JUMP_RAD = math.radians(90.0)
 """Change of the estimated heading within one guidance cycle that no vehicle makes."""
-SIGMA_MAX_RAD = math.radians(20.0)
-"""Uncertainty of the heading beyond which nothing turns by it."""
+BOUNCES_MOST = 2
+"""Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 
 
-class HeadingMemory(Struct, frozen=True):
-    """The heading's memory."""
-
-    last_rad: float | None = None
-    """Heading against the arrow in the newest estimate that knew it."""
-
-
-def follow_arrow(memory: HeadingMemory, estimate: RelativeState) -> tuple[HeadingMemory, Reason | None]:
-    """Take the next estimate; return the reason if the arrow turned in it by more than any vehicle turns."""
-    yaw, last = estimate.yaw_rad, memory.last_rad
-    if yaw is None:
-        return memory, None
-    jump = abs(wrap_pi(yaw - (yaw if last is None else last)))
-    memory = HeadingMemory(yaw)
-    return memory, Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
-
-
-def heading_to_arrow_rad(estimate: RelativeState) -> float | None:
-    """Return the heading to turn to, or None to keep the present one."""
-    known = estimate.yaw_rad is not None and float(estimate.cov[6, 6]) <= SIGMA_MAX_RAD**2
-    return 0.0 if known else None
+def arrow_turned(last_rad: float | None, estimate: RelativeState) -> Reason | None:
+    """Return the reason if the arrow turned since the last known heading, rad, by more than any vehicle turns; None if not."""
+    if estimate.yaw_rad is None or last_rad is None:
+        return None
+    jump = abs(wrap_pi(estimate.yaw_rad - last_rad))
+    return Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
 
 
 class Progress(Struct, frozen=True, eq=False):
@@ -161,8 +135,6 @@ class Progress(Struct, frozen=True, eq=False):
     go_arounds: int = 0
     bounces: int = 0
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
-    way_s: float | None = None
-    """Time from the contact after which the feet are at the deck by what contradicts it, s; None before the press."""
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
     course: HeldCourse = HeldCourse()
@@ -183,7 +155,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Height that such orders have made since the newest sight, m."""
     track: int | None = None
     """Track of the pad that this attempt flies to."""
-    heading: HeadingMemory = field(default_factory=HeadingMemory)
+    heading_rad: float | None = None
+    """Heading against the arrow in the newest estimate that knew it."""
     turned: Reason | None = None
     """The arrow turned in the estimate by itself."""
 
@@ -192,26 +165,12 @@ class Progress(Struct, frozen=True, eq=False):
     held: F64 | None = None
     """The vector from body to pad that is held, (3,) m in the level axes of `held_yaw_rad`; None while nothing is held."""
     held_yaw_rad: float | None = None
-    good_since: MonoNs | None = None
-    """Time since which the state's condition for going on has held without a break."""
-    blocked: Reason | None = None
-    """Reason that keeps the gate shut."""
-    waits_for: Reason | None = None
-    """Blocking reason that is shown to the operator. It is held for some time; `blocked` may change with every cycle."""
-    waits_since: MonoNs | None = None
-    """Time since which the reason has been the same."""
-    no_return_until: MonoNs | None = None
-    """Time until which the contact is awaited in the commit whatever becomes of the estimate; None while a climb can avoid it."""
+    kept: Struct | None = None
+    """Memory of the present state alone; None when it is entered. Its file has the type."""
     windy_since: MonoNs | None = None
     """Time since which the wind has been beyond what the vehicle can fly; None while it is not."""
-    place_known: MonoNs | None = None
-    """Time of the newest cycle in which the ship's place was known by reports."""
     on_way: MonoNs | None = None
     """Time of the newest cycle on the way to the ship, where the drone tilts for its own speed."""
-    search_leg: int = 0
-    """Number of the corner of the search pattern that the drone flies to."""
-    newest_track: int | None = None
-    """Track of the other pad while the operator decides."""
 
     @staticmethod
     def start(*, automatic: bool) -> Progress:
@@ -226,8 +185,8 @@ class Progress(Struct, frozen=True, eq=False):
 def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
-        p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
-        blocked=None, waits_for=None, waits_since=None, no_return_until=None, entered_height_m=p.seen_height_m, way_s=None,
+        p, state=change.target, since=change.at, reason=change.reason, kept=None, held=None, held_yaw_rad=None,
+        entered_height_m=p.seen_height_m,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:
@@ -246,7 +205,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
             again = change.source is not State.COMMIT
             p = replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
-            p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)
+            p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
         case Event.NO_CONDITIONS:
             p = replace(p, refusing=True)
         case Event.CLEAR:
@@ -267,8 +226,6 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
             p = replace(p, fault=change.reason)
-        case State.SEARCH:
-            p = replace(p, search_leg=0)
         case _:
             pass
     return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
@@ -283,6 +240,6 @@ def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
     return replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
-        heading=HeadingMemory(), turned=None, newest_track=None, was_silent=False, course=HeldCourse(),
+        heading_rad=None, turned=None, was_silent=False, course=HeldCourse(),
         climbed_m=0.0, deck_rise_m=0.0,
     )  # fmt: skip

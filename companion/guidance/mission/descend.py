@@ -1,0 +1,168 @@
+"""INTERCEPT and DESCEND: fly over the pad at height, then down in the cone over it.
+
+The nearer to the cone's axis, the faster the descent. Outside it by more than a gust the drone comes back over the pad
+(INTERCEPT) before it descends further; at its lower end it is at the gate (GATE). Both share the time of one attempt over all
+their visits. Without sight they hold still (HOLD_BLIND); a limit, or the time, ends the attempt with a go-around.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec.structs import replace
+
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
+from companion.guidance.mission import limits, rules, thesis
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.holding import Aimed, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import TRY, Phase
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.rules import EventWithReason
+from companion.settings.guidance import GuidanceOptions
+from companion.settings.mission import ConeOptions
+from estimator.contracts.commands import Command
+from estimator.contracts.time import seconds_between
+
+INSIDE = 1.2
+"""The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""
+OUT = 2.0
+"""(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
+_LEAST_HEIGHT_M = 0.15
+_TAPER_1_S = 1.0
+"""Rate per metre of height left over the gate."""
+_AT_GATE_M = 0.08
+_ENDS_S, _SANK_M = 0.4, 0.1
+"""Time that a way down takes to end at a height that is kept, and the least that the drone has sunk below that."""
+
+
+def radius_m(height_m: float, options: ConeOptions) -> float:
+    """Return the cone's radius at a height over the deck, m: that at which the descent would all but end."""
+    return options.slope * max(_LEAST_HEIGHT_M, height_m)
+
+
+def inside(error_m: float, height_m: float, options: ConeOptions) -> bool:
+    """Return whether the drone may descend at all."""
+    return error_m < math.sqrt(INSIDE) * radius_m(height_m, options)
+
+
+def outside(error_m: float, height_m: float, options: ConeOptions) -> bool:
+    """Return whether the drone has left the cone by more than a gust."""
+    return error_m > math.sqrt(OUT) * radius_m(height_m, options)
+
+
+def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends_m: float) -> float:
+    """Return the rate against the deck, m/s, down positive; it falls to zero at the least height and is negative below it.
+
+    Args:
+        error_m: distance from the axis.
+        height_m: height over the deck.
+        ends_m: the height at which the descent ends.
+    """
+    share = INSIDE - (error_m / radius_m(height_m, options)) ** 2
+    rate = options.descent_rate_m_s * max(-1.0, min(1.0, share))
+    return min(rate, _TAPER_1_S * (height_m - ends_m))
+
+
+def try_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield the conditions that end an attempt on its way down."""
+    yield from rules.too_windy(p, s, o)
+    yield from rules.outrun(p, s, o)
+    yield from rules.answers_late(p, s, o)
+    yield from rules.imu_late(p, s, o)
+
+
+def spend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Charge a guidance cycle to the time that all visits of the state share."""
+    return replace(p, attempt=p.attempt.spend(p.state, p.since_last_s))
+
+
+def _sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that a drone which keeps its height sinks onto the deck; None while it does not."""
+    if o.mission == "thesis" or p.since is None or s.estimate is None or not rules.reaches_deck(s.estimate, s, o, _ENDS_S):
+        return None
+    sank_m = p.entered_height_m - s.estimate.height_m
+    return Reason(ReasonCause.SANK_AGAINST, sank_m, round(seconds_between(p.since, s.at), 1)) if sank_m >= _SANK_M else None
+
+
+def _over_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    yield from rules.other_pad(p, s, o)
+    yield from try_ends(p, s, o)
+    if (limit := rules.try_over(p, s, o) or _sank(p, s, o)) is not None:
+        yield Event.LIMIT, limit
+    yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s, s.thing)
+    if (estimate := rules.fit_estimate(p, s, o)) is None:
+        yield from rules.sight_lost(p, s, o)
+    elif o.mission == "thesis":
+        yield from thesis.over_pad(s, o, estimate)
+    else:
+        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+        if inside(error_m, height_m, o.cone) and (rules.bars_descent(p, s, o) or s.thing) is None:
+            yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m(height_m, o.cone))
+
+
+def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    yield from rules.other_pad(p, s, o)
+    yield from try_ends(p, s, o)
+    if (limit := rules.try_over(p, s, o) or rules.bars_descent(p, s, o) or s.thing) is not None:
+        yield Event.LIMIT, limit
+    yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s)
+    if (estimate := rules.fit_estimate(p, s, o)) is None:
+        yield from rules.sight_lost(p, s, o)
+    elif o.mission == "thesis":
+        yield from thesis.down(s, o, estimate)
+    else:
+        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+        if outside(error_m, height_m, o.cone):
+            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m(height_m, o.cone))
+        if height_m <= o.cone.gate_m + _AT_GATE_M:
+            yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
+
+
+def _aim_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    estimate = s.estimate
+    if estimate is None:
+        return still(p, s, o)
+    yaw = turn_rad(s, o, estimate)
+    if o.mission == "thesis":
+        return p, thesis.target(o.thesis.approach_height_m, o.thesis, yaw)
+    # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
+    wide_m = min(o.tries.safe_height_m, limits.beside_m(estimate, s.knowledge) / o.cone.slope)
+    over = np.array([*s.knowledge.aim_level, max(min(estimate.height_m, p.entered_height_m), wide_m, waits_m(s, o))])
+    speed = o.cone.intercept_speed_m_s
+    return p, Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=yaw)
+
+
+def _aim_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    estimate = s.estimate
+    if estimate is None:
+        return still(p, s, o)
+    yaw = turn_rad(s, o, estimate)
+    if o.mission == "thesis":
+        return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
+    least_m = waits_m(s, o)
+    rate = descent_rate_m_s(limits.beside_m(estimate, s.knowledge), estimate.height_m, o.cone, least_m)
+    over = np.array([*s.knowledge.aim_level, least_m])
+    return p, Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s, yaw_rad=yaw)
+
+
+def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
+    lower = p.state is State.DESCEND or o.mission == "thesis"
+    return command if lower and unfit(s.estimate, s.at, o.stale_after_s) is None else not_lower(command, p, s, o)
+
+
+PHASES = {
+    State.INTERCEPT: Phase(
+        "Flying over the pad at height.", {**TRY, Event.IN_CONE: State.DESCEND}, _over_pad, _aim_over, spend, _allows
+    ),
+    State.DESCEND: Phase(
+        "Descending in the cone over the pad.",
+        {**TRY, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
+        _down,
+        _aim_down,
+        spend,
+        _allows,
+    ),
+}

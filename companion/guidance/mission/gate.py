@@ -1,0 +1,127 @@
+"""GATE: follow the deck just above it until every limit holds for a while.
+
+The gate is the last place to wait. What keeps it shut stands before the operator for some seconds, `blocked` may change with
+every cycle. The drone waits higher before waves that it could not climb away from in time. It commits when all limits of
+`limits.gate` have held for the dwell (COMMIT), goes back up the cone when a gust takes it out (DESCEND), and around when its
+time is over. A contact here, near the centre, is the landing (PRESS): nothing is won by a climb from a deck that came up to it.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
+from companion.guidance.mission import contact, limits, rules, thesis
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.descend import outside, radius_m, spend, try_ends
+from companion.guidance.mission.holding import Aimed, agreed, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import TRY, Phase
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.rules import EventWithReason
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Command
+from estimator.contracts.time import MonoNs, seconds_between
+
+_OVER_GATE_M = 0.3
+_TILTS_FAR = 3.0
+"""Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
+_REASON_STANDS_S = 2.0
+"""Time for which a cause of the shut gate stands before the operator, s."""
+_AWAY_M_S = 5.0
+"""Largest rate against the deck with which the drone goes up before a deck that will rise faster than it can climb: no limit."""
+
+
+class Gate(Struct, frozen=True):
+    """The memory of a visit to the gate."""
+
+    good_since: MonoNs | None = None
+    """Time since which every limit has held without a break."""
+    blocked: Reason | None = None
+    """Reason that keeps the gate shut in the newest cycle."""
+    waits_for: Reason | None = None
+    """Blocking reason that is shown to the operator. It is held for some time."""
+    waits_since: MonoNs | None = None
+    """Time since which the reason has been the same."""
+
+
+def gate_of(p: Progress) -> Gate:
+    """Return what this visit to the gate remembers."""
+    return p.kept if isinstance(p.kept, Gate) else Gate()
+
+
+def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Note what keeps the gate shut, and since when nothing does."""
+    p, gate, blocked = spend(p, s, o), gate_of(p), _blocked(p, s, o)
+    if blocked is None:
+        return replace(p, kept=replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since))
+    if gate.waits_since is None or seconds_between(gate.waits_since, s.at) >= _REASON_STANDS_S:
+        gate = replace(gate, waits_for=blocked, waits_since=s.at)
+    tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
+    # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
+    refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
+    return replace(p, kept=replace(gate, blocked=blocked, good_since=None), refusing=refusing)
+
+
+def _blocked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    estimate = s.estimate
+    if (lost := unfit(estimate, s.at, o.stale_after_s)) is not None or estimate is None:
+        return lost
+    if o.mission == "thesis":
+        return thesis.bars_gate(estimate, o) or s.unseen
+    of_try, aligned = limits.of_try(o.limits, p.go_arounds), o.tries.heading == "align"
+    return limits.gate(s.at, estimate, s.knowledge, s.quality, of_try, o.cone, aligned=aligned) or s.unseen
+
+
+def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    yield from rules.other_pad(p, s, o)
+    yield from contact.stays(p, s, o)
+    yield from try_ends(p, s, o)
+    if (limit := rules.try_over(p, s, o) or rules.windy(p, s) or s.thing) is not None:
+        yield Event.LIMIT, limit
+    gate = gate_of(p)
+    yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.cone.gate_s, gate.blocked)
+    if (estimate := rules.fit_estimate(p, s, o)) is None:
+        yield from rules.sight_lost(p, s, o)
+        return
+    if o.mission == "thesis":
+        yield from thesis.left_gate(estimate, o)
+    else:
+        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+        if outside(error_m, height_m, o.cone) or height_m > o.cone.gate_m + _OVER_GATE_M:
+            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m(height_m, o.cone))
+    dwell_s = o.thesis.final_dwell_s if o.mission == "thesis" else o.cone.gate_dwell_s
+    if gate.good_since is not None and seconds_between(gate.good_since, s.at) >= dwell_s:
+        yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
+
+
+def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    estimate = s.estimate
+    if estimate is None:
+        return still(p, s, o)
+    yaw = turn_rad(s, o, estimate)
+    if o.mission == "thesis":
+        return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
+    least_m = waits_m(s, o)
+    rate_max = o.tries.climb_m_s if least_m == o.cone.gate_m or estimate.height_m > least_m else _AWAY_M_S
+    return p, Target(np.array([*s.knowledge.aim_level, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
+
+
+def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    lower = agreed(s, o) and unfit(s.estimate, s.at, o.stale_after_s) is None
+    return command if lower else not_lower(command, p, s, o)
+
+
+PHASES = {
+    State.GATE: Phase(
+        "Following the deck just above it until every limit holds.",
+        {**TRY, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.DESCEND, Event.GATE_OPEN: State.COMMIT},
+        _events,
+        _aim,
+        _note,
+        _allows,
+    ),
+}

@@ -1,0 +1,163 @@
+"""PRESS and DOWN: press on level after the contact, then order the vehicle to stop its motors, in every cycle.
+
+The press gives a witness that contradicts the contact its time: the drone presses on for as long as the rest of the way would
+take, and for as long as the descent goes on. In wind it presses on for less, with its lean, for wind drags a vehicle over the
+deck while its rotors carry a part of the weight. Motors stop by force only where the deck was felt and another witness finds it
+there; otherwise the vehicle's own landing does it. A vehicle that is in the air again, or below the deck, goes around, but no
+more often than `BOUNCES_MOST` times: then it stays down. The thesis' way comes to DOWN in the air, and its own rules end it.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.controller import Target
+from companion.guidance.mission import contact, limits, rules, thesis
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.holding import Aimed, descending
+from companion.guidance.mission.phase import AROUND, LANDING, Phase
+from companion.guidance.mission.progress import BOUNCES_MOST, Progress
+from companion.guidance.mission.rules import EventWithReason
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Command, Land, Lean
+from estimator.contracts.time import seconds_between
+
+_PRESS_IN_WIND = 0.5
+"""Share of the time for which it presses on that is left in wind."""
+_RISES_M_S = 0.1
+"""Speed from the deck at which a drone has left it, m/s; one that stands is estimated to move by half of that."""
+_BELOW_DECK_M = 0.6
+"""A drone on deck without sight may be estimated some decimetres away from it."""
+_OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
+"""A height this far over the gate's, by this many standard deviations, is too high for a vehicle that stands on the deck."""
+_FRESH_S = 0.2
+"""Age of a sighting up to which it shows that the drone has left the deck, s."""
+
+
+class Press(Struct, frozen=True):
+    """The memory of a press."""
+
+    way_s: float
+    """Time from the contact after which the feet are at the deck by what contradicts it, s."""
+
+
+def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    if not isinstance(p.kept, Press):
+        return replace(p, kept=Press(contact.way_s(s, o)))
+    estimate, since = s.estimate, p.since
+    # What no frame shows any more is reckoned with an accelerometer that the contact may have shaken.
+    seen_since = estimate is not None and since is not None and estimate.sighted > since and estimate.age_s(s.at) <= _FRESH_S
+    left_s = contact.way_s(s, o, contact.NEAR_M) if seen_since else 0.0
+    return p if left_s <= 0.0 else replace(p, kept=Press(max(p.kept.way_s, p.in_state_s(s.at) + left_s)))
+
+
+def _rises(s: GuidanceCycle) -> bool:
+    """Return whether the drone goes up from the deck: its own landing would have to begin in the air."""
+    estimate = s.estimate
+    return estimate is not None and not estimate.alerts and estimate.v_pad_level.item(2) > _RISES_M_S
+
+
+def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return the reason if it is in the air again after the contact; only a fresh sight of the pad shows it."""
+    estimate, most_m = s.estimate, o.cone.gate_m + _OFF_DECK_M
+    if estimate is None or estimate.track != p.track or unfit(estimate, s.at, _FRESH_S) is not None:
+        return None
+    surely_m = estimate.height_m - _OFF_DECK_SIGMAS * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
+    if surely_m - o.cone.feet_below_m > contact.NEAR_M:
+        # Lower it may be left to come down again, where it comes down on the pad.
+        x, y, _ = estimate.d_body_pad_level.tolist()
+        vx, vy, _ = estimate.v_pad_level.tolist()
+        falls_s = (estimate.height_m - o.cone.feet_below_m) / o.cone.commit_rate_m_s
+        if math.hypot(x + falls_s * vx, y + falls_s * vy) > limits.ON_PAD * o.limits.commit_error_m:
+            most_m = min(most_m, o.cone.feet_below_m + contact.NEAR_M)
+    return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
+
+
+def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    past_m = 0.0 if s.estimate is None else -s.estimate.height_m
+    if past_m > _BELOW_DECK_M:
+        # It was swept off the pad, and would go down into the water.
+        return Reason(ReasonCause.PAST_DECK, past_m)
+    if p.state is State.DOWN and o.mission == "thesis":
+        return thesis.ends_landing(p, s, o)
+    return None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o)
+
+
+def _presses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    in_state_s, way_s = p.in_state_s(s.at), p.kept.way_s if isinstance(p.kept, Press) else 0.0
+    press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
+    press_s = max(o.cone.press_s + press_s if _rises(s) else press_s, way_s)
+    if in_state_s >= press_s and not contact.descends(s, o):
+        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, press_s)
+    if (limit := _limit(p, s, o)) is not None:
+        yield Event.LIMIT, limit
+    yield from rules.time_over(in_state_s, o.cone.press_s + o.cone.commit_s)
+
+
+def _stops(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    yield from rules.other_pad(p, s, o)
+    if (limit := _limit(p, s, o)) is not None:
+        yield Event.LIMIT, limit
+    if (spent_s := p.in_state_s(s.at)) > o.land_timeout_s:
+        yield Event.TIMEOUT, Reason(ReasonCause.NO_LANDING, spent_s, o.land_timeout_s)
+
+
+def _press(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    estimate = s.estimate
+    # Sightings of the last decimetre are wrong often, and what was known before them still holds for so short a time.
+    if estimate is None or estimate.alerts or s.unflown:
+        # A vehicle of which nothing fit is known is not held on a deck that falls: it lands by itself, and no motor is stopped by
+        # force before it has pressed.
+        return p, Land(on_deck=o.mission != "thesis" and estimate is None and _felt(p, s, o))
+    level = np.array(estimate.d_body_pad_level)
+    # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
+    level_off = None if s.wind is not None and s.wind.drags else 0.0
+    return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=level_off)
+
+
+def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    # The thesis' way ends in the air; every other one comes here by a contact.
+    return p, Land(on_deck=o.mission != "thesis" and _felt(p, s, o))
+
+
+def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether the deck was felt and another witness finds it there: only then do the motors stop by force.
+
+    That is a range, or the newest height by sight less the way that the commit has made since. Without one the vehicle lands by
+    itself, and finds the deck with its own sensors.
+    """
+    felt = s.knowledge.impact
+    if (p.reckoned is not None and (felt is None or felt.at < p.reckoned)) or off_deck(p, s, o) is not None:
+        return False
+    if s.range_m is not None and s.range_m - o.cone.feet_below_m <= contact.NEAR_M:
+        return True
+    if p.seen is None:
+        return False
+    way_m = o.cone.commit_rate_m_s * min(o.limits.commit_sighting_age_s, seconds_between(p.seen, s.at))
+    return p.seen_height_m - way_m - o.cone.feet_below_m <= contact.NEAR_M
+
+
+def _pressing(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    """Return the command with at least the commit's rate: an estimate that sinks into the deck is no reason to press less."""
+    if not isinstance(command, Lean):
+        return command
+    deck_m_s = 0.0 if s.knowledge.deck is None else s.knowledge.deck.v_level.item(2)
+    return descending(command, max(command.v_level.item(2), o.cone.commit_rate_m_s + deck_m_s))
+
+
+PHASES = {
+    State.PRESS: Phase(
+        "Pressing on level after the contact.",
+        {**LANDING, **AROUND, Event.PRESSED: State.DOWN},
+        _presses,
+        _press,
+        _note,
+        _pressing,
+    ),
+    State.DOWN: Phase("Ordering the vehicle to stop its motors, in every cycle.", {**LANDING, **AROUND}, _stops, _down),
+}

@@ -1,0 +1,149 @@
+"""Events that can end more than one state, each with its reason. Every state's file names those that hold in it."""
+
+import math
+from collections.abc import Callable, Iterator
+
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.law.response_watch import DELAY_MAX_S
+from companion.guidance.mission.clearance import SWELL_MEAN_S
+from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.held_course import LASTS_S
+from companion.guidance.mission.limits import battery_ends
+from companion.guidance.mission.progress import Progress
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.estimates import IntegrityAlert, RelativeState
+from estimator.contracts.time import seconds_between
+
+EventWithReason = tuple[Event, Reason]
+Events = Callable[[Progress, GuidanceCycle, GuidanceOptions], Iterator[EventWithReason]]
+"""A function that yields what happens in a guidance cycle, the most important first."""
+
+_SPENT_WAIT_S = 8.0
+"""Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
+_WIND_DWELL_S = 2.0
+"""Time for which the wind must be too strong before anything is done about it, s."""
+_DEVIATES_MOST = 0.12
+"""Standard deviation of a height, m, or its rate, m/s, that counts at most: a path without the IMU hardly knows them."""
+
+
+def unfit_here(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return why the estimate is not fit to steer by in the present state, or None; in the commit the sighting may be older."""
+    stale_s = max(o.stale_after_s, o.limits.commit_sighting_age_s) if p.state is State.COMMIT else o.stale_after_s
+    return unfit(s.estimate, s.at, stale_s)
+
+
+def fit_estimate(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> RelativeState | None:
+    """Return the estimate if it is fit to steer by in the present state."""
+    return s.estimate if unfit_here(p, s, o) is None else None
+
+
+def other_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the estimate is of another pad than the one that this attempt flies to."""
+    if s.estimate is not None and p.track is not None and s.estimate.track != p.track:
+        yield Event.OTHER_PAD, Reason(ReasonCause.ANOTHER_PAD)
+
+
+def pad_seen(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that there is an estimate to fly by."""
+    if (estimate := fit_estimate(p, s, o)) is not None:
+        yield Event.SIGHT, Reason(ReasonCause.PAD_SEEN, estimate.height_m)
+
+
+def sight_lost(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that there is none."""
+    if (lost := unfit_here(p, s, o)) is not None:
+        yield Event.SIGHT_LOST, lost
+
+
+def time_over(spent_s: float, limit_s: float, reason: Reason | None = None) -> Iterator[EventWithReason]:
+    """Yield that a state's time is over, for a better reason than that if there is one."""
+    if spent_s > limit_s:
+        yield Event.TIMEOUT, reason or Reason(ReasonCause.STATE_TIME, spent_s, limit_s)
+
+
+def landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that the time of the whole landing is used up, or None while it is not."""
+    spent_s = 0.0 if p.landing_began is None else seconds_between(p.landing_began, s.at)
+    return Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s) if spent_s > o.tries.landing_s else None
+
+
+def against_order(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return the reason if the height moves against the order, or None."""
+    if not p.in_sight or s.estimate is None or (against_m := p.course.against_m(s.at, s.estimate.height_m)) is None:
+        return None
+    return Reason(ReasonCause.ROSE_AGAINST if p.course.sign > 0 else ReasonCause.SANK_AGAINST, against_m, LASTS_S)
+
+
+def try_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return what ends an attempt in each state of its way to the gate, or None."""
+    if o.tries.heading == "align" and p.turned is not None:
+        return p.turned
+    return landing_over(p, s, o) or p.attempt.used_up(o.tries, s.at) or s.off_orders or against_order(p, s)
+
+
+def reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOptions, within_s: float) -> bool:
+    """Return whether a drone may be at the deck before a climb begins. Whose deck it is does not matter then."""
+    if estimate is None:
+        return False
+    height_m = estimate.height_m - min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(2, 2)))
+    rises_m_s = min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(5, 5))) - estimate.v_pad_level.item(2)
+    return min(height_m, math.inf if s.range_m is None else s.range_m) - o.cone.feet_below_m < rises_m_s * within_s
+
+
+def windy_s(p: Progress, s: GuidanceCycle) -> float:
+    """Return the time for which the wind has been beyond what the vehicle can fly, s."""
+    return 0.0 if p.windy_since is None else seconds_between(p.windy_since, s.at)
+
+
+def windy(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return that the wind is too strong, once that has stood for longer than a gust."""
+    if s.wind is None or windy_s(p, s) < _WIND_DWELL_S:
+        return None
+    detail = f"gusts of {s.wind.gust_m_s:.1f}, {math.degrees(s.wind.lean_rad):.0f} degrees of lean"
+    return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, detail)
+
+
+def bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return the wind that bars the way down to the gate: near the deck one that takes the whole tilt, higher up none.
+
+    The wind grows with the height. A drone that holds in the cone finds less of it below, and one that does not leaves the cone.
+    The room for gusts is the gate's matter.
+    """
+    low = p.seen_height_m < o.tries.safe_height_m
+    return windy(p, s) if low and s.wind is not None and s.wind.spent else None
+
+
+def conditions_count(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
+    """Return whether wind and waves can end the tries: with a battery that ends, a pad in sight is the nearest way down."""
+    return not battery_ends(s.battery, o) or unfit_here(p, s, o) is not None
+
+
+def too_windy(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the wind will not pass within this flight."""
+    if s.wind is None or not conditions_count(p, s, o) or (wind := windy(p, s)) is None:
+        return
+    waited_s = windy_s(p, s)
+    blind_s = 0.0 if p.in_sight else waited_s if p.seen is None else min(waited_s, seconds_between(p.seen, s.at))
+    if waited_s > o.limits.wind_wait_s or (s.wind.spent and blind_s > _SPENT_WAIT_S):
+        yield Event.NO_CONDITIONS, wind
+
+
+def outrun(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that a drone would wait for this swell as high as it goes around. One large wave alone is no such swell."""
+    outrun_m = s.knowledge.outrun_m
+    watched = s.knowledge.swell_watched_s >= SWELL_MEAN_S
+    if watched and conditions_count(p, s, o) and o.cone.gate_m + outrun_m > o.tries.safe_height_m:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
+
+
+def answers_late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the vehicle answers too late to be flown."""
+    if s.late_s is not None:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
+
+
+def imu_late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the vehicle's own samples come too late to land by."""
+    if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)

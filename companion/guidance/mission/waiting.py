@@ -1,0 +1,75 @@
+"""States in which no landing is flown: before the order, where a person holds the vehicle, and after the end.
+
+On the ground guidance leaves the vehicle alone. In the air it hovers before the first order, and stays against the deck after a
+pause, an abort, a refusal, or when it gave up; out of the deck's reach it may fly home or elsewhere, as settings say. A drone
+that refused is not lost: a person may begin again, and while the pad is in sight an ending battery is a reason to try once
+more. With the last charge it comes down where it is.
+"""
+
+from collections.abc import Iterator
+
+from companion.base.mission import Event, State
+from companion.base.reason import Reason, ReasonCause
+from companion.guidance.mission import out_of_reach
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
+from companion.guidance.mission.holding import Aimed, still_as_ordered
+from companion.guidance.mission.phase import FLIGHT, HELD, Phase, Row
+from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.rules import EventWithReason, unfit_here
+from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.commands import Hover, Land
+
+_ENDS_AFTER_S = 2.0
+"""Time after a refusal before a battery that ends is a reason to try again, s."""
+
+
+def ends_here(p: Progress, o: GuidanceOptions, hold: VehicleHold) -> bool:
+    """Return whether a drone that refused comes down where it is before it falls; an AR.Drone has no other place to fly to."""
+    refused = p.state in (State.REFUSED, State.GAVE_UP) and not p.stood
+    return refused and o.last_charge > 0.0 and (o.refused == "hold" or not hold.over_ground)
+
+
+def _battery_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the battery of a drone that refused will not last while the pad is in sight; what stands does not take off."""
+    if p.stood or p.in_state_s(s.at) < _ENDS_AFTER_S or s.battery is None or unfit_here(p, s, o) is not None:
+        return
+    if o.last_charge < s.battery < o.limits.battery:
+        yield Event.BATTERY_ENDS, Reason(ReasonCause.BATTERY_ENDS, 100.0 * s.battery, 100.0 * o.last_charge)
+
+
+def _refused(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+    if s.battery is not None and s.battery <= o.last_charge and ends_here(p, o, s.hold):
+        return p, Land()
+    if s.off_orders is None and o.refused != "hold" and out_of_reach.out_of_reach(p, s, o):
+        return p, Hover(returns=True) if o.refused == "return" else Hover(elsewhere=o.elsewhere.landing_place)
+    return still_as_ordered(p, s, o)
+
+
+_NEXT: Row = {Event.TAKEN_OFF: State.READY}
+_AGAIN: Row = {**_NEXT, Event.BEGIN: State.SEARCH}
+_TRIES_AGAIN: Row = {**_AGAIN, Event.BATTERY_ENDS: State.SEARCH}
+
+PHASES = {
+    State.STANDBY: Phase(
+        "The vehicle is on the ground, or its state is unknown; no landing is ordered.",
+        {Event.BEGIN: State.WAIT, Event.TAKEN_OFF: State.READY, Event.ABORT: State.ABORTED},
+    ),
+    State.WAIT: Phase(
+        "A landing was requested; the vehicle does not fly yet.",
+        {Event.PAUSE: State.STANDBY, Event.TAKEN_OFF: State.SEARCH, Event.ABORT: State.ABORTED},
+    ),
+    State.READY: Phase(
+        "Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it.",
+        {**FLIGHT, Event.BEGIN: State.SEARCH},
+    ),
+    State.PAUSED: Phase("Held still by the operator.", {**HELD, Event.BEGIN: State.SEARCH}, aim=still_as_ordered),
+    State.LANDED: Phase("The vehicle is on the ground after our order.", _NEXT),
+    State.LANDED_BY_OTHERS: Phase("The vehicle is on the ground without our order.", _NEXT),
+    State.REFUSED: Phase("Held still: the conditions are beyond the limits.", _TRIES_AGAIN, _battery_ends, _refused),
+    State.GAVE_UP: Phase(
+        "Held still: the pad was not found, or the attempts are used up.", _TRIES_AGAIN, _battery_ends, _refused
+    ),
+    State.ABORTED: Phase("Held still: the operator ended the flight.", _NEXT, aim=still_as_ordered),
+    State.TAKEN: Phase("Left alone: a failsafe of the autopilot or a person flies the vehicle.", _AGAIN),
+    State.EMERGENCY: Phase("The vehicle cut its motors.", _NEXT),
+}
