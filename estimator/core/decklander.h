@@ -51,7 +51,7 @@ enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_
 /* ---- filter/: the error-state filter ---- */
 
 /* The parts of the filter's state by their first index, and its size. estimator.ekf.state describes them. */
-enum filter_state {
+enum dl_filter_state {
     DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
     DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,
     DL_BARO_OFFSET = 46, DL_ATT_BIAS = 47, DL_RANGE_OFFSET = 49, DL_WAVE_YAW = 50, DL_TURN_RATE = 51, DL_N = 52,
@@ -272,13 +272,19 @@ typedef struct {
     /* The same of one frame: a sighting's method. */
     uint64_t method;
     union {
+        /* Of an IMU event. */
         dl_imu imu;
+        /* Of an attitude event. */
         dl_attitude attitude;
+        /* Of a body velocity. */
         dl_velocity velocity;
+        /* Of a range or a barometer's height. */
         dl_distance distance;
+        /* Of a report of the vessel's motion. */
         dl_vessel_report vessel;
+        /* Of a sighting of the pad. */
         dl_sighting sighting;
-    } sample;
+    } sample; /* The measurement. */
 } dl_event;
 
 /* What became of an event. */

@@ -5,7 +5,7 @@ import numpy as np
 from estimator.core import abi
 from estimator.core.library import CORE
 
-_FIRST = CORE.names("filter_state")
+_FIRST = CORE.names("dl_filter_state")
 
 
 def _part(name: str) -> slice:
