@@ -49,16 +49,13 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection, PadCheck, PadThing
 from estimator.vision.regions import PaintedDisc, PaintedRing, outlines_of
 from tests.fly import record_to
+from tests.make import ns
 from tests.support.shipped import shipped_pad
 
 CAMERA = Camera(
     320, 180, 187.3, 187.3, 159.5, 89.5, np.zeros(5), Transform(Rotation.from_rpy(0, 0, math.pi / 2), np.array([0.15, 0, 0]))
 )
 PAD = shipped_pad("thesis")
-
-
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
 
 
 def truth_at(t):

@@ -14,13 +14,10 @@ from companion.settings.rendezvous import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import Stamp
+from tests.make import ns
 
 HARBOUR = GeoPoint.of_degrees(54.4, 10.2, 0.0)
-
-
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
 
 
 def stamp(t: float, late_s: float = 0.0) -> Stamp:
