@@ -27,21 +27,8 @@ _HELD = "if (b->t_imu >= 0 && b->t < held_until && held_until < t) {"
 _DRIVEN = tuple(f"for (int {i} = {j} / 2 * 2; {i} < STATES; {i}++) {{" for i, j in ("ji", "li", "lj"))
 _SPANS = "const int64_t i = forecast ? span(course, age) : 0, k = forecast ? span(course, until) : 0;"
 _ROTATED = "const double t = (theta < 0.0 ? -1.0 : 1.0) / (fabs(theta) + hypot(theta, 1.0)), c = 1.0 / hypot(t, 1.0), s = t * c;"
-_ONE_BY_ONE = "what goes together goes one by one, to the same end"
-_UNREAD = "nobody reads the outcomes that are too many"
 _LINEAR = "the line ends there and the other begins"
 EQUIVALENT: dict[str, dict[str, str]] = {
-    "estimator/ekf/history.py": {
-        "if history.leapt is not None  ->  if True": "an absent row of leaps stays absent",
-        "stamp.received_at > history.received_at  ->  stamp.received_at >= history.received_at": "they are a leap apart",
-        "len(entries) > 1  ->  len(entries) >= 1": _ONE_BY_ONE,
-        "True  ->  False": "every event has an outcome",
-        "if out[i][-1][1] is not row  ->  if False": "what is of another row stays as it is",
-        "len(chunks[-1]) < _CHUNK  ->  len(chunks[-1]) <= _CHUNK": "a full chunk is split off again",
-        "gone < len(first)  ->  gone > len(first)": _ONE_BY_ONE,
-        "if len(outcomes) < wanted and row  ->  if True": _UNREAD,
-        "if len(outcomes) < wanted  ->  if True": _UNREAD,
-    },
     "companion/guidance/mission/descend.py": {
         "error_m < math.sqrt(INSIDE) * radius_m(height_m, options)"
         "  ->  error_m <= math.sqrt(INSIDE) * radius_m(height_m, options)": _ROUNDED,

@@ -37,7 +37,6 @@ from estimator.vision.pad import Pad
 
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S, _REPEAT_S, _ELLIPSOID_S = 0.02, 1.0, 0.1
-_SAMPLES = (Imu, Attitude, GimbalAttitude, BodyVelocity, Range, Baro, VesselReport, GeoFix, VehicleStatus)
 
 
 class MessageEncoder:

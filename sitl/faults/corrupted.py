@@ -23,8 +23,6 @@ Signal = Literal[
 SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late", "doubled", "swapped", "sign"]
 SIGNALS: tuple[Signal, ...] = get_args(Signal)
 ERRORS: tuple[SignalError, ...] = get_args(SignalError)
-PACKETS = frozenset({"samples", "frames"})
-"""Signals whose whole packets are late or doubled, and not their values; commands have both."""
 UNSIZED = frozenset({"frozen", "doubled", "swapped", "sign"})
 """Errors that have no size."""
 LATE_MAX_S = 2.0

@@ -112,11 +112,6 @@ def agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
     return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
 
 
-def as_ordered(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
-    """Return the controller's command as it is."""
-    return command
-
-
 def not_lower(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
     """Return the controller's command as far as what is known of the pad allows it: no lower without need and sight."""
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and agreed(s, o)
