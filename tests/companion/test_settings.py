@@ -216,6 +216,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)
     guidance.setdefault("rendezvous", {}).update(reached_m=1.0, range_m=8.0, spacing_m=2.0, extent_m=10.0)
     guidance.setdefault("tries", {}).update(climb_after_s=1.0, give_up_after_s=9.0)
+    guidance.setdefault("elsewhere", {}).update(latitude_deg=54.0, longitude_deg=8.0, height_m=20.0)
     guidance.setdefault("cone", {}).update(gate_height_m=0.3, commit_rate_m_s=0.4, commit_s=3.0)
     return from_mapping(data, "drawn")
 

@@ -16,6 +16,7 @@ from estimator.integrity import inertial
 from estimator.integrity.inertial import Differences, Inertial, Usual
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.parity import Bin, Half, Slope, TurnByAttitude, Vec3, read_half, replace_halves, turn_between
+from tests.make import stamp_at
 
 OPTIONS = IntegrityOptions()
 DT, BEGIN_S, LATE_S = 0.01, 2.0, 0.12
@@ -334,12 +335,8 @@ MS = 1_000_000
 T = 5_000_000_000
 
 
-def stamp(t: int) -> Stamp:
-    return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
-
-
 def attitude(t: int, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Attitude:
-    return Attitude(stamp(t), Rotation.from_rpy(roll, pitch, yaw), 1e-4 * np.eye(3))
+    return Attitude(stamp_at(t), Rotation.from_rpy(roll, pitch, yaw), 1e-4 * np.eye(3))
 
 
 def frozen_after(values: list[bytes], step_ms: int, flying: bool = True) -> list[bool]:
@@ -380,7 +377,7 @@ def test_a_sensor_of_coarse_steps_gets_the_time_that_it_has_needed_before() -> N
 def test_the_turn_between_two_attitudes_is_their_rotation_vector(turn: list[float], yaw: float) -> None:
     first = Rotation.from_rpy(0.2, -0.1, yaw)
     second = first @ Rotation.from_rotvec(np.array(turn))
-    a, b = (Attitude(stamp(T), R, 1e-4 * np.eye(3)) for R in (first, second))
+    a, b = (Attitude(stamp_at(T), R, 1e-4 * np.eye(3)) for R in (first, second))
     assert turn_between(a, b) == pytest.approx(tuple(turn), abs=1e-9)
 
 
@@ -388,13 +385,13 @@ def test_a_lost_gyro_is_replaced_by_the_turn_of_the_attitude_while_there_is_one(
     turn = TurnByAttitude()
     for n in range(20):
         turn = turn.after(attitude(T + 5 * n * MS, roll=0.5 * 0.005 * n))
-    imu = Imu(stamp(T + 97 * MS), np.array([9.0, 9.0, 9.0]), np.array([0.1, 0.2, -9.8]))
+    imu = Imu(stamp_at(T + 97 * MS), np.array([9.0, 9.0, 9.0]), np.array([0.1, 0.2, -9.8]))
     left = replace_halves(imu, 0.005, 0.0, turn)
     assert left is not None
     assert left.w_body == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
     assert (left.gyro_lost_s, left.accel_lost_s) == (0.005, 0.0)
     assert left.f_body is imu.f_body
-    late = Imu(stamp(T + 400 * MS), imu.w_body, imu.f_body)
+    late = Imu(stamp_at(T + 400 * MS), imu.w_body, imu.f_body)
     assert replace_halves(late, 0.005, 0.0, turn) is None, "nothing says how it turns by now"
     accel = replace_halves(late, 0.0, 0.155, turn)
     assert accel is not None
