@@ -164,6 +164,21 @@ def out_of_the_collectors_sight() -> None:
         gc.freeze()
 
 
+@pytest.fixture(scope="session")
+def recorded_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Return the recording of 1.5 s of a flight, and the calls that another observer received."""
+    from tests.fly import record_to
+
+    path = tmp_path_factory.mktemp("recorded") / "flight.mcap"
+    return path, record_to(path, seconds=1.5)
+
+
+@pytest.fixture(scope="session")
+def flight_file(recorded_flight: tuple[Path, Any]) -> Path:
+    """Return the recording of a flight alone."""
+    return recorded_flight[0]
+
+
 def share(nodeid: str) -> str:
     """Return the name of the tests that one worker runs in a row: a file or a single test."""
     file = nodeid.partition("::")[0]

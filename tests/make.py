@@ -178,16 +178,31 @@ def estimate(
     return RelativeState(ns(t), path, d, v, yaw, cov, ns(t - age), consistent, track=track, **more)
 
 
-def deck(t: float, v: Vector = (0.0, 0.0, 0.0), a: Vector = (0.0, 0.0, 0.0), *, roll: float = 0.0) -> DeckMotion:
-    """Return the deck's motion in `level`: velocity, m/s, acceleration, m/s^2, and roll, rad."""
-    cov = 0.01 * np.eye(6)
-    return DeckMotion(ns(t), np.array(v, dtype=float), np.array(a, dtype=float), cov, roll, 0, 0, 0, 1e-4 * np.eye(4))
+def deck(
+    t: float,
+    v: Vector = (0.0, 0.0, 0.0),
+    a: Vector = (0.0, 0.0, 0.0),
+    *,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    var: float | Vector = 0.01,
+) -> DeckMotion:
+    """Return the deck's motion in `level`: velocity, m/s, acceleration, m/s^2, and tilt, rad; `var` is that of the motion."""
+    v, a = np.array(v, dtype=float), np.array(a, dtype=float)
+    return DeckMotion(ns(t), v, a, _cov(var, 6), roll, pitch, 0.0, 0.0, 1e-4 * np.eye(4))
 
 
-def body(t: float, a: Vector = (0.0, 0.0, 0.0), w: Vector = (0.0, 0.0, 0.0), reported: Rotation | None = None) -> BodyMotion:
+def body(
+    t: float,
+    a: Vector = (0.0, 0.0, 0.0),
+    w: Vector = (0.0, 0.0, 0.0),
+    reported: Rotation | None = None,
+    *,
+    heading: float = 0.0,
+) -> BodyMotion:
     """Return the body's motion: acceleration in `level`, m/s^2, turn rates in `body`, rad/s, and the attitude that it reports."""
     a, w, cov = np.array(a, dtype=float), np.array(w, dtype=float), 1e-4 * np.eye(3)
-    return BodyMotion(ns(t), 0.0, a, cov, w, reported or Rotation.identity(), cov)
+    return BodyMotion(ns(t), heading, a, cov, w, reported or Rotation.identity(), cov)
 
 
 def vessel_position(

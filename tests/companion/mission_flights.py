@@ -20,35 +20,19 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
-from estimator.contracts.motion import DeckMotion
-from estimator.contracts.samples import VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp
+from tests.make import change, deck, estimate, ns, status
 
 DT = 0.05
 
 
-def ns(seconds: float) -> MonoNs:
-    return MonoNs(round(seconds * 1e9))
-
-
-def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True, sigma=0.01, track=1):
-    cov = sigma**2 * np.eye(7)
-    return RelativeState(ns(t), "ekf", np.array(d, float), np.array(v, float), yaw, cov, ns(t - age), consistent, track=track)
-
-
 def guided(mission="cone", **changes: dict[str, object]) -> GuidanceOptions:
     """Return options with some keys changed, by section: `guided(tries={"go_arounds_max": 1})`."""
-    options = GuidanceOptions(mission=mission)
-    return structs.replace(options, **{name: structs.replace(getattr(options, name), **keys) for name, keys in changes.items()})
+    return change(GuidanceOptions(mission=mission), **changes)
 
 
 def holding(s: GuidanceCycle, over_ground: bool) -> GuidanceCycle:
     """Return the cycle of a vehicle that holds over the ground, or of one that holds against the deck."""
     return structs.replace(s, hold=VehicleHold(over_ground))
-
-
-def status(t: float, flying: bool, emergency: bool = False) -> VehicleStatus:
-    return VehicleStatus(Stamp(ns(t), ns(t), 0.001, "sim"), flying, "flying" if flying else "landed", 0.8, emergency, True)
 
 
 @dataclass
@@ -99,9 +83,8 @@ class PointFlight:
             self.seen_at = self.t
         elif self.seen is not None:
             self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
-        roll = self.rolled(self.t, self.d)
-        deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), roll, 0, 0, 0, 1e-4 * np.eye(4))
-        knowledge = Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact, response=self.response)
+        moves = deck(self.t, self.pad_v, roll=self.rolled(self.t, self.d))
+        knowledge = Knowledge(ns(self.t), self.seen, deck=moves, impact=self.impact, response=self.response)
         s = GuidanceCycle(ns(self.t), knowledge, self.battery, silent_s=self.silent_s)
         self.progress, aim, changes = mission_step(self.progress, holding(s, self.over_ground), self.options)
         self.changes += changes

@@ -12,7 +12,7 @@ from companion.recording import decode
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
-from tests.companion.mission_flights import ns
+from tests.make import ns
 
 NO_FAULT = {
     ReasonCause.VEHICLE_FLIES, ReasonCause.OPERATOR, ReasonCause.AUTOMATIC, ReasonCause.PAD_SEEN, ReasonCause.ARRIVED,

@@ -14,7 +14,8 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import estimate, guided, ns
+from tests.companion.mission_flights import guided
+from tests.make import estimate, ns
 
 NOW = 20.0
 

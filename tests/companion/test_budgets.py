@@ -14,7 +14,8 @@ from companion.guidance.mission.machine import mission_step, take_order, take_st
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Land, Velocity
-from tests.companion.mission_flights import estimate, guided, ns, status
+from tests.companion.mission_flights import guided
+from tests.make import estimate, ns, status
 
 SHORT = guided(tries={"search_s": 10.0, "landing_s": 25.0, "try_s": 12.0, "leg_s": 8.0, "operator_wait_s": 6.0})
 KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")

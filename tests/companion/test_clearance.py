@@ -19,7 +19,7 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
-from tests.companion.mission_flights import estimate, ns
+from tests.make import estimate, ns
 
 CLIMB_M_S = 1.0
 PERIOD_S = 9.0

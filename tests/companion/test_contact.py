@@ -13,7 +13,7 @@ from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.mission_flights import estimate, ns
+from tests.make import estimate, ns
 
 STEP_S, OPTIONS = 0.005, GuidanceOptions()
 

@@ -20,7 +20,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.vision.camera import Camera
-from tests.companion.mission_flights import estimate, ns, status
+from tests.make import estimate, ns, status
 
 SETTINGS = load("sim")
 RESPONSE = response_model(SETTINGS)

@@ -10,14 +10,6 @@ from companion.cli import main as cli
 from companion.recording import rewriting
 from companion.recording.reading import open_recording
 from estimator.contracts.errors import BadInput
-from tests.fly import record_to
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("csv") / "flight.mcap"
-    record_to(path, seconds=1.2)
-    return path
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -25,11 +17,11 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_hold_the_numbers_of_the_recording(flight_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "tables"
-    assert cli.main(["record", "export", str(flown), "--output", str(folder)]) == 0
+    assert cli.main(["record", "export", str(flight_file), "--output", str(folder)]) == 0
     reported = dict(line.rsplit(": ", 1) for line in capsys.readouterr().out.splitlines())
-    beliefs = [e.belief for e in open_recording([flown]).events() if isinstance(e, Decision) and e.belief is not None]
+    beliefs = [e.belief for e in open_recording([flight_file]).events() if isinstance(e, Decision) and e.belief is not None]
     rows = table(folder / "belief_dead_reckoning.csv")
     assert len(rows) == len(beliefs) > 20
     assert reported[str(folder / "belief_dead_reckoning.csv")] == f"{len(rows)} rows"
@@ -45,14 +37,14 @@ def test_tables_hold_the_numbers_of_the_recording(flown: Path, tmp_path: Path, c
     assert not any(name.startswith(("camera", "scene", "tf", "pose")) for name in names), "drawings for viewers are left out"
 
 
-def test_what_cannot_be_written_or_is_damaged_is_reported(flown, tmp_path, monkeypatch, capsys):
+def test_what_cannot_be_written_or_is_damaged_is_reported(flight_file, tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
-    assert cli.main(["record", "export", str(flown), "--output", str(tmp_path / "file")]) == 2
+    assert cli.main(["record", "export", str(flight_file), "--output", str(tmp_path / "file")]) == 2
     assert "cannot write tables there" in capsys.readouterr().err
     monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 5)
     with pytest.raises(BadInput, match="has more than 5 columns"):
-        rewriting.export(open_recording([flown]), tmp_path / "tables")
+        rewriting.export(open_recording([flight_file]), tmp_path / "tables")
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(flown.read_bytes()[:-20_000])
+    cut.write_bytes(flight_file.read_bytes()[:-20_000])
     monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 1000)
     assert rewriting.export(open_recording([cut]), tmp_path / "part")["sample_imu.csv"] > 20

@@ -11,8 +11,8 @@ from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.service.flight_keeper import FlightKeeper, keeper_of, no_modes
 from estimator.contracts.commands import Hover, Velocity
-from tests.companion.mission_flights import ns
 from tests.companion.test_pilot import Cockpit
+from tests.make import ns
 
 
 def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True) -> Cockpit:

@@ -13,7 +13,8 @@ from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.machine import mission_step
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from tests.companion.mission_flights import PointFlight, estimate, guided, holding, ns
+from tests.companion.mission_flights import PointFlight, guided, holding
+from tests.make import estimate, ns
 
 STEP_S = 0.02
 

@@ -33,8 +33,8 @@ from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.ekf import Forecast
-from tests.companion.mission_flights import estimate, ns
 from tests.companion.test_clearance import forecast, swell
+from tests.make import estimate, ns
 
 NOW = 50.0
 LIMITS, CONE = LandingLimits(), ConeOptions()

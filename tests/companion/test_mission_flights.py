@@ -27,7 +27,8 @@ from companion.settings.load import load
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import DT, PointFlight, estimate, guided, holding, ns, status
+from tests.companion.mission_flights import DT, PointFlight, guided, holding
+from tests.make import estimate, ns, status
 
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
 

@@ -22,7 +22,8 @@ from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from tests.companion.mission_flights import estimate, guided, ns
+from tests.companion.mission_flights import guided
+from tests.make import estimate, ns
 
 NOW = 100.0
 OPTIONS = GuidanceOptions()

@@ -12,7 +12,8 @@ from companion.guidance.mission.machine import Transitions, mission_step, take_o
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
-from tests.companion.mission_flights import estimate, holding, ns, status
+from tests.companion.mission_flights import holding
+from tests.make import estimate, ns, status
 
 OPTIONS = GuidanceOptions()
 STAYS_UP = (State.REFUSED, State.GAVE_UP, State.ABORTED, State.EMERGENCY)

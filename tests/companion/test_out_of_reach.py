@@ -20,7 +20,8 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import estimate, holding, ns
+from tests.companion.mission_flights import holding
+from tests.make import estimate, ns
 
 NOW, DT = 100.0, 0.05
 OPTIONS = GuidanceOptions()

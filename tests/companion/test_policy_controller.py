@@ -16,7 +16,7 @@ from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from tests.companion.mission_flights import estimate, ns
+from tests.make import estimate, ns
 
 QUAD = response_from_mapping(read_toml(SHIPPED / "responses" / "quad_1_5kg.toml"), "quad_1_5kg")
 OPTIONS = GuidanceOptions(controller="policy")

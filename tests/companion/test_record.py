@@ -11,32 +11,24 @@ from companion.cli import main as cli
 from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
 from estimator.contracts.samples import Attitude, Imu
-from tests.fly import record_to
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("record") / "flight.mcap"
-    record_to(path, seconds=1.2)
-    return path
-
-
-def test_info_counts_what_there_is(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["record", "info", "--json", str(flown)]) == 0
+def test_info_counts_what_there_is(flight_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["record", "info", "--json", str(flight_file)]) == 0
     info = json.loads(capsys.readouterr().out)
-    assert info["seconds"] == pytest.approx(1.2, abs=0.02)
-    assert info["messages"]["/sample/imu"] == 240
+    assert info["seconds"] == pytest.approx(1.5, abs=0.02)
+    assert info["messages"]["/sample/imu"] == 300
     assert info["frames"] == sum(info["verdicts"].values()) > 25
     assert info["flight"]["scenario"] == "demo"
-    assert cli.main(["record", "info", str(flown)]) == 0
-    assert "     240  /sample/imu" in capsys.readouterr().out
+    assert cli.main(["record", "info", str(flight_file)]) == 0
+    assert "     300  /sample/imu" in capsys.readouterr().out
 
 
-def test_a_cut_file_is_mended_and_replays_like_its_whole_part(flown, tmp_path, capsys):
+def test_a_cut_file_is_mended_and_replays_like_its_whole_part(flight_file, tmp_path, capsys):
     torn, mended = tmp_path / "torn.mcap", tmp_path / "mended.mcap"
-    data = flown.read_bytes()
+    data = flight_file.read_bytes()
     torn.write_bytes(data[: len(data) * 19 // 20])
     assert cli.main(["record", "cut", str(torn), "--output", str(mended)]) == 0
     before, after = open_recording([torn]), open_recording([mended])
@@ -50,10 +42,10 @@ def test_a_cut_file_is_mended_and_replays_like_its_whole_part(flown, tmp_path, c
     assert digests[0] == digests[1]
 
 
-def test_a_part_can_be_thinned_to_its_inputs(flown: Path, tmp_path: Path) -> None:
+def test_a_part_can_be_thinned_to_its_inputs(flight_file: Path, tmp_path: Path) -> None:
     part = tmp_path / "part.mcap"
     words = ["--from", "0.4", "--to", "0.9", "--inputs", "--samples-each", "4", "--frames-each", "3", "--no-frames"]
-    assert cli.main(["record", "cut", str(flown), "--output", str(part), *words]) == 0
+    assert cli.main(["record", "cut", str(flight_file), "--output", str(part), *words]) == 0
     events = list(open_recording([part]).events())
     frames = [e for e in events if isinstance(e, RecordedFrame)]
     assert not any(isinstance(e, Decision) for e in events)
@@ -61,11 +53,11 @@ def test_a_part_can_be_thinned_to_its_inputs(flown: Path, tmp_path: Path) -> Non
     assert len(frames) == pytest.approx(5, abs=1)
     assert all(f.image is None for f in frames)
     assert any(isinstance(e, TruthRecord) for e in events)
-    assert part.stat().st_size < flown.stat().st_size / 10
+    assert part.stat().st_size < flight_file.stat().st_size / 10
 
 
-def test_a_video_and_an_attitude_table_become_a_recording_that_replays(flown, tmp_path, capsys):
-    frames = [e for e in open_recording([flown]).events() if isinstance(e, RecordedFrame)]
+def test_a_video_and_an_attitude_table_become_a_recording_that_replays(flight_file, tmp_path, capsys):
+    frames = [e for e in open_recording([flight_file]).events() if isinstance(e, RecordedFrame)]
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 360))
     lines = ["time_s,roll_deg,pitch_deg,yaw_deg"]
     for i, recorded in enumerate(frames):
@@ -121,9 +113,9 @@ def test_a_capture_and_a_log_go_into_one_recording(tmp_path: Path) -> None:
         (["import", "none.mp4", "--config", "zzz", "--output", "x.mcap"], "there is no file 'zzz'"),
     ],
 )
-def test_wrong_use_is_one_line_and_leaves_nothing(flown, words, said, tmp_path, monkeypatch, capsys):
+def test_wrong_use_is_one_line_and_leaves_nothing(flight_file, words, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["record", *(str(flown) if w == "FLOWN" else w for w in words)]) == 2
+    assert cli.main(["record", *(str(flight_file) if w == "FLOWN" else w for w in words)]) == 2
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1

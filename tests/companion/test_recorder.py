@@ -34,13 +34,13 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls]:
+def png_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls]:
     path = tmp_path_factory.mktemp("recorder") / "flight.mcap"
     return path, record_to(path, seconds=1.2, frames="png")
 
 
-def test_everything_reported_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
-    path, reported = flown
+def test_everything_reported_reads_back_the_same_to_the_bit(png_flight):
+    path, reported = png_flight
     recording = open_recording([path])
     events = list(recording.events())
     assert recording.cut == {}
@@ -82,8 +82,8 @@ def same(a: object, b: object) -> bool:
     return all(same(getattr(a, n), getattr(b, n)) for n in names) if names else a == b
 
 
-def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, ObservedCalls]) -> None:
-    recording = open_recording([flown[0]])
+def test_settings_camera_pad_and_versions_travel_with_it(png_flight):
+    recording = open_recording([png_flight[0]])
     assert recording.settings() == sim_settings()
     camera, pad = recording.camera(), recording.pad()
     assert camera is not None
@@ -93,8 +93,10 @@ def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, Obse
     assert recording.metadata["flight"] == {"scenario": "demo", "seed": "1"}
 
 
-def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(flown: tuple[Path, ObservedCalls]) -> None:
-    with flown[0].open("rb") as stream:
+def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(
+    png_flight: tuple[Path, ObservedCalls],
+) -> None:
+    with png_flight[0].open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
         assert summary is not None
@@ -111,9 +113,9 @@ def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_sc
     assert unseen == {"/sample/vessel", "/sample/gimbal", "/sample/fix", "/link", "/camera/video"} | not_flown | compared, unseen
 
 
-def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, ObservedCalls]) -> None:
+def test_a_player_that_seeks_has_every_transform(png_flight):
     """A player that jumps shows the newest message of each topic before that instant, and nothing else."""
-    with flown[0].open("rb") as stream:
+    with png_flight[0].open("rb") as stream:
         reader = make_reader(stream)
         newest = {
             channel.topic: json.loads(message.data) for _, channel, message in reader.iter_messages() if "/tf" in channel.topic
@@ -144,9 +146,9 @@ def conforms(schema: dict[str, object], value: object, where: str) -> None:
             conforms(items, inner, f"{where}[]")
 
 
-def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
-    data = flown[0].read_bytes()
-    whole = list(open_recording([flown[0]]).events())
+def test_a_file_cut_anywhere_reads_up_to_the_cut(png_flight: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
+    data = png_flight[0].read_bytes()
+    whole = list(open_recording([png_flight[0]]).events())
     counts = []
     for share in (0.3, 0.6, 0.9, 0.999):
         part = tmp_path / "cut.mcap"
@@ -163,8 +165,8 @@ def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, ObservedCall
     assert torn in recording.cut
 
 
-def test_a_flipped_bit_ends_the_reading_and_is_no_traceback(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
-    data = bytearray(flown[0].read_bytes())
+def test_a_flipped_bit_ends_the_reading_and_is_no_traceback(png_flight: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
+    data = bytearray(png_flight[0].read_bytes())
     rng = np.random.default_rng(5)
     for at in rng.integers(200_000, len(data) - 20_000, 12):
         damaged = bytearray(data)

@@ -18,7 +18,7 @@ from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.commands import Velocity
-from tests.companion.mission_flights import estimate, ns, status
+from tests.make import estimate, ns, status
 
 OPTIONS = RendezvousOptions(enabled=True)
 DT = 0.1

@@ -9,7 +9,7 @@ from companion.guidance.mission.cycle import VehicleHold, VesselPosition
 from companion.guidance.mission.search import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
 from companion.settings.rendezvous import RendezvousOptions
 from estimator.contracts.geometry import F64
-from tests.companion.mission_flights import ns
+from tests.make import ns
 
 OPTIONS = RendezvousOptions(
     enabled=True, bearing_deg=180.0, range_m=8.0, height_m=6.0, reached_m=2.0, speed_m_s=3.0, search_speed_m_s=1.0,

@@ -28,13 +28,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.fly import NEAR, ObservedCalls, record_to, sim_settings
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls]:
-    path = tmp_path_factory.mktemp("replay") / "flight.mcap"
-    return path, record_to(path, seconds=1.5)
+from tests.fly import NEAR, ObservedCalls, sim_settings
 
 
 def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -43,15 +37,17 @@ def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dic
     return out
 
 
-def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
-    recording = open_recording([flown[0]])
+def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(
+    recorded_flight: tuple[Path, ObservedCalls],
+) -> None:
+    recording = open_recording([recorded_flight[0]])
     settings = sim_settings()
     reported = ObservedCalls()
     pilot = pilot_of(recording, settings, None, own_camera=True)
     log_observer = BeliefLogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
     replay = Replay(recording, pilot, sightings=True, observers=[log_observer, reported])
     replay.run()
-    assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
+    assert replay.counts.as_recorded == replay.counts.frames == len(recorded_flight[1].frames) > 20
     orders = ["terminal 1: record on: accepted", "terminal 1: clear: accepted"]
     for log in (log_observer.log, log_of(recording, "as recorded")):
         assert [str(each) for each in log.orders] == orders
@@ -61,46 +57,46 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
     for difference in found.values():
         assert difference.both == difference.identical > 40
         assert difference.only_one == 0
-    assert [d.phase for d in reported.decisions] == [d.phase for d in flown[1].decisions]
-    for ours, theirs in zip(reported.decisions, flown[1].decisions, strict=True):
+    assert [d.phase for d in reported.decisions] == [d.phase for d in recorded_flight[1].decisions]
+    for ours, theirs in zip(reported.decisions, recorded_flight[1].decisions, strict=True):
         assert type(ours.command) is type(theirs.command)
         if hasattr(ours.command, "v_level"):
             assert np.array_equal(ours.command.v_level, theirs.command.v_level)  # type: ignore[union-attr]
 
 
-def test_the_same_replay_has_the_same_hash_and_a_change_another(flown, tmp_path, capsys):
-    digests = [replayed(flown[0], capsys=capsys)["passes"][0]["sha256"] for _ in range(2)]
+def test_the_same_replay_has_the_same_hash_and_a_change_another(recorded_flight, tmp_path, capsys):
+    digests = [replayed(recorded_flight[0], capsys=capsys)["passes"][0]["sha256"] for _ in range(2)]
     assert digests[0] == digests[1]
     config = tmp_path / "other.toml"
-    own = open_recording([flown[0]]).attachments["settings.toml"].decode()
+    own = open_recording([recorded_flight[0]]).attachments["settings.toml"].decode()
     config.write_text(re.sub(r"sigma_pad_v_m_s = [0-9.]+", "sigma_pad_v_m_s = 0.7", own))
-    both = replayed(flown[0], "--against", str(config), "--sightings", capsys=capsys)
+    both = replayed(recorded_flight[0], "--against", str(config), "--sightings", capsys=capsys)
     first, second = both["passes"]
     assert first["sha256"] not in (second["sha256"], digests[0])
     assert first["counts"]["as_recorded"] > 20
     against = {d["path"]: d for d in both["against"][str(config)]}
     assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
-    by_key = replayed(flown[0], "--set", "estimator.dead_reckoning.sigma_pad_v_m_s=0.7", "--sightings", capsys=capsys)
+    by_key = replayed(recorded_flight[0], "--set", "estimator.dead_reckoning.sigma_pad_v_m_s=0.7", "--sightings", capsys=capsys)
     assert by_key["passes"][0]["sha256"] == second["sha256"]
     nees = {row["name"]: row["nees"] for row in by_key["passes"][0]["errors"]}
     assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
 
 
-def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(flown, capsys):
+def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(recorded_flight, capsys):
     for text, output in (
         ("guidance.rate=40", "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?"),
         ("guidance.rate_hz=fast", "guidance.rate_hz needs a number, found 'fast'"),
         ("guidance.rate_hz=4000", "guidance.rate_hz must be"),
         ("guidance.rate_hz", "write KEY=VALUE"),
     ):
-        assert cli.main(["replay", str(flown[0]), "--set", text]) == 2
+        assert cli.main(["replay", str(recorded_flight[0]), "--set", text]) == 2
         error = capsys.readouterr().err
         assert output in error
         assert "--set" in error
 
 
-def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(flown, tmp_path, capsys):
-    out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
+def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(recorded_flight, tmp_path, capsys):
+    out = replayed(recorded_flight[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
     done = out["passes"][0]
     assert done["counts"]["searched"] > 20
     errors = {row["name"]: row for row in done["errors"]}
@@ -138,11 +134,11 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     assert not isinstance(again.decisions[-1].command, Land)
 
 
-def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
+def test_without_recorded_guidance_it_runs_at_its_own_rate(recorded_flight: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
     settings, path, reported = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
     options = RecorderOptions(frames="none")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as out:
-        for sample in flown[1].samples:
+        for sample in recorded_flight[1].samples:
             out.on_sample(sample)
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=True), rate_hz=40.0, observers=[reported]).run()
@@ -151,9 +147,9 @@ def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, Ob
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(flown, tmp_path, capsys):
+def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(recorded_flight, tmp_path, capsys):
     part = tmp_path / "cut.mcap"
-    data = flown[0].read_bytes()
+    data = recorded_flight[0].read_bytes()
     part.write_bytes(data[: len(data) * 19 // 20])
     assert cli.main(["replay", str(part), "--sightings"]) == 0
     output = capsys.readouterr().out
@@ -171,15 +167,15 @@ def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(flown, tmp_path, c
         (["--compare", "none.mcap"], "No such file"),
     ],
 )
-def test_wrong_use_is_one_line(flown, words, said, capsys):
-    first = [] if words == ["none.mcap"] else [str(flown[0]), "--sightings"]
+def test_wrong_use_is_one_line(recorded_flight, words, said, capsys):
+    first = [] if words == ["none.mcap"] else [str(recorded_flight[0]), "--sightings"]
     assert cli.main(["replay", *first, *words]) == 2
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1
 
 
-async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flown: tuple[Path, ObservedCalls]) -> None:
+async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(recorded_flight: tuple[Path, ObservedCalls]) -> None:
     from pymavlink.dialects.v20 import ardupilotmega as mav
 
     peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -197,7 +193,7 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
             received_at.extend(listener.parse_buffer(data) or [])
             await loop.sock_sendto(peer, beat.pack(speaker), where)
 
-    words = ["replay", str(flown[0]), "--sightings", "--json", "--realtime", "--path", "median_mean"]
+    words = ["replay", str(recorded_flight[0]), "--sightings", "--json", "--realtime", "--path", "median_mean"]
     words += ["--mavlink", f"udpout://127.0.0.1:{peer.getsockname()[1]}"]
     targets: list[Any] = []
     async with asyncio.TaskGroup() as group:
@@ -213,7 +209,7 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
     peer.close()
     assert len(targets) >= 3
     # Which of the flight's moments was the last to be told depends on how busy the machine is.
-    true = [float(np.linalg.norm(d.shadows[0].d_body_pad_level)) for d in flown[1].decisions if d.shadows]
+    true = [float(np.linalg.norm(d.shadows[0].d_body_pad_level)) for d in recorded_flight[1].decisions if d.shadows]
     assert 0.8 * min(true) < targets[-1].distance < 1.2 * max(true)
     assert math.isfinite(targets[-1].angle_x)
 

@@ -22,11 +22,11 @@ from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion
-from tests.companion.mission_flights import estimate, guided, holding, ns
+from tests.companion.mission_flights import guided, holding
 from tests.companion.test_clearance import forecast, swell
 from tests.companion.test_clearance import knowledge as rising
 from tests.companion.test_limits import leaning
-from tests.make import same_bits
+from tests.make import estimate, ns, same_bits
 
 NOW = 100.0
 WAY_DOWN = (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)

@@ -13,7 +13,7 @@ from companion.guidance.mission.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion
-from tests.companion.mission_flights import ns
+from tests.make import ns
 
 TILT = TiltResponse(0.05, 4.0, 0.8, max_deg=28.0, drag_1_s=0.35)
 DT = 0.02

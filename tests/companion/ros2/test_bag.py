@@ -26,16 +26,9 @@ Bag = dict[str, list[tuple[int, Any]]]
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("ros2") / "flight.mcap"
-    record_to(path, seconds=1.2)
-    return path
-
-
-@pytest.fixture(scope="module")
-def exported(flown: Path) -> Path:
-    folder = flown.parent / "bag"
-    assert cli.main(["record", "export", str(flown), "--format", "ros2", "--output", str(folder)]) == 0
+def exported(flight_file: Path) -> Path:
+    folder = flight_file.parent / "bag"
+    assert cli.main(["record", "export", str(flight_file), "--format", "ros2", "--output", str(folder)]) == 0
     return folder
 
 
@@ -62,8 +55,8 @@ def rotation(q: Any) -> Rotation:
     return Rotation.from_quat([q.w, q.x, q.y, q.z])
 
 
-def test_samples_have_the_axes_of_ros_and_the_time_of_their_measurement(flown: Path, messages: Bag) -> None:
-    events = list(open_recording([flown]).events())
+def test_samples_have_the_axes_of_ros_and_the_time_of_their_measurement(flight_file: Path, messages: Bag) -> None:
+    events = list(open_recording([flight_file]).events())
     imus = [e for e in events if isinstance(e, Imu)]
     assert len(messages["/imu/data_raw"]) == len(imus) > 100
     for (at, message), imu in zip(messages["/imu/data_raw"], imus, strict=True):
@@ -86,8 +79,8 @@ def test_samples_have_the_axes_of_ros_and_the_time_of_their_measurement(flown: P
     assert [m.range for _, m in messages["/range"]] == pytest.approx(ranges, rel=1e-6)
 
 
-def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flown: Path, messages: Bag) -> None:
-    recording = open_recording([flown])
+def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flight_file: Path, messages: Bag) -> None:
+    recording = open_recording([flight_file])
     camera = recording.camera()
     assert camera is not None
     fixed = {t.child_frame_id: t.transform for t in messages["/tf_static"][0][1].transforms}
@@ -118,8 +111,8 @@ def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flown:
     assert info.header.frame_id == "camera_optical_frame"
 
 
-def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flown: Path) -> None:
-    recording = open_recording([flown])
+def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flight_file: Path) -> None:
+    recording = open_recording([flight_file])
     camera = recording.camera()
     assert camera is not None
     frame = next(e for e in recording.events() if isinstance(e, RecordedFrame))
@@ -135,9 +128,9 @@ def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flown: Path) -> None:
     assert all(topic != "/tf" for topic, *_ in ros.of(frame))
 
 
-def test_estimates_carry_their_covariance_into_the_axes_of_ros(flown: Path, messages: Bag) -> None:
+def test_estimates_carry_their_covariance_into_the_axes_of_ros(flight_file: Path, messages: Bag) -> None:
     """The covariance of the place in `deck` is checked against a cloud drawn from the estimate's own."""
-    decisions = [e for e in open_recording([flown]).events() if isinstance(e, Decision) and e.belief is not None]
+    decisions = [e for e in open_recording([flight_file]).events() if isinstance(e, Decision) and e.belief is not None]
     by_time = dict(messages["/dead_reckoning/odometry"])
     decision = next(d for d in reversed(decisions) if d.at in by_time and d.belief.yaw_rad is not None)
     belief, message = decision.belief, by_time[decision.at]
@@ -164,15 +157,15 @@ def test_estimates_carry_their_covariance_into_the_axes_of_ros(flown: Path, mess
     assert rotation(pad.pose.orientation).rpy_rad[2] == pytest.approx(belief.yaw_rad, abs=1e-9)
     assert pad.covariance.reshape(6, 6)[0, 5] == belief.cov[0, 6]
     assert pad.covariance.reshape(6, 6)[1, 5] == -belief.cov[1, 6]
-    truths = [e for e in open_recording([flown]).events() if isinstance(e, TruthRecord)]
+    truths = [e for e in open_recording([flight_file]).events() if isinstance(e, TruthRecord)]
     assert all(
         m.pose.pose.position.z == pytest.approx(t.d_body_pad_level[2])
         for (_, m), t in zip(messages["/truth/odometry"], truths, strict=True)
     )
 
 
-def test_images_are_those_of_the_recording_and_a_video_is_decoded(flown: Path, messages: Bag, tmp_path: Path) -> None:
-    frames = [e for e in open_recording([flown]).events() if isinstance(e, RecordedFrame) and e.image is not None]
+def test_images_are_those_of_the_recording_and_a_video_is_decoded(flight_file: Path, messages: Bag, tmp_path: Path) -> None:
+    frames = [e for e in open_recording([flight_file]).events() if isinstance(e, RecordedFrame) and e.image is not None]
     assert [bytes(m.data) for _, m in messages["/camera/image_raw/compressed"]] == [f.image for f in frames]
     assert messages["/camera/image_raw/compressed"][0][1].format == "bgr8; jpeg compressed bgr8"
     filmed = tmp_path / "video.mcap"
@@ -197,17 +190,17 @@ def test_what_does_not_change_is_kept_for_late_subscribers(exported: Path) -> No
     assert kept == {"/tf_static"}
 
 
-def test_a_torn_recording_is_exported_as_far_as_it_goes(flown: Path, tmp_path: Path, messages: Bag) -> None:
+def test_a_torn_recording_is_exported_as_far_as_it_goes(flight_file: Path, tmp_path: Path, messages: Bag) -> None:
     torn = tmp_path / "torn.mcap"
-    torn.write_bytes(flown.read_bytes()[:-20_000])
+    torn.write_bytes(flight_file.read_bytes()[:-20_000])
     counts = bag.export(open_recording([torn]), tmp_path / "bag")
     assert 0 < counts["/imu/data_raw"] <= len(messages["/imu/data_raw"])
     assert {topic: len(found) for topic, found in read(tmp_path / "bag").items()} == counts
 
 
-def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flown, tmp_path, capsys, monkeypatch):
+def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flight_file, tmp_path, capsys, monkeypatch):
     (tmp_path / "mine").mkdir()
-    command = ["record", "export", str(flown), "--format", "ros2", "--output"]
+    command = ["record", "export", str(flight_file), "--format", "ros2", "--output"]
     assert cli.main([*command, str(tmp_path / "mine")]) == 2
     assert f"{tmp_path / 'mine'}: exists already" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
