@@ -23,7 +23,6 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
@@ -35,7 +34,6 @@ from companion.settings.restart import RestartOptions
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
-from drivers.ardrone.navdata_options import LAYOUT_OF_CLASS
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
@@ -184,24 +182,16 @@ async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, in
 
 def datagrams(n: int) -> list[bytes]:
     """Return datagrams of a drone that hovers and sways a little."""
-    rest = {layout.tag: layout.unpack(bytes(layout.size), 0) for layout in LAYOUT_OF_CLASS.values()}
-    demo, measures = LAYOUT_OF_CLASS[nd.Demo].tag, LAYOUT_OF_CLASS[nd.PhysMeasures].tag
-    hovers = nd.ControlState.HOVERING.word
     out = []
     for i in range(n):
         a = 0.02 * i
-        options = rest | {
-            LAYOUT_OF_CLASS[nd.NavdataTime].tag: nd.NavdataTime.of_us(round(1e6 * (10.0 + PERIOD_S * i))),
-            demo: replace(
-                rest[demo], ctrl_state=hovers, battery_percent=80, theta_mdeg=1e3 * math.sin(a), phi_mdeg=900.0 * math.cos(a),
-                vx_mm_s=20.0 * math.sin(a), vy_mm_s=9.0 * math.cos(a), altitude_mm=2000,
-            ),
-            measures: replace(
-                rest[measures], phys_accs_mg=(10.0 * math.sin(i), 5.0 + i % 3, -1000.0 + i % 5),
-                phys_gyros_deg_s=(math.sin(i), math.cos(i), 0.1 * (i % 7)),
-            ),
-        }  # fmt: skip
-        out.append(nd.encode(nd.Navdata(1, i + 1, 1, options)))
+        navdata = nd.Navdata(
+            1, i + 1, tuple(nd.LAYOUTS), (), nd.ControlState.HOVERING.word, 80, 1e3 * math.sin(a), 900.0 * math.cos(a), 0.0, 2000,
+            20.0 * math.sin(a), 9.0 * math.cos(a), nd.clock_of_us(round(1e6 * (10.0 + PERIOD_S * i))),
+            ax_mg=10.0 * math.sin(i), ay_mg=5.0 + i % 3, az_mg=-1000.0 + i % 5,
+            wx_deg_s=math.sin(i), wy_deg_s=math.cos(i), wz_deg_s=0.1 * (i % 7),
+        )  # fmt: skip
+        out.append(nd.encode(navdata))
     return out
 
 

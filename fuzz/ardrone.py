@@ -73,11 +73,11 @@ def navdata_seeds() -> Iterator[bytes]:
     for full in (False, True):
         drone = _drone()
         commands: list[at.AtCommand] = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]
-        datagrams = [navdata.encode(drone.navdata())]
+        datagrams = [drone.datagram()]
         drone.take(b"".join(at.encode(i + 1, c) for i, c in enumerate(commands)), _START)
         for tick in range(1, 4):
             drone.tick(MonoNs(_START + tick * 5_000_000))
-            datagrams.append(navdata.encode(drone.navdata()))
+            datagrams.append(drone.datagram())
         yield b"".join(b"\x0b" + block(d) for d in datagrams)
         yield b"\x00" + block(datagrams[-1])
 
@@ -212,7 +212,7 @@ def run_at(data: bytes) -> None:
         state.word(phase, False, False)
         state.config.custom_ids()
         drone.state.config = state.config
-        navdata.encode(drone.navdata())
+        drone.datagram()
         for item in at.decode(datagram):
             if not isinstance(item, Refusal):
                 assert at.decode(at.encode(*item)) == [item]

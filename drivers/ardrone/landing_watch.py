@@ -11,7 +11,7 @@ from enum import Enum
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata import ControlState, Navdata, NavdataState, control_state_of
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
@@ -59,10 +59,8 @@ class DroneReport(Struct, frozen=True):
     @staticmethod
     def of(navdata: Navdata) -> DroneReport:
         """Return the report that a datagram holds."""
-        found = navdata.state_and_height
-        if found is None:
-            return DroneReport(navdata.state, None, None)
-        return DroneReport(navdata.state, control_state_of(found[0]), 1e-3 * found[1])
+        altitude_mm = navdata.altitude_mm
+        return DroneReport(navdata.state, navdata.control_state, None if altitude_mm is None else 1e-3 * altitude_mm)
 
     @property
     def flying(self) -> bool:

@@ -1,80 +1,28 @@
 """Decode and encode the navdata datagrams of UDP port 5554. No I/O.
 
 A datagram is a header of 16 bytes, options (tag, size with these four bytes, body) and last the checksum option: the sum of
-all bytes before it, modulo 2^32. Source: Parrot SDK 2.0.1; checked against a datagram of firmware 2.4.8.
+all bytes before it, modulo 2^32. All are packed, little-endian. Source: Parrot SDK 2.0.1 `navdata_common.h`, checked against a
+datagram of firmware 2.4.8. Angles of the drone: theta nose up, phi right side down, psi clockwise from above.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from msgspec import Struct
 
-from drivers.ardrone.navdata_options import (
-    LAYOUT_OF_CLASS,
-    OPTION_HEADER,
-    TAG_OF_CLASS,
-    UNREAD_BYTES,
-    Altitude,
-    Demo,
-    EulerAngles,
-    Gps,
-    HdvideoStream,
-    KalmanPressure,
-    Magneto,
-    NavdataTime,
-    OptionLayout,
-    PhysMeasures,
-    PressureRaw,
-    Pwm,
-    RawMeasures,
-    References,
-    VideoStream,
-    Vision,
-    Watchdog,
-)
-from drivers.ardrone.navdata_readings import NavdataReadings, reader, readings_of
 from drivers.ardrone.refusal import Refusal
-
-__all__ = [
-    "CHECKSUM_TAG",
-    "MAGIC",
-    "NO_OPTIONS",
-    "Altitude",
-    "ControlState",
-    "Demo",
-    "EulerAngles",
-    "Gps",
-    "HdvideoStream",
-    "KalmanPressure",
-    "Magneto",
-    "Navdata",
-    "NavdataState",
-    "NavdataTime",
-    "PhysMeasures",
-    "PressureRaw",
-    "Pwm",
-    "RawMeasures",
-    "References",
-    "VideoStream",
-    "Vision",
-    "Watchdog",
-    "decode",
-    "encode",
-]
 
 MAGIC = 0x55667788
 CHECKSUM_TAG = 0xFFFF
 _HEADER = struct.Struct("<IIII")
+_OPTION_HEADER = struct.Struct("<HH")
+"""The tag, and the size in bytes of the whole option with this header."""
 _CHECKSUM = struct.Struct("<HHI")
-
-T = TypeVar("T")
-
-_LAYOUT_OF_TAG = {layout.tag: layout for layout in LAYOUT_OF_CLASS.values()}
 
 
 class NavdataState(IntEnum):
@@ -137,118 +85,162 @@ class ControlState(IntEnum):
 _CONTROL_STATES = {state.value: state for state in ControlState}
 
 
-def control_state_of(ctrl_state: int) -> ControlState | None:
-    """Return the control state of `Demo.ctrl_state`; None if its number is not known."""
-    return _CONTROL_STATES.get(ctrl_state >> 16)
-
-
-NO_OPTIONS: Mapping[int, Any] = {}
-
-
-class _Bodies(Mapping[int, Any]):
-    """The options of a datagram by tag; each is unpacked when somebody reads it. The service reads eight of the 28.
-
-    Args:
-        outline: the layout of each option, and the place of its body, which is whole.
-    """
-
-    __slots__ = ("_bodies", "_datagram", "_read", "_readings", "_unpacked")
-
-    def __init__(self, datagram: bytes, outline: _Outline) -> None:
-        self._datagram = datagram
-        self._bodies = outline.bodies
-        self._read = outline.read
-        self._readings: NavdataReadings | None = None
-        self._unpacked: dict[int, Any] = {}
-
-    @property
-    def readings(self) -> NavdataReadings:
-        """The fields that the service reads of every datagram."""
-        found = self._readings
-        if found is None:
-            found = self._readings = self._read(self._datagram)
-        return found
-
-    def __getitem__(self, tag: int) -> Any:
-        found = self.get(tag)
-        if found is None:
-            raise KeyError(tag)
-        return found
-
-    def get(self, tag: int, default: Any = None) -> Any:
-        """Return the option of this tag, or `default` if the datagram does not hold it."""
-        found = self._unpacked.get(tag)
-        if found is None:
-            body = self._bodies.get(tag)
-            if body is None:
-                return default
-            found = self._unpacked[tag] = body[0].unpack(self._datagram, body[1])
-        return found
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._bodies)
-
-    def __len__(self) -> int:
-        return len(self._bodies)
-
-
 class Navdata(Struct, frozen=True):
-    """One navdata datagram. `options` maps a tag to its option in the order of the wire.
-
-    `decode` leaves out an option that nobody reads; for `encode` it is the bytes of its body.
-    """
+    """One navdata datagram: its header, and the fields that the service reads; those of an option that it lacks are None."""
 
     state: int
     """The header's state field, whose bits are those of `NavdataState`."""
     sequence: int
-    vision_defined: int
-    options: Mapping[int, Any]
+    options: tuple[int, ...] = ()
+    """The tags of the options that it holds whole, in the order of the wire."""
     skipped: tuple[int, ...] = ()
     """The tags of the options that were left out: unknown, shorter than known, or present twice."""
 
-    def get(self, cls: type[T]) -> T | None:
-        """Return the option of this class; None if the datagram does not hold it."""
-        found = self.options.get(TAG_OF_CLASS[cls])
-        return found if type(found) is cls else None
-
-    @property
-    def readings(self) -> NavdataReadings:
-        """The fields that the service reads of every datagram."""
-        options = self.options
-        return options.readings if type(options) is _Bodies else readings_of(options)
-
-    @property
-    def state_and_height(self) -> tuple[int, int] | None:
-        """`Demo.ctrl_state` and `Demo.altitude_mm`; None if the option is absent."""
-        options = self.options
-        found = options.readings if type(options) is _Bodies else self.get(Demo)
-        if found is None or found.ctrl_state is None or found.altitude_mm is None:
-            return None
-        return found.ctrl_state, found.altitude_mm
+    ctrl_state: int | None = None
+    """The `ControlState` in the high half and its detail in the low half."""
+    battery_percent: int | None = None
+    theta_mdeg: float | None = None
+    phi_mdeg: float | None = None
+    psi_mdeg: float | None = None
+    altitude_mm: int | None = None
+    vx_mm_s: float | None = None
+    """The forward velocity in the level frame, mm/s."""
+    vy_mm_s: float | None = None
+    """The velocity to the right in the level frame, mm/s."""
+    clock: int | None = None
+    """The drone's clock: seconds in the high 11 bits, microseconds in the low 21; wraps every 2048 s."""
+    nb_echo: int | None = None
+    sum_echo: int | None = None
+    ax_mg: float | None = None
+    """Accelerometer, mg forward; at rest and level the three read about (0, 0, -1000)."""
+    ay_mg: float | None = None
+    az_mg: float | None = None
+    wx_deg_s: float | None = None
+    wy_deg_s: float | None = None
+    wz_deg_s: float | None = None
+    altitude_raw_mm: int | None = None
+    """The ultrasound's own reading along the body's down axis, mm."""
+    up: int | None = None
+    ut: int | None = None
+    temperature_dc: int | None = None
+    """The barometer's temperature, tenths of a degree Celsius."""
+    pressure_pa: int | None = None
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    elevation_m: float | None = None
+    hdop: float | None = None
+    data_available: int | None = None
+    last_frame_timestamp: int | None = None
+    nb_satellites: int | None = None
+    gps_plugged: int | None = None
 
     @property
     def control_state(self) -> ControlState | None:
-        """The control state of the `Demo` option; None if the option is absent or its number is not known."""
-        demo = self.options.get(0)
-        return None if demo is None else control_state_of(demo.ctrl_state)
+        """The control state; None if the option is absent or its number is not known."""
+        return None if self.ctrl_state is None else _CONTROL_STATES.get(self.ctrl_state >> 16)
+
+    @property
+    def time_us(self) -> int | None:
+        """The time of the drone's clock, microseconds, from 0 to 2048 s; None if the datagram does not hold it."""
+        return None if self.clock is None else (self.clock >> 21) * 1_000_000 + (self.clock & 0x1FFFFF)
 
     @staticmethod
-    def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:
-        """Build a datagram from option objects, ordered by tag as the drone orders them."""
-        by_tag = {LAYOUT_OF_CLASS[type(o)].tag: o for o in options}
-        return Navdata(state, sequence, vision_defined, {tag: by_tag[tag] for tag in sorted(by_tag)})
+    def of(state: int, sequence: int, **fields: float) -> Navdata:
+        """Build a datagram with the options to which the fields belong."""
+        tags = tuple(tag for tag, layout in LAYOUTS.items() if not layout.fields.keys().isdisjoint(fields))
+        return Navdata(state, sequence, tags, **fields)  # type: ignore[arg-type]
+
+
+def clock_of_us(time_us: int) -> int:
+    """Return the clock's field for a time, microseconds, wrapped as the drone wraps it."""
+    seconds, micros = divmod(time_us, 1_000_000)
+    return (seconds % 2048) << 21 | micros
+
+
+_READ = Navdata.__struct_fields__[4:]
+"""The fields that the service reads, in the order of the wire."""
+
+_WIRE = """
+0 ctrl_state:I battery_percent:I theta_mdeg:f phi_mdeg:f psi_mdeg:f altitude_mm:i vx_mm_s:f vy_mm_s:f vz_mm_s:f 108x
+1 clock:I
+2 raw_ax:H raw_ay:H raw_az:H raw_wx:h raw_wy:h raw_wz:h 4x vbat_raw_mv:I 14x flag_echo_ini:H nb_echo:H sum_echo:I
+  alt_temp_raw_mm:i 2x
+3 accs_temp_c:f gyro_temp:H ax_mg:f ay_mg:f az_mg:f wx_deg_s:f wy_deg_s:f wz_deg_s:f 12x
+4 12x
+5 theta_a_mdeg:f phi_a_mdeg:f
+6 ref_theta:i ref_phi:i 16x ref_yaw:i 56x
+7 12x
+8 20x
+9 motor_1:B motor_2:B motor_3:B motor_4:B sat_motor_1:B sat_motor_2:B sat_motor_3:B sat_motor_4:B 64x
+10 altitude_vision_mm:i 8x altitude_raw_mm:i 4x obs_alt:f 16x est_vx:f est_vy:f 4x
+11 12x
+12 40x
+13 vision_state:I 24x theta_capture_rad:f phi_capture_rad:f psi_capture_rad:f altitude_capture_mm:i time_capture_ms:I
+  body_vx:f body_vy:f body_vz:f 28x
+14 104x
+15 360x
+16 324x
+17 watchdog:i
+18 36x
+19 1x frame_size:I frame_number:I 16x out_bitrate:I desired_bitrate:I 28x
+20 8x
+21 up:i ut:h temperature_dc:i pressure_pa:i
+22 mx:h my:h mz:h magneto_raw_x:f magneto_raw_y:f magneto_raw_z:f magneto_rectified_x:f magneto_rectified_y:f
+  magneto_rectified_z:f 12x heading_unwrapped_deg:f heading_gyro_unwrapped_deg:f heading_fusion_unwrapped_deg:f
+  calibration_ok:B magneto_state:I radius:f 8x
+23 52x
+24 offset_pressure_pa:f est_z:f 60x
+25 20x recorder_frame_number:I 4x
+26 4x
+27 lat_deg:d lon_deg:d elevation_m:d hdop:d data_available:i 40x gps_state:I 56x speed:f last_frame_timestamp:I degree:f
+  16x nb_satellites:I 24x gps_plugged:i 16x
+"""
+"""The options by tag: the fields that something reads or the simulator fills in, and the numbers of bytes of all others.
+
+The letters are those of the `struct` module. Units are in the names; attitudes that end in `_a_mdeg` are what the accelerometer
+alone gives; motors count from the front left one clockwise; `time_capture_ms` is plain milliseconds of the drone's clock;
+`vz_mm_s` was 0 in every flight seen.
+"""
+_OLD_GPS_BYTES = 8
+"""Size of the body of option 27 of firmware up to 2.3, without GPS."""
+
+
+class OptionLayout:
+    """The body of one option.
+
+    Args:
+        words: its fields as `name:letter`, and gaps as `12x`, in the order of the wire.
+    """
+
+    def __init__(self, words: list[str]) -> None:
+        self.fields: dict[str, tuple[int, str]] = {}
+        """The offset and the letter of each field, by name."""
+        form = "<"
+        for word in words:
+            name, named, letter = word.rpartition(":")
+            if named:
+                self.fields[name] = struct.calcsize(form), letter
+            form += letter
+        self.body = struct.Struct(form)
+
+
+LAYOUTS: Mapping[int, OptionLayout] = {
+    int(line.split()[0]): OptionLayout(line.split()[1:]) for line in _WIRE.replace("\n ", "").strip().splitlines()
+}
+"""The layout of each option by its tag."""
 
 
 class _Outline(NamedTuple):
     """Options of a datagram and their offsets. A flying drone sends datagrams of few outlines."""
 
     headers: struct.Struct
-    """The headers of all options, each as four bytes, and the checksum, without what lies between them."""
+    """The headers of all options and of the checksum, each as four bytes, without what lies between them."""
     tags_and_sizes: tuple[bytes, ...]
     """The values of these headers."""
-    bodies: dict[int, tuple[OptionLayout, int]]
+    options: tuple[int, ...]
     skipped: tuple[int, ...]
-    read: Callable[[bytes], NavdataReadings]
+    read: Callable[[bytes], tuple[Any, ...]]
+    """Returns the values of `_READ`."""
 
 
 _OUTLINES_MOST = 16
@@ -259,55 +251,71 @@ _outlines: dict[int, _Outline] = {}
 def decode(datagram: bytes) -> Navdata | Refusal:
     """Decode one whole datagram. Never raises; unknown options are skipped by size, longer bodies are read as far as known."""
     end = len(datagram)
-    outline = _outlines.get(end)
-    if outline is not None:
-        *tags_and_sizes, checksum = outline.headers.unpack_from(datagram, _HEADER.size)
-        if tuple(tags_and_sizes) == outline.tags_and_sizes:
-            magic, state, sequence, vision_defined = _HEADER.unpack_from(datagram)
-            if magic != MAGIC:
-                return Refusal.BAD_MAGIC
-            if checksum != _sum_before_checksum(datagram):
-                return Refusal.BAD_CHECKSUM
-            return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline), outline.skipped)
-    return _walk(datagram, end)
-
-
-def _walk(datagram: bytes, end: int) -> Navdata | Refusal:
-    """Decode a datagram of any outline, option by option."""
     if end < _HEADER.size + _CHECKSUM.size:
         return Refusal.TOO_SHORT
-    magic, state, sequence, vision_defined = _HEADER.unpack_from(datagram)
+    magic, state, sequence, _ = _HEADER.unpack_from(datagram)
     if magic != MAGIC:
         return Refusal.BAD_MAGIC
-    bodies: dict[int, tuple[OptionLayout, int]] = {}
-    skipped: list[int] = []
-    format_, tags_and_sizes = "<", list[bytes]()
-    at = _HEADER.size
-    while at + OPTION_HEADER.size <= end:
-        tag, size = OPTION_HEADER.unpack_from(datagram, at)
-        if size < OPTION_HEADER.size or at + size > end:
+    outline = _outlines.get(end)
+    if outline is None or outline.headers.unpack_from(datagram, _HEADER.size) != outline.tags_and_sizes:
+        outline = _walk(datagram, end)
+        if outline is None:
             return Refusal.TORN
+    if _CHECKSUM.unpack_from(datagram, end - _CHECKSUM.size)[2] != _sum_before_checksum(datagram):
+        return Refusal.BAD_CHECKSUM
+    if len(_outlines) >= _OUTLINES_MOST and end not in _outlines:
+        _outlines.clear()
+    _outlines[end] = outline
+    return Navdata(state, sequence, outline.options, outline.skipped, *outline.read(datagram))
+
+
+def _walk(datagram: bytes, end: int) -> _Outline | None:
+    """Return the outline of a datagram, option by option; None if it is torn."""
+    bodies: dict[int, int] = {}
+    skipped: list[int] = []
+    form, tags_and_sizes = "<", list[bytes]()
+    at = _HEADER.size
+    while at + _OPTION_HEADER.size <= end:
+        tag, size = _OPTION_HEADER.unpack_from(datagram, at)
+        if size < _OPTION_HEADER.size or at + size > end:
+            return None
+        tags_and_sizes.append(datagram[at : at + _OPTION_HEADER.size])
         if tag == CHECKSUM_TAG:
             if size != _CHECKSUM.size or at + size != end:
-                return Refusal.TORN
-            (checksum,) = struct.unpack_from("<I", datagram, at + OPTION_HEADER.size)
-            if checksum != _sum_before_checksum(datagram):
-                return Refusal.BAD_CHECKSUM
-            if len(_outlines) >= _OUTLINES_MOST:
-                _outlines.clear()
-            tags_and_sizes.append(datagram[at : at + OPTION_HEADER.size])
-            headers = struct.Struct(f"{format_}4sI")
-            _outlines[end] = outline = _Outline(headers, tuple(tags_and_sizes), bodies, tuple(skipped), reader(bodies))
-            return Navdata(state, sequence, vision_defined, _Bodies(datagram, outline), outline.skipped)
-        layout = _LAYOUT_OF_TAG.get(tag)
-        if layout is not None and layout.size <= size and tag not in bodies:
-            bodies[tag] = layout, at + OPTION_HEADER.size
-        elif tag in bodies or size - OPTION_HEADER.size < UNREAD_BYTES.get(tag, 1 << 16):
+                return None
+            return _Outline(struct.Struct(f"{form}4s"), tuple(tags_and_sizes), tuple(bodies), tuple(skipped), _reader(bodies))
+        layout, body_bytes = LAYOUTS.get(tag), size - _OPTION_HEADER.size
+        if layout is not None and layout.body.size <= body_bytes and tag not in bodies:
+            bodies[tag] = at + _OPTION_HEADER.size
+        elif tag != 27 or tag in bodies or body_bytes < _OLD_GPS_BYTES:
             skipped.append(tag)
-        format_ += f"4s{size - OPTION_HEADER.size}x"
-        tags_and_sizes.append(datagram[at : at + OPTION_HEADER.size])
+        form += f"4s{body_bytes}x"
         at += size
-    return Refusal.TORN
+    return None
+
+
+def _reader(bodies: Mapping[int, int]) -> Callable[[bytes], tuple[Any, ...]]:
+    """Return what reads the fields of every datagram whose options have their bodies at these offsets, by tag."""
+    places = sorted(
+        (body + at, letter, _READ.index(name))
+        for tag, body in bodies.items()
+        for name, (at, letter) in LAYOUTS[tag].fields.items()
+        if name in _READ
+    )
+    form, end, order = "<", 0, [-1] * len(_READ)
+    for n, (at, letter, place) in enumerate(places):
+        form += f"{at - end}x{letter}"
+        end = at + struct.calcsize(f"<{letter}")
+        order[place] = n
+    unpack = struct.Struct(form).unpack_from
+    if order == list(range(len(_READ))):
+        return unpack
+
+    def read(datagram: bytes) -> tuple[Any, ...]:
+        found = (*unpack(datagram), None)
+        return tuple([found[n] for n in order])
+
+    return read
 
 
 def _sum_before_checksum(datagram: bytes) -> int:
@@ -316,15 +324,20 @@ def _sum_before_checksum(datagram: bytes) -> int:
     return sum([(zlib.adler32(datagram[at : min(at + 256, end)]) & 0xFFFF) - 1 for at in range(0, end, 256)])
 
 
-def encode(navdata: Navdata) -> bytes:
-    """Return the bytes of the datagram with its checksum; they do not hold the `skipped` options.
+def encode(navdata: Navdata, further: Mapping[str, float] | None = None) -> bytes:
+    """Return the bytes of the datagram with its checksum.
+
+    Args:
+        further: values by name of fields that the service does not read; all others of its options are 0.
 
     Raises:
         struct.error: a value does not fit its field.
     """
-    parts = [_HEADER.pack(MAGIC, navdata.state, navdata.sequence, navdata.vision_defined)]
-    for tag, option in navdata.options.items():
-        layout = LAYOUT_OF_CLASS.get(type(option))
-        parts.append(layout.pack(option) if layout else OPTION_HEADER.pack(tag, OPTION_HEADER.size + len(option)) + option)
-    body = b"".join(parts)
+    further = further or {}
+    body = _HEADER.pack(MAGIC, navdata.state, navdata.sequence, 1)
+    for tag in navdata.options:
+        layout = LAYOUTS[tag]
+        values = [getattr(navdata, name) if name in _READ else further.get(name, 0) for name in layout.fields]
+        option = layout.body.pack(*[0 if value is None else value for value in values])
+        body += _OPTION_HEADER.pack(tag, _OPTION_HEADER.size + len(option)) + option
     return body + _CHECKSUM.pack(CHECKSUM_TAG, _CHECKSUM.size, sum(body) & 0xFFFFFFFF)

@@ -8,7 +8,7 @@ from drivers.ardrone.datagrams import WaitingDatagrams, open_waiting
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.samples import NavdataSampler, time_us
+from drivers.ardrone.samples import NavdataSampler
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
@@ -169,7 +169,7 @@ class NavdataChannel:
         return place is not SequencePlace.OLD
 
     def _stamp(self, navdata: Navdata, received_at: MonoNs) -> Stamp:
-        drone_us = time_us(navdata)
+        drone_us = navdata.time_us
         if drone_us is not None:
             return self._map.stamp(drone_us * 1000, received_at)
         return Stamp(after(received_at, -self._o.navdata_delay_s), received_at, self._o.arrival_sigma_s, "arrival")

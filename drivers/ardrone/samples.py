@@ -9,8 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from drivers.ardrone.navdata import ControlState, Gps, Navdata, NavdataState, NavdataTime, control_state_of
-from drivers.ardrone.navdata_readings import NavdataReadings
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
@@ -33,26 +32,12 @@ _M_S2_PER_MG = 1e-3 * G_M_S2
 _SATELLITES_LEAST = 5
 """Number of satellites below which a place is not taken: four give one without any check."""
 _COMMAND_ACK = int(NavdataState.COMMAND_ACK)
-_MODES = {
-    ControlState.DEFAULT: "default",
-    ControlState.INIT: "init",
-    ControlState.LANDED: "landed",
-    ControlState.FLYING: "flying",
-    ControlState.HOVERING: "hovering",
-    ControlState.TEST: "test",
-    ControlState.TAKING_OFF: "taking_off",
-    ControlState.GOTO_FIX: "goto_fix",
-    ControlState.LANDING: "landing",
-    ControlState.LOOPING: "looping",
-}
-
-
 DEFAULT = ArDroneOptions()
 AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 
 
-def _of_every_datagram(r: NavdataReadings, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
+def _of_every_datagram(r: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
     """Return the samples whose sensors are read again for every datagram."""
     out: list[Sample] = []
     imu = _imu(r, stamp)
@@ -93,27 +78,20 @@ class NavdataSampler:
             Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
             recorder, where there is one), VehicleStatus, in this order.
         """
-        readings = navdata.readings
-        out = _of_every_datagram(readings, stamp, self._options, self._attitude_cov)
+        out = _of_every_datagram(navdata, stamp, self._options, self._attitude_cov)
         measured_at = stamp.measured_at
         for kind, (make, source) in _REPEATED.items():
-            key = source(navdata, readings)
+            key = source(navdata)
             if key is None:
                 continue
             given = self._given.get(kind)
             if given is not None and given[0] == key and 0.0 <= (measured_at - given[1]) / NS_PER_S < self._repeat_s:
                 continue
-            made = make(navdata, readings, stamp, self._options)
+            made = make(navdata, stamp, self._options)
             if made is not None:
                 self._given[kind] = key, measured_at
                 out.append(made)
         return out
-
-
-def time_us(navdata: Navdata) -> int | None:
-    """Return the drone's clock at this datagram, microseconds modulo 2048 s; None if the datagram does not hold it."""
-    option = navdata.get(NavdataTime)
-    return None if option is None else option.time_us
 
 
 def _finite(values: tuple[float, ...]) -> bool:
@@ -121,7 +99,7 @@ def _finite(values: tuple[float, ...]) -> bool:
     return math.isfinite(sum(values)) or all(map(math.isfinite, values))
 
 
-def _imu(r: NavdataReadings, stamp: Stamp) -> Imu | None:
+def _imu(r: Navdata, stamp: Stamp) -> Imu | None:
     ax, ay, az, wx, wy, wz = r.ax_mg, r.ay_mg, r.az_mg, r.wx_deg_s, r.wy_deg_s, r.wz_deg_s
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None or not _finite((ax, ay, az, wx, wy, wz)):
         return None
@@ -137,22 +115,22 @@ def _velocity(vx_mm_s: float, vy_mm_s: float, stamp: Stamp, options: ArDroneOpti
     return known(BodyVelocity, stamp, fixed_vector(ahead, aside, 0.0), cov)
 
 
-def _range(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> Range | None:
-    distance_m = _range_m(navdata, r)
+def _range(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:
+    distance_m = _range_m(r)
     if distance_m is None:
         return None
     return Range(stamp, distance_m, math.hypot(options.sigma_range_m, options.sigma_range_fraction * distance_m))
 
 
-def _baro(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
+def _baro(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
     if r.pressure_pa is None or r.pressure_pa <= 0:
         return None
     return Baro(stamp, height_of_pressure_m(r.pressure_pa), options.sigma_baro_m)
 
 
-def _range_m(navdata: Navdata, r: NavdataReadings) -> float | None:
+def _range_m(r: Navdata) -> float | None:
     """Return the ultrasound's own reading, metres; in demo mode, the drone's height rotated back to the body's down axis."""
-    if navdata.state & NavdataState.ULTRASOUND_DEAF:
+    if r.state & NavdataState.ULTRASOUND_DEAF:
         return None
     if r.altitude_raw_mm is not None:
         return r.altitude_raw_mm * 1e-3 if r.altitude_raw_mm > 0 else None
@@ -163,55 +141,59 @@ def _range_m(navdata: Navdata, r: NavdataReadings) -> float | None:
     return altitude_mm * 1e-3 / upright if upright > 0.5 else None
 
 
-def _range_key(navdata: Navdata, r: NavdataReadings) -> tuple[Any, ...]:
+def _range_key(r: Navdata) -> tuple[Any, ...]:
     if r.altitude_raw_mm is None:
-        return (_range_m(navdata, r),)
+        return (_range_m(r),)
     return (r.altitude_raw_mm, r.nb_echo, r.sum_echo)
 
 
-def _baro_key(navdata: Navdata, r: NavdataReadings) -> tuple[Any, ...] | None:
+def _baro_key(r: Navdata) -> tuple[Any, ...] | None:
     return None if r.pressure_pa is None else (r.up, r.ut, r.temperature_dc, r.pressure_pa)
 
 
-def _status(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
-    mode = navdata.control_state
+def _status(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
+    mode = r.control_state
     return VehicleStatus(
         stamp,
-        flying=bool(navdata.state & NavdataState.FLYING),
-        mode="unknown" if mode is None else _MODES[mode],
+        flying=bool(r.state & NavdataState.FLYING),
+        mode="unknown" if mode is None else mode.name.lower(),
         battery_fraction=min(1.0, r.battery_percent / 100.0) if r.battery_percent is not None else None,
-        emergency=bool(navdata.state & NavdataState.EMERGENCY),
-        link_ok=not navdata.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
+        emergency=bool(r.state & NavdataState.EMERGENCY),
+        link_ok=not r.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
     )
 
 
-def _status_key(navdata: Navdata, r: NavdataReadings) -> tuple[int, ControlState | None]:
-    return navdata.state & ~_COMMAND_ACK, None if r.ctrl_state is None else control_state_of(r.ctrl_state)
+def _status_key(r: Navdata) -> tuple[int, ControlState | None]:
+    return r.state & ~_COMMAND_ACK, r.control_state
 
 
-def _fix(navdata: Navdata, r: NavdataReadings, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
+def _fix(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
     """Return the place by the flight recorder; None without one, before its first fix, and for a place that cannot be."""
-    gps = navdata.get(Gps)
-    if gps is None or not gps.gps_plugged or not gps.data_available or gps.nb_satellites < _SATELLITES_LEAST:
+    if not r.gps_plugged or not r.data_available or (r.nb_satellites or 0) < _SATELLITES_LEAST:
         return None
-    if not _finite((gps.lat_deg, gps.lon_deg, gps.elevation_m, gps.hdop)) or gps.hdop <= 0.0:
+    latitude, longitude, height, hdop = r.lat_deg, r.lon_deg, r.elevation_m, r.hdop
+    if latitude is None or longitude is None or height is None or hdop is None:
+        return None
+    if not _finite((latitude, longitude, height, hdop)) or hdop <= 0.0:
         return None
     try:
-        place = GeoPoint.of_degrees(gps.lat_deg, gps.lon_deg, gps.elevation_m)
+        place = GeoPoint.of_degrees(latitude, longitude, height)
     except ValueError:
         return None
-    return GeoFix(stamp, "vehicle", place, max(1.0, gps.hdop) * options.sigma_fix_m)
+    return GeoFix(stamp, "vehicle", place, max(1.0, hdop) * options.sigma_fix_m)
 
 
-def _receiver(navdata: Navdata, r: NavdataReadings) -> Gps | None:
-    return navdata.get(Gps) if r.gps_plugged else None
+def _fix_key(r: Navdata) -> tuple[Any, ...] | None:
+    if not r.gps_plugged:
+        return None
+    return (r.lat_deg, r.lon_deg, r.elevation_m, r.hdop, r.data_available, r.nb_satellites, r.last_frame_timestamp)
 
 
-_Maker = Callable[[Navdata, NavdataReadings, Stamp, ArDroneOptions], Sample | None]
-_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata, NavdataReadings], Any]]] = {
+_Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
+_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
     Range: (_range, _range_key),
     Baro: (_baro, _baro_key),
-    GeoFix: (_fix, _receiver),
+    GeoFix: (_fix, _fix_key),
     VehicleStatus: (_status, _status_key),
 }
 """Makers of samples for sensors that are slower than the datagrams, in the order of their samples.

@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.pave import PaveParser
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.samples import AS_REPORTED, NavdataSampler, time_us
+from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.ardrone.video import VideoDecoder
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
@@ -78,7 +78,7 @@ def _unwrap(navdata: Sequence[Navdata]) -> list[int]:
     out: list[int] = []
     newest_us: int | None = None
     for one in navdata:
-        us, before = time_us(one), out[-1] if out else 0
+        us, before = one.time_us, out[-1] if out else 0
         if us is None:
             out.append(before + round(_NAVDATA_PERIOD_S * 1e6) if out else 0)
             continue

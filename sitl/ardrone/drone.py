@@ -5,7 +5,7 @@ Its flight recorder is a GPS receiver on the drone's USB port, whose readings it
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import assert_never
 
@@ -13,11 +13,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from drivers.ardrone import control
-from drivers.ardrone.navdata import Gps, Navdata
+from drivers.ardrone.navdata import Navdata, encode
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.generations import SECOND, Generation
-from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, upright_m
+from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, further_fields, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.sensors.gnss import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
@@ -43,10 +43,6 @@ class DroneClock:
         return self.microseconds(at) // 1000 % 2**32
 
 
-_HDOP = 0.6
-_SATELLITES = 9
-
-
 class FlightRecorder:
     """The receiver of one flight; without one (`vehicle.gnss_hz` is 0) its option is all zero."""
 
@@ -55,7 +51,8 @@ class FlightRecorder:
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else None
         self._receiver = GnssErrors([world.seed, 0x6E57])
         self._due = world.now
-        self.newest = Gps()
+        self.newest: Mapping[str, float] = {"gps_plugged": 0}
+        """The fields of its newest reading."""
 
     def tick(self, world: World) -> None:
         """Read the receiver when its next reading is due."""
@@ -64,17 +61,16 @@ class FlightRecorder:
         self._due = after(self._due, self._period_s)
         x, y, z = world.truth().p_body_ned.tolist()
         place = self._receiver.place(np.array(world.corruptions.of("gnss", (x, y, z), world.now)), world.now)
-        self.newest = Gps(
-            lat_deg=math.degrees(place.latitude_rad),
-            lon_deg=math.degrees(place.longitude_rad),
-            elevation_m=0.0 if place.height_m is None else place.height_m,
-            hdop=_HDOP,
-            data_available=1,
-            gps_state=1,
-            nb_satellites=_SATELLITES,
-            gps_plugged=1,
-            last_frame_timestamp=int(world.now // 1_000_000) & 0xFFFFFFFF,
-        )
+        self.newest = {
+            "lat_deg": math.degrees(place.latitude_rad),
+            "lon_deg": math.degrees(place.longitude_rad),
+            "elevation_m": 0.0 if place.height_m is None else place.height_m,
+            "hdop": 0.6,
+            "data_available": 1,
+            "nb_satellites": 9,
+            "gps_plugged": 1,
+            "last_frame_timestamp": int(world.now // 1_000_000) & 0xFFFFFFFF,
+        }
 
 
 TICK_S = 0.005
@@ -175,9 +171,16 @@ class Drone:
             mask = int(config.number("general:navdata_options")) & self.generation.options
         else:
             mask = self.generation.options
-        phase, readings = self.world.phase, self._readings
         self._sequence += 1
-        situation = Situation(
+        return datagram(self._situation(), self._sequence, mask)
+
+    def datagram(self) -> bytes:
+        """Return the next navdata datagram as it is sent."""
+        return encode(self.navdata(), further_fields(self._situation()))
+
+    def _situation(self) -> Situation:
+        phase, readings = self.world.phase, self._readings
+        return Situation(
             state=self.state.word(phase, readings.battery_fraction < BATTERY_LOW, readings.ultrasound_m is None),
             control_state=self.state.control_state(phase),
             readings=readings,
@@ -191,7 +194,6 @@ class Drone:
             ticks=self._ticks,
             gps=self._recorder.newest,
         )
-        return datagram(situation, self._sequence, mask)
 
     def _do(self, handler: RefAction | Stick) -> None:
         if isinstance(handler, Stick):

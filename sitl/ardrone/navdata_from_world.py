@@ -1,17 +1,15 @@
-"""Navdata options of an AR.Drone from the readings of the simulated sensors.
+"""Navdata of an AR.Drone from the readings of the simulated sensors.
 
 Fields that nothing here measures stay zero, as they are on a real drone that lacks the part.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Mapping
+from functools import cache
 
-from msgspec import Struct, field
+from msgspec import Struct
 
-from drivers.ardrone import navdata
-from drivers.ardrone.navdata import Navdata
-from drivers.ardrone.navdata_options import UNREAD_BYTES
+from drivers.ardrone.navdata import LAYOUTS, Navdata, clock_of_us
 from estimator.contracts.motion import G_M_S2
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.airframe import StickLimits
@@ -53,48 +51,105 @@ class Situation(Struct, frozen=True):
     """Number of ultrasound echoes so far; a new echo may read the same as the last."""
     ticks: int
     """Number of cycles of the drone's control loop, for its watchdog count."""
-    gps: navdata.Gps = field(default_factory=navdata.Gps)
-    """The flight recorder's receiver; all zero without one."""
+    gps: Mapping[str, float]
+    """The fields of the flight recorder's receiver."""
 
 
-def datagram(situation: Situation, sequence: int, mask: int) -> Navdata:
-    """Header and the options whose bit `1 << tag` is in `mask`; a mask of 0 is the bootstrap's bare state word."""
-    return Navdata(situation.state, sequence, 1, Options(situation, mask))
+@cache
+def _tags(mask: int) -> tuple[int, ...]:
+    return tuple(tag for tag in LAYOUTS if mask >> tag & 1)
 
 
-class Options(Mapping[int, Any]):
-    """The options of one datagram by tag, in the order of the wire; each is made when somebody reads it.
+def datagram(s: Situation, sequence: int, mask: int) -> Navdata:
+    """Return the datagram with the options whose bit `1 << tag` is in `mask`; 0 is the bootstrap's bare state word."""
+    values: dict[str, float] = {}
+    readings, echo = s.readings, s.readings.ultrasound_m
+    if mask & 1 << 0:
+        roll, pitch, yaw = readings.rpy_rad
+        vx, vy = readings.v_level_m_s
+        values.update(
+            ctrl_state=s.control_state,
+            battery_percent=round(100 * readings.battery_fraction),
+            theta_mdeg=_mdeg(pitch),
+            phi_mdeg=_mdeg(roll),
+            psi_mdeg=_mdeg(yaw),
+            altitude_mm=0 if s.phase is VehiclePhase.LANDED else round(1e3 * s.altitude_m),
+            vx_mm_s=1e3 * vx,
+            vy_mm_s=1e3 * vy,
+        )
+    if mask & 1 << 1:
+        values["clock"] = clock_of_us(s.time_us)
+    if mask & 1 << 2:
+        values.update(nb_echo=0 if echo is None else 1, sum_echo=s.echoes % 2**32)
+    if mask & 1 << 3:
+        x, y, z = readings.f_body
+        p, q, r = readings.w_body
+        values.update(ax_mg=1e3 * x / G_M_S2, ay_mg=1e3 * y / G_M_S2, az_mg=1e3 * z / G_M_S2)
+        values.update(wx_deg_s=math.degrees(p), wy_deg_s=math.degrees(q), wz_deg_s=math.degrees(r))
+    if mask & 1 << 10:
+        values["altitude_raw_mm"] = 0 if echo is None else round(1e3 * echo)
+    if mask & 1 << 21:
+        temperature_dc, pressure_pa = round(10 * readings.temperature_c), round(readings.pressure_pa)
+        values.update(up=0, ut=0, temperature_dc=temperature_dc, pressure_pa=pressure_pa)
+    if mask & 1 << 27:
+        values.update(s.gps)
+    return Navdata(s.state, sequence, _tags(mask), **values)  # type: ignore[arg-type]
 
-    In virtual time nothing encodes them, and five of the 28 are read.
-    """
 
-    __slots__ = ("_made", "_mask", "_situation")
-
-    def __init__(self, situation: Situation, mask: int) -> None:
-        self._situation = situation
-        self._mask = mask
-        self._made: dict[int, Any] = {}
-
-    def __getitem__(self, tag: int) -> Any:
-        made = self.get(tag)
-        if made is None:
-            raise KeyError(tag)
-        return made
-
-    def get(self, tag: int, default: Any = None) -> Any:
-        """Return the option of this tag, or `default` if the datagram does not hold it."""
-        made = self._made.get(tag)
-        if made is None:
-            if not self._mask >> tag & 1:
-                return default
-            made = self._made[tag] = _OPTIONS[tag](self._situation)
-        return made
-
-    def __iter__(self) -> Iterator[int]:
-        return (tag for tag in _OPTIONS if self._mask >> tag & 1)
-
-    def __len__(self) -> int:
-        return sum(self._mask >> tag & 1 for tag in _OPTIONS)
+def further_fields(s: Situation) -> Mapping[str, float]:
+    """Return the fields that the service does not read, for `encode`."""
+    readings, stick, echo = s.readings, s.stick, s.readings.ultrasound_m
+    x, y, z = readings.f_body
+    roll, pitch, yaw = s.shot.rpy_rad
+    vx, vy = (1e3 * v for v in readings.v_level_m_s)
+    tilt = s.limits.euler_angle_max_rad if stick.progressive else 0.0
+    values: dict[str, float] = {
+        "vbat_raw_mv": round(10_772 + 1_828 * readings.battery_fraction),
+        "flag_echo_ini": 1,
+        "alt_temp_raw_mm": 0 if echo is None else round(1e3 * echo),
+        "accs_temp_c": readings.temperature_c,
+        "theta_a_mdeg": _mdeg(math.atan2(x, math.hypot(y, z))),
+        "phi_a_mdeg": _mdeg(math.atan2(-y, -z)),
+        "ref_theta": round(_mdeg(stick.pitch * tilt)),
+        "ref_phi": round(_mdeg(stick.roll * tilt)),
+        "ref_yaw": round(_mdeg(stick.yaw * s.limits.yaw_rate_max_rad_s)) if stick.progressive else 0,
+        "altitude_vision_mm": round(1e3 * s.altitude_m),
+        "obs_alt": s.altitude_m,
+        "est_vx": vx,
+        "est_vy": vy,
+        "vision_state": 2,
+        "theta_capture_rad": pitch,
+        "phi_capture_rad": roll,
+        "psi_capture_rad": yaw,
+        "altitude_capture_mm": round(1e3 * s.shot.altitude_m),
+        "time_capture_ms": s.shot.time_ms,
+        "body_vx": vx,
+        "body_vy": vy,
+        "watchdog": s.ticks % 2**31,
+        "frame_size": s.shot.bytes_sent,
+        "frame_number": s.shot.number,
+        "out_bitrate": s.shot.bitrate_kbps,
+        "desired_bitrate": s.shot.bitrate_kbps,
+        "offset_pressure_pa": float(readings.pressure_pa),
+        "est_z": 1e3 * s.altitude_m,
+        "recorder_frame_number": s.shot.number,
+        "gps_state": s.gps["gps_plugged"],
+    }
+    for axis, f_m_s2 in zip("xyz", (x, -y, -z), strict=True):
+        values[f"raw_a{axis}"] = _clip(2048 + 0.512 * (1e3 * f_m_s2 / G_M_S2), 0, 4095)
+    for axis, w_rad_s in zip("xyz", readings.w_body, strict=True):
+        values[f"raw_w{axis}"] = _clip(math.degrees(w_rad_s) * 16.4, -(2**15), 2**15 - 1)
+    for n, pwm in enumerate(readings.motors_pwm, 1):
+        values[f"motor_{n}"], values[f"sat_motor_{n}"] = _clip(pwm, 0, 255), 255
+    if readings.magnetometer is not None:
+        field_mg = [v / TESLA_PER_MILLIGAUSS for v in readings.magnetometer]
+        for axis, mg in zip("xyz", field_mg, strict=True):
+            values[f"m{axis}"] = _clip(mg / MILLIGAUSS_PER_COUNT, -(2**15), 2**15 - 1)
+            values[f"magneto_raw_{axis}"] = values[f"magneto_rectified_{axis}"] = mg
+        for name in ("heading_unwrapped_deg", "heading_gyro_unwrapped_deg", "heading_fusion_unwrapped_deg"):
+            values[name] = math.degrees(readings.rpy_rad[2])
+        values.update(calibration_ok=1, magneto_state=2, radius=math.hypot(*field_mg))
+    return values
 
 
 def upright_m(slant_m: float, rpy_rad: tuple[float, float, float]) -> float:
@@ -106,165 +161,5 @@ def _mdeg(angle_rad: float) -> float:
     return math.degrees(angle_rad) * 1e3
 
 
-def _demo(s: Situation) -> navdata.Demo:
-    roll, pitch, yaw = s.readings.rpy_rad
-    vx, vy = s.readings.v_level_m_s
-    return navdata.Demo(
-        ctrl_state=s.control_state,
-        battery_percent=round(100 * s.readings.battery_fraction),
-        theta_mdeg=_mdeg(pitch),
-        phi_mdeg=_mdeg(roll),
-        psi_mdeg=_mdeg(yaw),
-        altitude_mm=0 if s.phase is VehiclePhase.LANDED else round(1e3 * s.altitude_m),
-        vx_mm_s=1e3 * vx,
-        vy_mm_s=1e3 * vy,
-        # No real drone was ever seen to fill this in.
-        vz_mm_s=0.0,
-    )
-
-
-def _raw_measures(s: Situation) -> navdata.RawMeasures:
-    readings, echo = s.readings, s.readings.ultrasound_m
-    x, y, z = readings.f_body
-    p, q, r = readings.w_body
-    return navdata.RawMeasures(
-        raw_accs=_counts(_raw_acc(x), _raw_acc(-y), _raw_acc(-z), 0, 4095),
-        raw_gyros=_counts(math.degrees(p) * 16.4, math.degrees(q) * 16.4, math.degrees(r) * 16.4, -(2**15), 2**15 - 1),
-        vbat_raw_mv=round(10_772 + 1_828 * readings.battery_fraction),
-        flag_echo_ini=1,
-        nb_echo=0 if echo is None else 1,
-        sum_echo=s.echoes % 2**32,
-        alt_temp_raw_mm=0 if echo is None else round(1e3 * echo),
-    )
-
-
-def _raw_acc(f_m_s2: float) -> float:
-    return 2048 + 0.512 * (1e3 * f_m_s2 / G_M_S2)
-
-
-def _counts(x: float, y: float, z: float, low: int, high: int) -> tuple[int, int, int]:
-    a, b, c = round(x), round(y), round(z)
-    if low <= a <= high and low <= b <= high and low <= c <= high:
-        return a, b, c
-    return _clip(x, low, high), _clip(y, low, high), _clip(z, low, high)
-
-
-def _phys_measures(s: Situation) -> navdata.PhysMeasures:
-    x, y, z = s.readings.f_body
-    p, q, r = s.readings.w_body
-    accs_mg = 1e3 * x / G_M_S2, 1e3 * y / G_M_S2, 1e3 * z / G_M_S2
-    return navdata.PhysMeasures(s.readings.temperature_c, 0, accs_mg, (math.degrees(p), math.degrees(q), math.degrees(r)))
-
-
-def _euler_angles(s: Situation) -> navdata.EulerAngles:
-    x, y, z = s.readings.f_body
-    return navdata.EulerAngles(_mdeg(math.atan2(x, math.hypot(y, z))), _mdeg(math.atan2(-y, -z)))
-
-
-def _references(s: Situation) -> navdata.References:
-    tilt = s.limits.euler_angle_max_rad if s.stick.progressive else 0.0
-    return navdata.References(
-        ref_theta=round(_mdeg(s.stick.pitch * tilt)),
-        ref_phi=round(_mdeg(s.stick.roll * tilt)),
-        ref_yaw=round(_mdeg(s.stick.yaw * s.limits.yaw_rate_max_rad_s)) if s.stick.progressive else 0,
-    )
-
-
-def _pwm(s: Situation) -> navdata.Pwm:
-    return navdata.Pwm(motor=tuple(_clip(p, 0, 255) for p in s.readings.motors_pwm))
-
-
-def _altitude(s: Situation) -> navdata.Altitude:
-    echo = s.readings.ultrasound_m
-    vx, vy = s.readings.v_level_m_s
-    return navdata.Altitude(
-        altitude_vision_mm=round(1e3 * s.altitude_m),
-        altitude_raw_mm=0 if echo is None else round(1e3 * echo),
-        obs_alt=s.altitude_m,
-        est_vb=(1e3 * vx, 1e3 * vy),
-    )
-
-
-def _vision(s: Situation) -> navdata.Vision:
-    roll, pitch, yaw = s.shot.rpy_rad
-    vx, vy = s.readings.v_level_m_s
-    return navdata.Vision(
-        vision_state=2,
-        theta_capture_rad=pitch,
-        phi_capture_rad=roll,
-        psi_capture_rad=yaw,
-        altitude_capture_mm=round(1e3 * s.shot.altitude_m),
-        time_capture_ms=s.shot.time_ms,
-        body_v=(1e3 * vx, 1e3 * vy, 0.0),
-    )
-
-
-def _video_stream(s: Situation) -> navdata.VideoStream:
-    return navdata.VideoStream(
-        frame_size=s.shot.bytes_sent,
-        frame_number=s.shot.number,
-        out_bitrate=s.shot.bitrate_kbps,
-        desired_bitrate=s.shot.bitrate_kbps,
-    )
-
-
-def _pressure(s: Situation) -> navdata.PressureRaw:
-    return navdata.PressureRaw(
-        up=0, ut=0, temperature_dc=round(10 * s.readings.temperature_c), pressure_pa=round(s.readings.pressure_pa)
-    )
-
-
-def _magneto(s: Situation) -> navdata.Magneto:
-    if s.readings.magnetometer is None:
-        return navdata.Magneto()
-    field_mg = tuple(v / TESLA_PER_MILLIGAUSS for v in s.readings.magnetometer)
-    heading = math.degrees(s.readings.rpy_rad[2])
-    mx, my, mz = (_clip(v / MILLIGAUSS_PER_COUNT, -(2**15), 2**15 - 1) for v in field_mg)
-    return navdata.Magneto(
-        mx=mx,
-        my=my,
-        mz=mz,
-        magneto_raw_mg=field_mg,
-        magneto_rectified_mg=field_mg,
-        heading_unwrapped_deg=heading,
-        heading_gyro_unwrapped_deg=heading,
-        heading_fusion_unwrapped_deg=heading,
-        calibration_ok=1,
-        state=2,
-        radius=math.hypot(*field_mg),
-    )
-
-
-def _kalman_pressure(s: Situation) -> navdata.KalmanPressure:
-    return navdata.KalmanPressure(offset_pressure_pa=float(s.readings.pressure_pa), est_z=1e3 * s.altitude_m)
-
-
 def _clip(value: float, low: int, high: int) -> int:
-    whole = round(value)
-    return low if whole < low else high if whole > high else whole
-
-
-def _zeros(tag: int) -> Callable[[Situation], bytes]:
-    body = bytes(UNREAD_BYTES[tag])
-    return lambda s: body
-
-
-_FILLED: dict[int, Callable[[Situation], Any]] = {
-    0: _demo,
-    1: lambda s: navdata.NavdataTime.of_us(s.time_us),
-    2: _raw_measures,
-    3: _phys_measures,
-    5: _euler_angles,
-    6: _references,
-    9: _pwm,
-    10: _altitude,
-    13: _vision,
-    17: lambda s: navdata.Watchdog(s.ticks % 2**31),
-    19: _video_stream,
-    21: _pressure,
-    22: _magneto,
-    24: _kalman_pressure,
-    25: lambda s: navdata.HdvideoStream(frame_number=s.shot.number),
-    27: lambda s: s.gps,
-}
-_OPTIONS = {tag: _FILLED.get(tag) or _zeros(tag) for tag in range(28)}
+    return min(high, max(low, round(value)))

@@ -30,9 +30,9 @@ class Cockpit:
         self.streamer = CommandStreamer(self.options, self.counters)
 
     def hears(self, t: float, control: nd.ControlState | None, state: int = 0, altitude_m: float = 0.0) -> None:
-        demo = () if control is None else (nd.Demo(control.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0),)
+        demo = {} if control is None else {"ctrl_state": control.word, "altitude_mm": round(1000 * altitude_m)}
         on_ground = control in (nd.ControlState.LANDED, nd.ControlState.INIT)
-        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.NavdataState.FLYING), 1, demo), ms(t))
+        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.NavdataState.FLYING), 1, **demo), ms(t))
 
     def measures(self, t: float, forward_m_s: float = 0.0) -> None:
         stamp = Stamp(ms(t), ms(t), 0.001, "synced")

@@ -1,106 +1,107 @@
-import itertools
 import json
+import math
 import struct
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, TypeVar
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.navdata_options import LAYOUT_OF_CLASS, UNREAD_BYTES, OptionLayout
-from drivers.ardrone.navdata_readings import readings_of
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.navdata_channel import NavdataChannel
+from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.samples import NavdataSampler
+from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
+from drivers.clock import SystemClock
+from estimator.contracts.geodesy import height_of_pressure_m, pressure_of_height_pa
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.drivers.captures import CAPTURES, needs_captures
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "synced")
-
-RENAMED = {
-    "vbat_flying_percentage": "battery_percent", "altitude": "altitude_mm", "vx": "vx_mm_s", "vy": "vy_mm_s", "vz": "vz_mm_s",
-    "vbat_raw_mV": "vbat_raw_mv", "alt_temp_raw": "alt_temp_raw_mm", "accs_temp": "accs_temp_c",
-    "phys_gyros_dps": "phys_gyros_deg_s", "theta_a": "theta_a_mdeg", "phi_a": "phi_a_mdeg",
-    "theta_capture": "theta_capture_rad", "phi_capture": "phi_capture_rad", "psi_capture": "psi_capture_rad",
-    "altitude_capture": "altitude_capture_mm", "time_capture": "time_capture_ms",
-    "temperature_meas": "temperature_dc", "pression_meas": "pressure_pa", "magneto_raw": "magneto_raw_mg",
-    "magneto_rectified": "magneto_rectified_mg", "heading_unwrapped": "heading_unwrapped_deg",
-    "heading_gyro_unwrapped": "heading_gyro_unwrapped_deg", "heading_fusion_unwrapped": "heading_fusion_unwrapped_deg",
-    "offset_pressure": "offset_pressure_pa", "lat": "lat_deg", "lon": "lon_deg", "elevation": "elevation_m",
+DEMO: dict[str, Any] = {
+    "ctrl_state": nd.ControlState.FLYING.word, "battery_percent": 42, "theta_mdeg": 2000.0, "phi_mdeg": -3000.0,
+    "psi_mdeg": 90000.0, "altitude_mm": 1500, "vx_mm_s": 410.0, "vy_mm_s": -230.0,
 }  # fmt: skip
-"""Names in the capture's description to ours, where they differ."""
+IMU = {"ax_mg": 100.0, "ay_mg": 200.0, "az_mg": -1000.0, "wx_deg_s": 10.0, "wy_deg_s": -20.0, "wz_deg_s": 30.0}
+FLYING = nd.NavdataState.FLYING
+S = TypeVar("S")
 
 
-def of_distinct_numbers(layout: OptionLayout) -> Any:
-    """Return an option whose every number differs from every other."""
-    numbers = itertools.count(1)
-    blank = layout.unpack(bytes(layout.size), 0)
+def the(kind: type[S], samples: list[Sample]) -> S:
+    (found,) = [s for s in samples if isinstance(s, kind)]
+    return found
 
-    def distinct(value: Any) -> Any:
-        return tuple(map(distinct, value)) if isinstance(value, tuple) else type(value)(next(numbers) * 0.5 + 0.5)
 
-    return layout.cls(*(distinct(getattr(blank, name)) for name in layout.names))
+def samples_of(state: int = 0, options: ArDroneOptions = AS_REPORTED, **fields: Any) -> list[Sample]:
+    return NavdataSampler(options).samples(nd.Navdata.of(state, 1, **fields), STAMP)
+
+
+def datagram(*bodies: tuple[int, bytes], state: int = 1) -> bytes:
+    """Return a datagram of any option bodies with its checksum."""
+    data = struct.pack("<IIII", nd.MAGIC, state, 2, 1)
+    data += b"".join(struct.pack("<HH", tag, len(body) + 4) + body for tag, body in bodies)
+    return data + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(data) & 0xFFFFFFFF)
+
+
+def numbers(value: Any) -> Iterator[Any]:
+    if isinstance(value, list):
+        yield from value
+    else:
+        yield value
 
 
 @needs_captures
-def test_every_value_of_the_captured_datagram() -> None:
+def test_the_layouts_are_those_of_a_captured_datagram() -> None:
+    data = (CAPTURES / "navdata_full_gps.bin").read_bytes()
     expected = json.loads((CAPTURES / "navdata_full_gps.expected.json").read_text())
-    navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
+    navdata = nd.decode(data)
     assert isinstance(navdata, nd.Navdata)
-    assert (navdata.state, navdata.sequence, navdata.vision_defined, navdata.skipped) == (
-        expected["state"], expected["sequence"], expected["vision_defined"], ())  # fmt: skip
-    compared = 0
+    assert (navdata.state, navdata.sequence, navdata.skipped) == (expected["state"], expected["sequence"], ())
+    assert navdata.options == tuple(range(28))
     for label, values in expected["options"].items():
-        tag = int(label.split(":")[0])
-        option = navdata.options.get(tag)
-        if option is None:
-            assert tag == nd.CHECKSUM_TAG or values["_size"] == UNREAD_BYTES[tag] + 4
+        tag, body = int(label.split(":")[0]), values["_offset"] + 4
+        if tag == nd.CHECKSUM_TAG:
             continue
-        layout = LAYOUT_OF_CLASS[type(option)]
-        assert layout.size == values["_size"]
-        named = {RENAMED.get(k, k): v for k, v in values.items()}
-        for name in layout.names if "raw" not in values else ():
-            ours = getattr(option, name)
-            assert (list(ours) if isinstance(ours, tuple) else ours) == named[name], (label, name)
-            compared += 1
-    assert compared == 73
+        layout = nd.LAYOUTS[tag]
+        assert layout.body.size == values["_size"] - 4
+        wanted = iter([n for name, value in values.items() if name[0] != "_" for n in numbers(value)])
+        for name, (at, letter) in layout.fields.items():
+            (ours,) = struct.unpack_from("<" + letter, data, body + at)
+            assert ours in wanted, (label, name)  # this takes the numbers before it too: the order is that of the wire
 
 
 @needs_captures
 def test_a_captured_datagram_cut_or_changed_anywhere_is_refused() -> None:
-    datagram = (CAPTURES / "navdata_full_gps.bin").read_bytes()
-    for at in range(len(datagram)):
-        assert isinstance(nd.decode(datagram[:at]), Refusal)
-        changed = bytearray(datagram)
+    data = (CAPTURES / "navdata_full_gps.bin").read_bytes()
+    for at in range(len(data)):
+        assert isinstance(nd.decode(data[:at]), Refusal)
+        changed = bytearray(data)
         changed[at] ^= 0x10
         assert isinstance(nd.decode(bytes(changed)), Refusal)
 
 
-@pytest.mark.parametrize("layout", LAYOUT_OF_CLASS.values(), ids=lambda layout: layout.cls.__name__)
-def test_no_two_fields_are_swapped(layout: OptionLayout) -> None:
-    option = of_distinct_numbers(layout)
-    datagram = nd.encode(nd.Navdata.of(7, 9, (option,)))
-    decoded = nd.decode(datagram)
-    assert decoded == nd.Navdata(7, 9, 1, {layout.tag: option})
-    assert len(datagram) == 16 + layout.size + 8
+@given(st.sets(st.sampled_from(list(nd.LAYOUTS))), st.randoms(use_true_random=False))
+def test_what_is_read_comes_back_whatever_options_there_are(tags, rng):
+    read = [name for tag in tags for name in nd.LAYOUTS[tag].fields if name in nd.Navdata.__struct_fields__]
+    values = {name: n for n, name in enumerate(rng.sample(read, len(read)), 1)}
+    navdata = nd.Navdata(7, 9, tuple(sorted(tags)), **values)
+    assert nd.decode(nd.encode(navdata)) == navdata
 
 
 def test_unknown_short_repeated_and_long_options_cost_nothing_else() -> None:
-    watchdog = LAYOUT_OF_CLASS[nd.Watchdog].pack(nd.Watchdog(5))
-    time = LAYOUT_OF_CLASS[nd.NavdataTime].pack(nd.NavdataTime(1))
-    longer = struct.pack("<HH", 1, len(time) + 3) + time[4:] + b"new"
-    unread = struct.pack("<HH8x", 27, 12)
-    body = struct.pack("<HH", 99, 7) + b"abc" + struct.pack("<HH", 9, 6) + b"xy" + watchdog + longer + unread + watchdog
-    head = struct.pack("<IIII", nd.MAGIC, 1, 2, 0)
-    datagram = head + body
-    decoded = nd.decode(datagram + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(datagram)))
+    pressure = struct.pack("<ihii", 1, 2, 3, 4)
+    old_gps = (27, bytes(8))
+    decoded = nd.decode(datagram((99, b"abc"), (9, b"xy"), (21, pressure), (1, bytes(4) + b"new"), old_gps, (21, pressure)))
     assert isinstance(decoded, nd.Navdata)
-    assert decoded.options == {17: nd.Watchdog(5), 1: nd.NavdataTime(1)}
-    assert decoded.skipped == (99, 9, 17)
+    assert (decoded.options, decoded.skipped, decoded.pressure_pa, decoded.clock) == ((21, 1), (99, 9, 21), 4, 0)
 
 
 def test_reasons_of_refusal() -> None:
-    good = nd.encode(nd.Navdata.of(0, 1, (nd.Watchdog(5),)))
+    good = datagram((17, bytes(4)))
     assert nd.decode(b"") is Refusal.TOO_SHORT
     assert nd.decode(b"x" + good[1:]) is Refusal.BAD_MAGIC
     assert nd.decode(good[:-1]) is Refusal.TORN
@@ -108,40 +109,20 @@ def test_reasons_of_refusal() -> None:
     assert nd.decode(good[:-1] + b"\x7f") is Refusal.BAD_CHECKSUM
 
 
-def test_time_wraps_and_control_state() -> None:
-    assert nd.NavdataTime.of_us(2049_000_001).time_us == 1_000_001
-    flying = nd.Demo(nd.ControlState.LANDING.word | 3, 0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
-    assert nd.Navdata.of(0, 1, (flying,)).control_state is nd.ControlState.LANDING
-    strange = nd.Demo(77 << 16, 0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
-    assert nd.Navdata.of(0, 1, (strange,)).control_state is None
-    assert nd.Navdata.of(0, 1).control_state is None
+def test_time_wraps_and_an_unknown_control_state_is_none() -> None:
+    assert nd.Navdata.of(0, 1, clock=nd.clock_of_us(2049_000_001)).time_us == 1_000_001
+    assert nd.Navdata.of(0, 1, ctrl_state=nd.ControlState.LANDING.word | 3).control_state is nd.ControlState.LANDING
+    assert nd.Navdata.of(0, 1, ctrl_state=77 << 16).control_state is None
 
 
 @settings(max_examples=300)
-@given(st.binary(max_size=400))
-def test_any_bytes_end_in_a_result(data: bytes) -> None:
-    assert isinstance(nd.decode(data), nd.Navdata | Refusal)
-
-
-@settings(max_examples=300)
-@given(st.lists(st.tuples(st.integers(0, 30), st.binary(max_size=230)), max_size=8), st.integers(0, 2**32 - 1))
-def test_any_bodies_under_a_good_checksum_become_samples_or_nothing(bodies: list[tuple[int, bytes]], state: int) -> None:
-    data = struct.pack("<IIII", nd.MAGIC, state, 1, 1)
-    data += b"".join(struct.pack("<HH", tag, len(body) + 4) + body for tag, body in bodies)
-    navdata = nd.decode(data + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(data) & 0xFFFFFFFF))
+@given(st.lists(st.tuples(st.integers(0, 30), st.binary(max_size=230)), max_size=8), st.integers(0, 2**32 - 1), st.binary())
+def test_any_bytes_end_in_a_result_and_any_bodies_become_samples_or_nothing(bodies, state, garbage):
+    assert isinstance(nd.decode(garbage), nd.Navdata | Refusal)
+    navdata = nd.decode(datagram(*bodies, state=state))
     assert isinstance(navdata, nd.Navdata)
-    unread = sum(len(body) >= UNREAD_BYTES.get(tag, 1 << 16) for tag, body in bodies)
-    assert len(bodies) - unread <= len(navdata.options) + len(navdata.skipped) <= len(bodies)
     sampler = NavdataSampler()
     assert len(sampler.samples(navdata, STAMP)) >= len(sampler.samples(navdata, STAMP))
-
-
-def outcome(decoded: nd.Navdata | Refusal) -> object:
-    if isinstance(decoded, Refusal):
-        return decoded
-    options = list(decoded.options.items())
-    assert repr(decoded.readings) == repr(readings_of(dict(options))), "read at once and from the options one by one"
-    return repr((decoded.state, decoded.sequence, decoded.vision_defined, decoded.skipped, options))
 
 
 @settings(max_examples=300)
@@ -149,20 +130,168 @@ def outcome(decoded: nd.Navdata | Refusal) -> object:
     st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9, 10, 21, 27, 77]), st.binary(max_size=230)), max_size=6),
     st.lists(st.tuples(st.integers(0, 2000), st.integers(1, 255)), max_size=3),
 )
-def test_a_datagram_of_a_known_outline_is_decoded_as_option_by_option(bodies, damage):
+def test_a_datagram_of_a_known_outline_is_decoded_as_one_of_a_new_one(bodies, damage):
     """The second of two datagrams of one size may be as the first, be damaged anywhere, or have other headers."""
-    raw = b"".join(struct.pack("<HH", tag, len(body) + 4) + body for tag, body in bodies)
-    head = struct.pack("<IIII", nd.MAGIC, 5, 7, 1) + raw
-    good = head + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(head))
+    good = datagram(*bodies)
     damaged = bytearray(good)
     for place, bits in damage:
         damaged[place % len(damaged)] ^= bits
-    summed = bytes(damaged[:-8]) + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(damaged[:-8]))
-    expected = [outcome(nd._walk(one, len(one))) for one in (bytes(damaged), summed)]
-    nd._outlines.clear()
-    first = outcome(nd.decode(good))
-    assert list(nd._outlines) == [len(good)]
-    assert outcome(nd.decode(good)) == first
-    for one, as_walked in zip((bytes(damaged), summed), expected, strict=True):
+    for one in (good, bytes(damaged), bytes(damaged[:-8]) + struct.pack("<HHI", nd.CHECKSUM_TAG, 8, sum(damaged[:-8]))):
+        nd._outlines.clear()
+        as_new = repr(nd.decode(one))
+        nd._outlines.clear()
         nd.decode(good)
-        assert outcome(nd.decode(one)) == as_walked
+        assert list(nd._outlines) == [len(good)]
+        assert repr(nd.decode(one)) == as_new
+
+
+@needs_captures
+def test_the_captured_drone_stands_with_its_nose_up() -> None:
+    navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
+    assert isinstance(navdata, nd.Navdata)
+    samples = NavdataSampler().samples(navdata, STAMP)
+    assert [type(s) for s in samples] == [Imu, Attitude, BodyVelocity, Range, Baro, GeoFix, VehicleStatus]
+    imu, attitude = the(Imu, samples), the(Attitude, samples)
+    np.testing.assert_allclose(imu.f_body, np.array([80.297, -33.3186, -942.528]) * 9.80665e-3, rtol=1e-4)
+    np.testing.assert_allclose(imu.w_body, np.radians([-0.112365, 0.0687213, 0.0620099]), rtol=1e-4)
+    assert np.degrees(attitude.R_ned_body.rpy_rad) == pytest.approx((0.550, 2.974, 1.933), abs=1e-3)
+    # What the accelerometer says of roll and pitch has the same signs as the attitude: both are forward-right-down.
+    assert math.degrees(math.asin(imu.f_body[0] / 9.3)) == pytest.approx(4.866, abs=0.1)
+    assert math.degrees(math.asin(-imu.f_body[1] / 9.3)) == pytest.approx(2.024, abs=0.1)
+    assert the(Range, samples).range_m == pytest.approx(0.243)
+    fix, status = the(GeoFix, samples), the(VehicleStatus, samples)
+    assert (fix.whose, fix.sigma_m) == ("vehicle", 2.5)
+    assert np.degrees([fix.place.latitude_rad, fix.place.longitude_rad]) == pytest.approx([34.0905, -118.2767], abs=1e-4)
+    assert fix.place.height_m == pytest.approx(122.64)
+    assert (status.flying, status.mode, status.battery_fraction) == (False, "landed", 0.5)
+    assert (status.emergency, status.link_ok) == (False, False)
+    assert navdata.time_us == 362_979_125
+
+
+def test_units_and_signs_of_everything_in_flight() -> None:
+    samples = samples_of(FLYING, **DEMO, **IMU, altitude_raw_mm=1400, pressure_pa=101325)
+    np.testing.assert_allclose(the(Imu, samples).f_body, [0.980665, 1.96133, -9.80665])
+    np.testing.assert_allclose(the(Imu, samples).w_body, np.radians([10.0, -20.0, 30.0]))
+    np.testing.assert_allclose(the(Attitude, samples).R_ned_body.rpy_rad, np.radians([-3.0, 2.0, 90.0]), atol=1e-9)
+    velocity = the(BodyVelocity, samples)
+    np.testing.assert_allclose(velocity.v_level, [0.41, -0.23, 0.0])
+    assert velocity.cov_level[2, 2] == UNKNOWN_VAR
+    assert math.sqrt(velocity.cov_level[0, 0]) >= 0.2 * math.hypot(0.41, 0.23), "an under-reading of a fifth is within a sigma"
+    scaled = the(BodyVelocity, samples_of(options=ArDroneOptions(velocity_scale=0.8), **DEMO))
+    np.testing.assert_allclose(scaled.v_level[:2], velocity.v_level[:2] / 0.8)
+    assert scaled.cov_level[0, 0] < velocity.cov_level[0, 0]
+    assert the(Range, samples).range_m == pytest.approx(1.4)
+    assert the(Baro, samples).height_m == pytest.approx(0.0, abs=1e-6)
+    status = the(VehicleStatus, samples)
+    assert (status.flying, status.mode, status.battery_fraction, status.link_ok) == (True, "flying", 0.42, True)
+    assert all(s.stamp is STAMP for s in samples)
+    faults = the(VehicleStatus, samples_of(nd.NavdataState.EMERGENCY | nd.NavdataState.COM_WATCHDOG))
+    assert (faults.emergency, faults.link_ok, faults.mode, faults.battery_fraction) == (True, False, "unknown", None)
+
+
+def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
+    samples = samples_of(**DEMO | {"theta_mdeg": 20000.0, "phi_mdeg": 0.0, "altitude_mm": 1000})
+    assert not [s for s in samples if isinstance(s, Imu)]
+    assert the(Range, samples).range_m == pytest.approx(1.0 / math.cos(math.radians(20.0)))
+
+
+GPS: dict[str, Any] = {
+    "lat_deg": 54.4, "lon_deg": 10.2, "elevation_m": 5.0, "hdop": 2.0, "data_available": 1, "nb_satellites": 7, "gps_plugged": 1
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "known", "wrong", "state"),
+    [
+        (Range, DEMO | {"altitude_raw_mm": 900}, {"altitude_raw_mm": 0}, 0),
+        (Range, DEMO | {"altitude_raw_mm": 900}, {}, nd.NavdataState.ULTRASOUND_DEAF),
+        (Range, DEMO, {"altitude_mm": 0}, 0),
+        (Attitude, DEMO, {"psi_mdeg": math.nan}, 0),
+        (BodyVelocity, DEMO, {"vy_mm_s": math.inf}, 0),
+        (Imu, IMU, {"ay_mg": math.nan}, 0),
+        (Baro, {"pressure_pa": 100}, {"pressure_pa": 0}, 0),
+        (GeoFix, GPS, {"gps_plugged": 0}, 0),
+        (GeoFix, GPS, {"data_available": 0}, 0),
+        (GeoFix, GPS, {"nb_satellites": 4}, 0),
+        (GeoFix, GPS, {"lat_deg": math.nan}, 0),
+        (GeoFix, GPS, {"lat_deg": 95.0}, 0),
+        (GeoFix, GPS, {"hdop": 0.0}, 0),
+        (GeoFix, GPS, {"elevation_m": math.inf}, 0),
+    ],
+)
+def test_what_is_not_known_is_left_out(kind: type[Any], known: dict[str, Any], wrong: dict[str, Any], state: int) -> None:
+    assert [s for s in samples_of(**known) if isinstance(s, kind)]
+    assert not [s for s in samples_of(state, **known | wrong) if isinstance(s, kind)]
+
+
+def test_repeats_of_slow_sensors_are_left_out() -> None:
+    sampler = NavdataSampler(repeat_s=0.1)
+    given: dict[type[Any], list[int]] = {Range: [], Baro: [], VehicleStatus: [], Imu: []}
+    for k in range(40):  # 200 Hz; ultrasound again every 40 ms, barometer every 10 ms
+        state = FLYING | (nd.NavdataState.COMMAND_ACK if k % 2 else 0)
+        slow = {"nb_echo": k // 8, "sum_echo": 0, "altitude_raw_mm": 900, "up": k // 2, "pressure_pa": 100000}
+        at = MonoNs(5_000_000 * k)
+        for sample in sampler.samples(nd.Navdata.of(state, 1, **DEMO, **IMU, **slow), Stamp(at, at, 0.001, "synced")):
+            if type(sample) in given:
+                given[type(sample)].append(k)
+    assert given[Range] == [0, 8, 16, 24, 32]
+    assert given[Baro] == list(range(0, 40, 2))
+    assert given[VehicleStatus] == [0, 20]
+    assert len(given[Imu]) == 40
+
+
+@pytest.mark.parametrize("height_m", [-300.0, 0.0, 12.5, 3000.0])
+def test_pressure_and_height_are_inverses(height_m: float) -> None:
+    assert height_of_pressure_m(pressure_of_height_pa(height_m)) == pytest.approx(height_m, abs=1e-6)
+    assert height_of_pressure_m(100129.0) == pytest.approx(100.0, abs=0.5)  # ISO 2533: 1001.29 hPa at 100 m
+
+
+class Ear:
+    """A channel without a socket: datagrams go in by hand."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+        self.sequences: list[int] = []
+        self.restarts = 0
+        self.counters = Counters()
+        self.channel = NavdataChannel(ArDroneOptions(), SystemClock(), self.counters, self._received, self._restarted)
+
+    def _received(self, navdata: nd.Navdata, samples: list[Sample], received_at: MonoNs) -> None:
+        self.sequences.append(navdata.sequence)
+        self.samples += samples
+
+    def _restarted(self) -> None:
+        self.restarts += 1
+
+    def hears(self, sequence: int, drone_ms: int | None, heard_ms: int) -> None:
+        clock = {} if drone_ms is None else {"clock": nd.clock_of_us(drone_ms * 1000)}
+        self.channel.take(nd.encode(nd.Navdata.of(0, sequence, **DEMO, **clock)), MonoNs(heard_ms * 1_000_000))
+
+
+def test_overtaken_and_doubled_datagrams_are_refused() -> None:
+    ear = Ear()
+    for k, sequence in enumerate([10, 11, 14, 12, 14, 13, 15]):
+        ear.hears(sequence, 5 * sequence, 1000 + 5 * k)
+    assert ear.sequences == [10, 11, 14, 15]
+    assert (ear.counters.navdata_out_of_order, ear.counters.navdata_lost, ear.restarts) == (3, 2, 0)
+
+
+@pytest.mark.parametrize(("last", "again"), [(500, 1), (500, 3), (20, 1)])
+def test_a_sequence_that_begins_again_is_a_restart(last: int, again: int) -> None:
+    ear = Ear()
+    ear.hears(last, 60_000, 100_000)
+    ear.hears(again, 59_800, 100_100)  # a small step back of the clock: no restart to be seen in the clock alone
+    assert ear.sequences == [last, again]
+    assert (ear.counters.navdata_restarts, ear.restarts) == (1, 1)
+    stamp = ear.samples[-1].stamp
+    assert stamp.received_at - stamp.measured_at < 5_000_000, "the new clock is not read by the old map"
+
+
+def test_stamps_without_a_clock_and_a_bootstrap_without_samples() -> None:
+    ear = Ear()
+    ear.channel.take(nd.encode(nd.Navdata(nd.NavdataState.NAVDATA_BOOTSTRAP, 1)), MonoNs(5))
+    assert (ear.sequences, ear.samples, ear.channel.received_at) == ([1], [], 5)
+    ear.hears(2, None, 1000)
+    stamp = ear.samples[0].stamp
+    assert (stamp.source, stamp.sigma_s) == ("arrival", ArDroneOptions().arrival_sigma_s)
+    assert stamp.measured_at < stamp.received_at

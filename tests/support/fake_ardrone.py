@@ -73,16 +73,13 @@ class FakeArDrone:
         self.sequence += 1
         self.clock_us += 5_000
         if self.state & nd.NavdataState.NAVDATA_BOOTSTRAP:
-            return nd.encode(nd.Navdata.of(self.state, self.sequence))
-        options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, self.altitude_mm, self.vx_mm_s, 0.0, 0.0),)
-        if not self.state & nd.NavdataState.NAVDATA_DEMO:
-            accs, gyros = (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)
-            options += (
-                nd.NavdataTime.of_us(self.clock_us),
-                nd.PhysMeasures(40.0, 0, accs, gyros),
-                nd.Altitude(altitude_raw_mm=900),
-            )
-        return nd.encode(nd.Navdata.of(self.state, self.sequence, options))
+            return nd.encode(nd.Navdata(self.state, self.sequence))
+        word, tags = self.control.word, (0,) if self.state & nd.NavdataState.NAVDATA_DEMO else (0, 1, 3, 10)
+        navdata = nd.Navdata(
+            self.state, self.sequence, tags, ctrl_state=word, battery_percent=80, altitude_mm=self.altitude_mm,
+            vx_mm_s=self.vx_mm_s, clock=nd.clock_of_us(self.clock_us), az_mg=-1000.0, altitude_raw_mm=900,
+        )  # fmt: skip
+        return nd.encode(navdata)
 
     def tick(self) -> None:
         """Send one navdata datagram."""

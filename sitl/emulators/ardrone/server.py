@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from drivers.ardrone import navdata
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
@@ -215,7 +214,7 @@ class ArDroneServer:
     def _send_navdata(self) -> None:
         now = self._clock.now()
         if self._navdata.clients and not self.silent:
-            self._sent.send(lambda: navdata.encode(self.drone.navdata()), now)
+            self._sent.send(self.drone.datagram, now)
         while (packet := self._sent.arrived(now)) is not None:
             self._navdata.send(packet[1])
 

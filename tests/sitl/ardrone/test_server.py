@@ -12,11 +12,11 @@ import av
 import numpy as np
 import pytest
 
-from drivers.ardrone import at, control, navdata, pave
-from drivers.ardrone.navdata import ControlState, NavdataState
-from drivers.ardrone.navdata_options import UNREAD_BYTES
+from drivers.ardrone import at, control, pave
+from drivers.ardrone.navdata import LAYOUTS, ControlState, NavdataState
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
+from sitl.ardrone.navdata_from_world import further_fields
 from sitl.emulators.ardrone import truth_log
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.faults.kinds import FrameStream, LinkLost, NavdataStream
@@ -65,12 +65,12 @@ async def test_bootstrap_reports_nothing_but_its_state_until_it_is_configured(pe
         peer.ask(request)
     first = await peer.on_message()
     assert first.sequence == 1
-    assert first.options == {}
+    assert first.options == ()
     assert first.state & NavdataState.NAVDATA_BOOTSTRAP
     assert first.state & NavdataState.COM_WATCHDOG
     await peer.configure("general:navdata_demo", "TRUE")
     demo = await peer.on_message()
-    assert list(demo.options) == [0], "65537: demo and vision_detect, which nobody reads"
+    assert demo.options == (0, 16), "65537: demo and vision_detect"
     assert demo.control_state is ControlState.LANDED
     peer.say(at.ComWdg())
     await peer.until(lambda n: not n.state & NavdataState.COM_WATCHDOG)
@@ -90,45 +90,37 @@ async def test_rates(server: ArDroneServer, peer: Peer, world: PointMass, demo: 
     assert last.sequence - first == pytest.approx(server.counters["navdata_sent"] - sent, abs=60), "they are heard too"
 
 
-async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Peer, world: PointMass) -> None:
+async def test_full_navdata_holds_what_the_sensors_read(server: ArDroneServer, peer: Peer, world: PointMass) -> None:
     peer.ask()
     await peer.configure("general:navdata_demo", "FALSE")
     async with peer.talking(FLY, at.Pcmd(1, 0.25, -0.5, 0.2, 0.3)):
         await peer.until(lambda n: n.control_state is ControlState.FLYING)
-        full = await peer.until(lambda n: (demo := n.get(navdata.Demo)) is not None and demo.vx_mm_s > 300 and demo.psi_mdeg > 0)
-    assert (list(full.options), full.skipped) == ([tag for tag in range(28) if tag == 27 or tag not in UNREAD_BYTES], ())
-    demo, time_, phys = full.get(navdata.Demo), full.get(navdata.NavdataTime), full.get(navdata.PhysMeasures)
-    altitude, magneto, pwm = full.get(navdata.Altitude), full.get(navdata.Magneto), full.get(navdata.Pwm)
-    references, pressure, raw = full.get(navdata.References), full.get(navdata.PressureRaw), full.get(navdata.RawMeasures)
-    assert demo is not None
-    assert time_ is not None
-    assert phys is not None
-    assert altitude is not None
-    assert magneto is not None
-    assert pwm is not None
-    assert references is not None
-    assert pressure is not None
-    assert raw is not None
+        full = await peer.until(lambda n: (n.vx_mm_s or 0.0) > 300 and (n.psi_mdeg or 0.0) > 0)
+    assert (full.options, full.skipped) == (tuple(range(28)), ())
     tilt_deg = np.degrees(world.limits.euler_angle_max_rad)
-    assert demo.theta_mdeg == pytest.approx(-0.5 * tilt_deg * 1e3, rel=1e-4), "nose down to fly ahead"
-    assert demo.phi_mdeg == pytest.approx(0.25 * tilt_deg * 1e3, rel=1e-4)
-    assert demo.psi_mdeg > 0
-    assert demo.vy_mm_s > 0
-    assert 800 < demo.altitude_mm < 1500
-    assert altitude.altitude_raw_mm == pytest.approx(demo.altitude_mm / np.cos(np.radians(0.25 * tilt_deg)), abs=10)
-    assert demo.battery_percent == 50
-    assert phys.phys_gyros_deg_s == pytest.approx(np.degrees([0.01, -0.02, 0.03]))
-    assert phys.phys_accs_mg == pytest.approx([1e3 * np.sin(np.radians(demo.theta_mdeg / 1e3)), -53.0, -990.0], abs=12), (
-        "forward-right-down, -1000 mg at rest"
-    )
-    assert magneto.magneto_raw_mg == pytest.approx((210.0, -15.0, 430.0))
-    assert pwm.motor == (170, 171, 172, 173)
-    assert references.ref_theta == pytest.approx(-0.5 * tilt_deg * 1e3, abs=1)
-    assert pressure.temperature_dc == 435
-    assert 101_305 <= pressure.pressure_pa <= 101_318
-    assert raw.sum_echo > 10
+    assert full.theta_mdeg == pytest.approx(-0.5 * tilt_deg * 1e3, rel=1e-4), "nose down to fly ahead"
+    assert full.phi_mdeg == pytest.approx(0.25 * tilt_deg * 1e3, rel=1e-4)
+    assert full.vy_mm_s is not None
+    assert full.vy_mm_s > 0
+    assert full.altitude_mm is not None
+    assert 800 < full.altitude_mm < 1500
+    assert full.altitude_raw_mm == pytest.approx(full.altitude_mm / np.cos(np.radians(0.25 * tilt_deg)), abs=10)
+    assert full.battery_percent == 50
+    assert (full.wx_deg_s, full.wy_deg_s, full.wz_deg_s) == pytest.approx(np.degrees([0.01, -0.02, 0.03]))
+    ahead_mg = 1e3 * np.sin(np.radians(full.theta_mdeg / 1e3))
+    assert (full.ax_mg, full.ay_mg, full.az_mg) == pytest.approx([ahead_mg, -53.0, -990.0], abs=12), "forward-right-down"
+    assert full.temperature_dc == 435
+    assert full.pressure_pa is not None
+    assert 101_305 <= full.pressure_pa <= 101_318
+    assert full.sum_echo is not None
+    assert full.sum_echo > 10
     flown_us = (world.now - world.started) // 1000
-    assert 89_000_000 < time_.time_us - flown_us < 91_000_000, "the drone was switched on a minute and a half before"
+    assert full.time_us is not None
+    assert 89_000_000 < full.time_us - flown_us < 91_000_000, "the drone was switched on a minute and a half before"
+    further = further_fields(server.drone._situation())
+    assert [further[f"magneto_raw_{axis}"] for axis in "xyz"] == pytest.approx((210.0, -15.0, 430.0))
+    assert [further[f"motor_{n}"] for n in range(1, 5)] == [170, 171, 172, 173]
+    assert set(further) <= {name for layout in LAYOUTS.values() for name in layout.fields}
 
 
 async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> None:
@@ -156,7 +148,7 @@ async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
     # By the drone's own clock, from the last command on that it took: a busy machine receives and says late.
     spoken_us = server._drone_clock.microseconds(server.drone.state._received_at or world.now)
-    hovered_us, landing_us = (t.time_us for n in (hovering, landing) if (t := n.get(navdata.NavdataTime)) is not None)
+    hovered_us, landing_us = (us for n in (hovering, landing) if (us := n.time_us) is not None)
     assert 1.0e6 <= hovered_us - spoken_us < 1.1e6
     assert 0.9e6 < landing_us - hovered_us < 1.1e6
     landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
