@@ -23,18 +23,7 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark
-from drivers.ardrone.sender_wire import (
-    BUSY,
-    LINE_MAX,
-    REOPEN,
-    SenderOptions,
-    SenderStatus,
-    as_text,
-    pack,
-    pack_commands,
-    pack_end,
-    status_of,
-)
+from drivers.ardrone.sender_wire import BUSY, LINE_MAX, SenderOptions, SenderOrder, SenderStatus, as_text, pack, status_of
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -78,7 +67,7 @@ class SenderClient:
         self._o = options
         self._clock = clock
         self._on_status = on_status
-        self._status = SenderStatus(0, 0, 0, 0)
+        self._status = SenderStatus()
         self._hovered = hovered
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._received_at: MonoNs | None = None
@@ -144,7 +133,7 @@ class SenderClient:
         heard_at = self._began if self._received_at is None else self._received_at
         if self._flew and seconds_between(heard_at, self._clock.now()) > self._silent_s:
             self._hover()
-        self._write(pack(command))
+        self._write(SenderOrder(latest=command))
 
     def send(self, commands: Sequence[AtCommand]) -> None:
         """Send further commands, all in one datagram, in order; they are dropped while the sender is not up yet.
@@ -155,7 +144,7 @@ class SenderClient:
         self._look()
         if not self.up:
             return  # dropped as a datagram may be: important ones are repeated, and must not pile up
-        self._write(pack_commands(commands, after(self._clock.now(), _COMMANDS_S)))
+        self._write(SenderOrder(commands=as_text(commands), until=after(self._clock.now(), _COMMANDS_S)))
 
     def reopen(self) -> None:
         """Open the AT socket again; the new one takes this host's present address.
@@ -164,12 +153,12 @@ class SenderClient:
             Recoverable: the sender is gone or stuck.
         """
         self._look()
-        self._write(REOPEN)
+        self._write(SenderOrder(reopen=True))
 
     def end(self, command: TimedCommand) -> None:
         """Let the sender send this command and end: the service ends on purpose."""
         with suppress(Recoverable):
-            self._write(pack_end(command))
+            self._write(SenderOrder(end=command))
         self._close()
         self._kill(_END_S)
 
@@ -189,7 +178,8 @@ class SenderClient:
             self._lose(f"the sender of AT commands says nothing for {timeout_s} s")
             raise Recoverable(self._lost or "")
 
-    def _write(self, line: bytes) -> None:
+    def _write(self, order: SenderOrder) -> None:
+        line = pack(order)
         try:
             if self._socket.send(line) != len(line):
                 self._lose("the sender of AT commands is stuck")
@@ -272,7 +262,7 @@ def _spawn(options: SenderOptions) -> tuple[subprocess.Popen[bytes], socket.sock
     try:
         roots = [str(Path(next(iter(package.__path__))).parent) for package in (drivers, msgspec)]
         process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), options.as_json()],
+            [sys.executable, "-I", "-S", "-c", _START, *roots, str(theirs.fileno()), msgspec.json.encode(options).decode()],
             pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

@@ -1,4 +1,4 @@
-"""Connected UDP sockets: one that wakes the event loop for each datagram, and one whose datagrams wait until they are taken."""
+"""A connected UDP socket whose datagrams wait until they are taken, with the instants at which the kernel received them."""
 
 import asyncio
 import socket
@@ -6,15 +6,12 @@ import struct
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from typing import Any
 
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 
-_BUFFER_MAX = 16384
-"""The number of bytes waiting to be sent beyond which a datagram is dropped."""
-_DATAGRAM_MAX = 1 << 14
+_DATAGRAM_MAX = 1 << 16
 _MOST_AT_ONCE = 64
 """The number of datagrams that are taken at once: a flood of them must not keep the event loop."""
 _SO_TIMESTAMPNS = 35
@@ -25,60 +22,6 @@ _TRIES, _APART_NS = 3, 100_000
 """Most readings of the two clocks, until the thread was not interrupted between them."""
 _WALL_STEP_NS = 1_000_000
 """A wall clock that moved by more than this against the monotonic one between two looks was set meanwhile."""
-
-
-class Datagrams(asyncio.DatagramProtocol):
-    """Passes each datagram to `received` with the instant at which it was received; counts the errors that the system reports."""
-
-    def __init__(self, clock: Clock, received: Callable[[bytes, MonoNs], None]) -> None:
-        self._clock = clock
-        self._received = received
-        self._transport: Any = None
-        # The loops' datagram transports share no class that has both methods used here.
-        self._lost: Exception | None = None
-        self.errors = 0
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport
-
-    def datagram_received(self, data: bytes, addr: object) -> None:
-        self._received(data, self._clock.now())
-
-    def error_received(self, exc: Exception) -> None:
-        self.errors += 1
-        if not isinstance(exc, ConnectionRefusedError):
-            self._lost = exc
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._lost = exc or Recoverable("socket closed")
-
-    def send(self, data: bytes) -> None:
-        """Send now or drop; never blocks.
-
-        Raises:
-            Recoverable: the socket is broken; a peer that refuses does not break it, as it may start later.
-        """
-        if self._lost is not None:
-            raise Recoverable(f"socket: {self._lost}")
-        if self._transport.get_write_buffer_size() < _BUFFER_MAX:
-            self._transport.sendto(data)
-
-
-@asynccontextmanager
-async def open_datagrams(
-    host: str, port: int, clock: Clock, received: Callable[[bytes, MonoNs], None]
-) -> AsyncIterator[Datagrams]:
-    """Open a socket that talks to one peer only, and close it on leaving.
-
-    Raises:
-        OSError: the host is not known or not reachable.
-    """
-    loop = asyncio.get_running_loop()
-    transport, protocol = await loop.create_datagram_endpoint(lambda: Datagrams(clock, received), remote_addr=(host, port))
-    try:
-        yield protocol
-    finally:
-        transport.close()
 
 
 class WaitingDatagrams:
@@ -177,16 +120,26 @@ def _wall_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
 
 @asynccontextmanager
 async def open_waiting(
-    host: str, port: int, clock: Clock, received: Callable[[bytes, MonoNs], None]
+    host: str, port: int, clock: Clock, received: Callable[[bytes, MonoNs], None], *, at_once: bool = False
 ) -> AsyncIterator[WaitingDatagrams]:
     """Open a socket that talks to one peer only and holds its datagrams, and close it on leaving.
+
+    Args:
+        at_once: take each datagram when it arrives.
 
     Raises:
         OSError: the host is not known or not reachable.
     """
-    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    loop = asyncio.get_running_loop()
+    found = await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
     family, kind, protocol, _, address = found[0]
     with socket.socket(family, kind, protocol) as connected:
         connected.setblocking(False)
         connected.connect(address)
-        yield WaitingDatagrams(connected, clock, received)
+        waiting = WaitingDatagrams(connected, clock, received)
+        if at_once:
+            loop.add_reader(connected, waiting.take)
+        try:
+            yield waiting
+        finally:
+            loop.remove_reader(connected)

@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager
 from drivers.ardrone.command_channel import CommandChannel
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.datagrams import open_datagrams
+from drivers.ardrone.datagrams import open_waiting
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
@@ -45,8 +45,8 @@ _LATE = 64
 restarted."""
 
 
-class VideoChannel:
-    """Puts the frames of one video stream into `frames`, once the bottom camera is known to be selected."""
+class _Video:
+    """Puts the frames of one video into `frames`, once the bottom camera is known to be selected."""
 
     def __init__(self, options: ArDroneOptions, clock: Clock, counters: Counters, setup: Setup, frames: Latest[Frame]) -> None:
         self._o = options
@@ -54,6 +54,24 @@ class VideoChannel:
         self._counters = counters
         self._setup = setup
         self._frames = frames
+
+    def _selected(self, received_at: MonoNs) -> bool:
+        """Return whether the bottom camera was selected when this arrived; count what came before."""
+        done_at = self._setup.done_at
+        selected = done_at is not None and seconds_between(done_at, received_at) >= self._o.video_settle_s
+        self._counters.frames_before_setup += not selected
+        return selected
+
+    def _give(self, frame: Frame) -> None:
+        self._counters.frames += 1
+        self._counters.frames_replaced += self._frames.offer(frame) is not None
+
+
+class VideoChannel(_Video):
+    """The H.264 video of a 2.0."""
+
+    def __init__(self, options: ArDroneOptions, clock: Clock, counters: Counters, setup: Setup, frames: Latest[Frame]) -> None:
+        super().__init__(options, clock, counters, setup, frames)
         self._parser = PaveParser()
         self._decoder = VideoDecoder()
         self._map = ClockMap(
@@ -117,19 +135,12 @@ class VideoChannel:
         if image is None:
             return
         stamp = stamps[image.index]
-        if not self._selected(stamp.received_at):
-            self._counters.frames_before_setup += 1
-            return
-        frame = Frame(stamp, batch[image.index].header.frame_number, image.px, self._o.exposure_s, coded=True)
-        self._counters.frames += 1
-        self._counters.frames_replaced += self._frames.offer(frame) is not None
+        if self._selected(stamp.received_at):
+            number = batch[image.index].header.frame_number
+            self._give(Frame(stamp, number, image.px, self._o.exposure_s, coded=True))
 
     def _stamp(self, unit: PaveFrame, received_at: MonoNs) -> Stamp:
         return self._map.stamp(unit.header.timestamp_ms * _MS, received_at)
-
-    def _selected(self, received_at: MonoNs) -> bool:
-        done_at = self._setup.done_at
-        return done_at is not None and seconds_between(done_at, received_at) >= self._o.video_settle_s
 
     def _count(self) -> None:
         decoder, counters = self._decoder, self._counters
@@ -139,8 +150,8 @@ class VideoChannel:
         counters.frames_unsupported = decoder.unsupported
 
 
-class UvlcChannel:
-    """Puts the frames of one video into `frames`, once the bottom camera is known to be selected."""
+class UvlcChannel(_Video):
+    """The UVLC video of a 1.0."""
 
     def __init__(
         self,
@@ -151,12 +162,8 @@ class UvlcChannel:
         frames: Latest[Frame],
         decoder: PictureDecoder,
     ) -> None:
-        self._o = options
+        super().__init__(options, clock, counters, setup, frames)
         self._decoder = decoder
-        self._clock = clock
-        self._counters = counters
-        self._setup = setup
-        self._frames = frames
         self._newest: int | None = None
         self._sigma_s = min(0.999, math.hypot(options.video_delay_sigma_s, options.arrival_sigma_s))
 
@@ -179,7 +186,7 @@ class UvlcChannel:
             self._counters.frames_overtaken += arrived.offer((datagram, received_at)) is not None
 
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
-            async with open_datagrams(self._o.host, self._o.video_port, self._clock, received) as socket:
+            async with open_waiting(self._o.host, self._o.video_port, self._clock, received, at_once=True) as socket:
                 found = self._clock.now()
                 socket.send(OPENING)
                 while True:
@@ -197,9 +204,7 @@ class UvlcChannel:
     async def _take(self, datagram: bytes, received_at: MonoNs, pool: ThreadPoolExecutor) -> None:
         picture = self._decoder.header(datagram)
         if not self._selected(received_at):
-            # A drone that is not configured yet sends what its last client wanted: the other camera, or P264.
-            self._counters.frames_before_setup += 1
-            return
+            return  # a drone that is not configured yet sends what its last client wanted: the other camera, or P264
         if isinstance(picture, PictureRefusal):
             self._refuse(picture)
             return
@@ -211,9 +216,7 @@ class UvlcChannel:
             self._counters.frames_overtaken += 1
             return
         stamp = Stamp(after(received_at, -self._o.video_delay_s), received_at, self._sigma_s, "arrival")
-        frame = Frame(stamp, picture.number, px, self._o.exposure_s)
-        self._counters.frames += 1
-        self._counters.frames_replaced += self._frames.offer(frame) is not None
+        self._give(Frame(stamp, picture.number, px, self._o.exposure_s))
 
     def _refuse(self, why: PictureRefusal) -> None:
         self._counters.video_refused[why.value] += 1
@@ -229,10 +232,6 @@ class UvlcChannel:
                 self._counters.video_lost += ahead - 1
         self._newest = picture.number
         return True
-
-    def _selected(self, received_at: MonoNs) -> bool:
-        done_at = self._setup.done_at
-        return done_at is not None and seconds_between(done_at, received_at) >= self._o.video_settle_s
 
 
 class ArDrone:

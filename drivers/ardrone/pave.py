@@ -12,6 +12,12 @@ from enum import Enum, IntEnum
 
 MAGIC = b"PaVE"
 _FIXED = struct.Struct("<4sBBHIHHHHIIBBBBQHBBBB2sI12s")
+_FIELDS = (
+    "version", "codec", "header_size", "payload_size", "encoded_width", "encoded_height", "display_width", "display_height",
+    "frame_number", "timestamp_ms", "total_chunks", "chunk_index", "frame_type", "control", "stream_position", "stream_id",
+    "total_slices", "slice_index", "sps_size", "pps_size", "padding", "advertised_size", "reserved",
+)  # fmt: skip
+"""The fields of a header behind its magic, in the order of the wire."""
 HEADER_SIZE_MIN = _FIXED.size
 HEADER_SIZE_MAX = 256
 PAYLOAD_MAX = 1 << 20
@@ -33,7 +39,7 @@ class FrameType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PaveHeader:
-    """Every field of the header, in the order of the wire.
+    """Every field of the header.
 
     Raises:
         ValueError: `extension` does not fill `header_size`.
@@ -97,16 +103,7 @@ class PaveHeader:
         Raises:
             struct.error: a value does not fit its field.
         """
-        return (
-            _FIXED.pack(
-                MAGIC, self.version, self.codec, self.header_size, self.payload_size,
-                self.encoded_width, self.encoded_height, self.display_width, self.display_height,
-                self.frame_number, self.timestamp_ms, self.total_chunks, self.chunk_index, self.frame_type, self.control,
-                self.stream_position, self.stream_id, self.total_slices, self.slice_index, self.sps_size, self.pps_size,
-                self.padding, self.advertised_size, self.reserved,
-            )
-            + self.extension
-        )  # fmt: skip
+        return _FIXED.pack(MAGIC, *[getattr(self, name) for name in _FIELDS]) + self.extension
 
     @staticmethod
     def unpack(data: bytes | bytearray, offset: int = 0) -> PaveHeader | None:
@@ -128,32 +125,23 @@ def _examine(data: bytes | bytearray, offset: int) -> PaveHeader | _More | None:
         return None
     if len(data) - offset < HEADER_SIZE_MIN:
         return _More.NEEDED
-    (
-        _, version, codec, header_size, payload_size, encoded_width, encoded_height, display_width, display_height,
-        frame_number, timestamp_ms, total_chunks, chunk_index, frame_type, control, stream_position, stream_id,
-        total_slices, slice_index, sps_size, pps_size, padding, advertised_size, reserved,
-    ) = _FIXED.unpack_from(data, offset)  # fmt: skip
+    found = dict(zip(_FIELDS, _FIXED.unpack_from(data, offset)[1:], strict=True))
     plausible = (
-        1 <= version <= 8
-        and 1 <= codec <= 8
-        and HEADER_SIZE_MIN <= header_size <= HEADER_SIZE_MAX
-        and payload_size <= PAYLOAD_MAX
-        and frame_type <= FrameType.HEADERS
-        and control <= (CONTROL_ADVERTISEMENT | CONTROL_LAST_FRAME)
-        and chunk_index <= total_chunks
-        and slice_index <= total_slices
-        and max(encoded_width, encoded_height, display_width, display_height) <= 4096
+        1 <= found["version"] <= 8
+        and 1 <= found["codec"] <= 8
+        and HEADER_SIZE_MIN <= found["header_size"] <= HEADER_SIZE_MAX
+        and found["payload_size"] <= PAYLOAD_MAX
+        and found["frame_type"] <= FrameType.HEADERS
+        and found["control"] <= (CONTROL_ADVERTISEMENT | CONTROL_LAST_FRAME)
+        and found["chunk_index"] <= found["total_chunks"]
+        and found["slice_index"] <= found["total_slices"]
+        and max(found[name] for name in _FIELDS if name.endswith(("_width", "_height"))) <= 4096
     )
     if not plausible:
         return None
-    if len(data) - offset < header_size:
+    if len(data) - offset < found["header_size"]:
         return _More.NEEDED
-    return PaveHeader(
-        payload_size, frame_number, timestamp_ms, frame_type, version, codec, header_size, encoded_width, encoded_height,
-        display_width, display_height, total_chunks, chunk_index, control, stream_position, stream_id, total_slices,
-        slice_index, sps_size, pps_size, padding, advertised_size, reserved,
-        bytes(data[offset + HEADER_SIZE_MIN : offset + header_size]),
-    )  # fmt: skip
+    return PaveHeader(**found, extension=bytes(data[offset + HEADER_SIZE_MIN : offset + found["header_size"]]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 
+import msgspec
+
 from drivers.ardrone.arbiter import HOVER, CommandArbiter
 from drivers.ardrone.at import numbered
 from drivers.ardrone.landing_watch import DroneReport
@@ -30,7 +32,7 @@ from drivers.ardrone.sender_wire import (
     TextCommand,
     as_text,
     order_of,
-    pack_status,
+    pack,
 )
 from estimator.contracts.time import MonoNs
 
@@ -130,7 +132,7 @@ class Sender:
         for line in lines:
             try:
                 order = order_of(line)
-            except (ValueError, TypeError):
+            except msgspec.DecodeError:
                 self._errors += 1
                 continue
             self._obey(order)
@@ -227,7 +229,7 @@ class Sender:
         status = SenderStatus(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
         # A service that does not read gets a later status; the next read shows whether it is gone.
         with suppress(OSError):
-            self._service.send(pack_status(status), socket.MSG_DONTWAIT)
+            self._service.send(pack(status), socket.MSG_DONTWAIT)
 
     def _listen(self, now: int) -> None:
         """Receive navdata in this process, and request it again if it does not arrive."""
@@ -283,7 +285,7 @@ def main(argv: Sequence[str]) -> int:
     # Ctrl-C and a closed terminal are meant for the service, which ends its sender in its own time.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    options = SenderOptions.of_json(argv[1])
+    options = msgspec.json.decode(argv[1], type=SenderOptions)
     service = socket.socket(fileno=int(argv[0]))
     claimed = claim(options.name, options.marked, replaces=options.replaces)
     if claimed is None:

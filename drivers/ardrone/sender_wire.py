@@ -1,24 +1,20 @@
 """The protocol between a service and its sender: lines of JSON over a stream socket. No I/O.
 
-The service sends its command of each period (`pack`), further commands with a deadline (`pack_commands`), REOPEN, and at its end
-the final command (`pack_end`). The sender answers each command of a period with its status.
+The service sends orders, the sender answers each command of a period with its status.
 """
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+
+from msgspec import Struct, json
 
 from drivers.ardrone.arbiter import TimedCommand
-from drivers.ardrone.at import AtCommand, Pcmd, arguments
+from drivers.ardrone.at import AtCommand, arguments
 from estimator.contracts.time import MonoNs
 
 LINE_MAX = 1 << 16
-REOPEN = b'{"reopen": true}\n'
-"""The line that makes the sender open the AT socket again, which then takes this host's present address."""
 BUSY = b"busy"
 """The line of a sender that ends at once, because another service, which is alive, flies this drone."""
 
@@ -26,9 +22,8 @@ TextCommand = tuple[str, str]
 """A command as text: its name, and its arguments as they follow the sequence number."""
 
 
-@dataclass(frozen=True, slots=True)
-class SenderOptions:
-    """The options that the service gives its sender at the start."""
+class SenderOptions(Struct, frozen=True):
+    """The options that the service gives its sender at the start, as JSON on its command line."""
 
     host: str
     at_port: int
@@ -43,18 +38,6 @@ class SenderOptions:
     replaces: bool = False
     """True if an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
 
-    def as_json(self) -> str:
-        """Return the text that `of_json` reads."""
-        return json.dumps(asdict(self))
-
-    @staticmethod
-    def of_json(text: str) -> SenderOptions:
-        """Return the options that `as_json` wrote."""
-        given = json.loads(text)
-        for name in ("on_service_lost", "on_service_back"):
-            given[name] = tuple((str(command), str(rest)) for command, rest in given[name])
-        return SenderOptions(**given)
-
     @property
     def name(self) -> str:
         """The name of the abstract socket of the process that sends to this drone: one for each user, host and port."""
@@ -66,29 +49,30 @@ class SenderOptions:
         return f"\0decklander-service/{os.getuid()}/{self.host}:{self.at_port}"
 
 
-@dataclass(frozen=True, slots=True)
-class SenderStatus:
+class SenderStatus(Struct, frozen=True):
     """The totals of a sender since it began."""
 
-    sequence: int
+    sequence: int = 0
     """The sequence number of the newest command."""
-    datagrams: int
-    errors: int
-    late_hovers: int
+    datagrams: int = 0
+    errors: int = 0
+    late_hovers: int = 0
     """Number of datagrams in which hover replaced an expired command."""
 
 
-@dataclass(frozen=True, slots=True)
-class SenderOrder:
-    """One parsed line of the service: at most one of the fields is set."""
+class SenderOrder(Struct, frozen=True, omit_defaults=True):
+    """One line of the service: at most one of the fields is set, `until` beside `commands`."""
 
     latest: TimedCommand | None = None
     """The command of the period."""
     commands: tuple[TextCommand, ...] = ()
+    """Further commands."""
     until: MonoNs | None = None
-    """The instant until which `commands` may be sent."""
+    """The instant after which `commands` are dropped."""
     reopen: bool = False
+    """Open the AT socket again, which then takes this host's present address."""
     end: TimedCommand | None = None
+    """The final command, after which the sender ends."""
 
 
 def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
@@ -100,57 +84,12 @@ def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
     return tuple((command.NAME, arguments(command)) for command in commands)
 
 
-def pack(command: TimedCommand) -> bytes:
-    """Return the line of the command of one period."""
-    return json.dumps(_fields(command)).encode() + b"\n"
+def pack(line: SenderOrder | SenderStatus) -> bytes:
+    """Return a line as it is sent."""
+    return json.encode(line) + b"\n"
 
 
-def pack_end(command: TimedCommand) -> bytes:
-    """Return the line that ends the sender, with the final command."""
-    return json.dumps({"end": _fields(command)}).encode() + b"\n"
-
-
-def pack_commands(commands: Sequence[AtCommand], until: MonoNs) -> bytes:
-    """Return the line of further commands, which are dropped after `until`.
-
-    Raises:
-        ValueError: an argument cannot be encoded.
-    """
-    return json.dumps({"send": as_text(commands), "until": until}).encode() + b"\n"
-
-
-def pack_status(status: SenderStatus) -> bytes:
-    """Return the line of a status."""
-    return json.dumps([status.sequence, status.datagrams, status.errors, status.late_hovers]).encode() + b"\n"
-
-
-def order_of(line: bytes) -> SenderOrder:
-    """Parse a line of the service."""
-    output = json.loads(line)
-    if isinstance(output, list):
-        return SenderOrder(latest=_timed_command(output))
-    if "send" in output:
-        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in output["send"]), until=MonoNs(output["until"]))
-    if "end" in output:
-        return SenderOrder(end=_timed_command(output["end"]))
-    return SenderOrder(reopen=True)
-
-
-def status_of(line: bytes) -> SenderStatus:
-    """Parse a line of the sender."""
-    return SenderStatus(*json.loads(line))
-
-
-def _fields(command: TimedCommand) -> list[object]:
-    climb = None if command.climb is None else _of_sticks(command.climb)
-    return [command.until, _of_sticks(command.sticks), command.ref, command.landing, command.watchdog, climb]
-
-
-def _timed_command(said: list[Any]) -> TimedCommand:
-    until, sticks, ref, landing, watchdog, climb = said
-    climbs = None if climb is None else Pcmd(*climb)
-    return TimedCommand(until, Pcmd(*sticks), ref, landing, watchdog, climbs)
-
-
-def _of_sticks(p: Pcmd) -> list[float]:
-    return [p.flags, p.roll, p.pitch, p.gaz, p.yaw]
+order_of = json.Decoder(SenderOrder).decode
+"""Parse a line of the service; raises `msgspec.DecodeError`."""
+status_of = json.Decoder(SenderStatus).decode
+"""Parse a line of the sender; raises `msgspec.DecodeError`."""

@@ -1,7 +1,6 @@
 """The sender's process on real sockets: what the drone is told when the service is killed, stopped, stuck, or comes back."""
 
 import asyncio
-import json
 import os
 import pickle
 import signal
@@ -22,7 +21,7 @@ from drivers.ardrone.command_channel import SenderClient
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.sender_wire import SenderOptions, order_of, pack, pack_commands
+from drivers.ardrone.sender_wire import SenderOptions, SenderOrder, as_text, order_of, pack
 from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
@@ -110,12 +109,15 @@ def test_it_is_small() -> None:
 
 def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
     word = TimedCommand(MonoNs(12345), AHEAD, at.REF_BASE, True, True, at.Pcmd(at.PCMD_PROGRESSIVE, 0.1, 0.2, 1.0, 0.0))
-    assert order_of(pack(word)).latest == word
-    sent = order_of(pack_commands([at.Config("a:b", "c d"), at.Ctrl(5)], MonoNs(7)))
-    assert (sent.commands, sent.until) == ((("CONFIG", ',"a:b","c d"'), ("CTRL", ",5,0")), 7)
-    options = SenderOptions(HOST, 1, 2, 0.03, 60.0, 2.0, (("CTRL", ",5,0"),), ())
-    assert SenderOptions.of_json(options.as_json()) == options
-    assert json.loads(options.as_json())["host"] == HOST
+    text = as_text([at.Config("a:b", "c d"), at.Ctrl(5)])
+    assert text == (("CONFIG", ',"a:b","c d"'), ("CTRL", ",5,0"))
+    for order in (
+        SenderOrder(word),
+        SenderOrder(commands=text, until=MonoNs(7)),
+        SenderOrder(reopen=True),
+        SenderOrder(end=word),
+    ):
+        assert order_of(pack(order)) == order
 
 
 @pytest.mark.hazard("H5")
@@ -297,8 +299,8 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
             client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
             assert b"PCMD" in drone.recv(2048)
             os.kill(client.pid, signal.SIGSTOP)
-            client._write(pack(TimedCommand(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
-            client._write(pack_commands([at.Ftrim()], after(CLOCK.now(), 0.1)))
+            client._write(SenderOrder(TimedCommand(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
+            client._write(SenderOrder(commands=as_text([at.Ftrim()]), until=after(CLOCK.now(), 0.1)))
             await asyncio.sleep(0.2)
             drone.setblocking(False)
             while True:

@@ -21,7 +21,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import FIRST, SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame
-from sitl.emulators.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoDatagramPort, VideoPort
+from sitl.emulators.ardrone.sockets import Address, DatagramPort, StreamPort
 from sitl.emulators.ardrone.truth_log import TruthLog
 from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture, WirePictures
 from sitl.faults.faulty_streams import LAG_S, Fate, InTransit
@@ -36,6 +36,11 @@ CATCH_UP_MAX_S = 0.25
 
 After a longer one missed datagrams are not sent late; the physics runs up to now.
 """
+
+
+_BACKLOG_MAX = 1 << 18
+_VIDEO_SEND_BUFFER = 1 << 16
+"""Bytes the kernel may hold for the video client: about half a second, so that a slow client loses frames, not freshness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +105,13 @@ class ArDroneServer:
         self._drone_clock = DroneClock(after(world.now, -self._habits.uptime_s), self._habits.clock_drift_ppm)
         self._stack = AsyncExitStack()
         self._truth: TruthLog | None = None
-        self._navdata = NavdataPort(self._clock.now, self.counters)
+        now, counters = self._clock.now, self.counters
+        self._navdata = DatagramPort("navdata", now, counters, clients_max=8, backlog_max=_BACKLOG_MAX)
         first = self._habits.generation is FIRST
-        self._video = VideoDatagramPort(self._clock.now, self.counters) if first else VideoPort(self.counters)
+        self._video = DatagramPort("video", now, counters) if first else StreamPort("video", counters, buffer=_VIDEO_SEND_BUFFER)
         self._pictures: WirePictures = UvlcPictures() if first else PavePictures(self._habits.pave_header_size, self._habits.crf)
-        self._control = ControlPort(self.counters)
+        self._control = StreamPort("control", counters, clients_max=8, backlog_max=_BACKLOG_MAX)
+        self._at = DatagramPort("at", now, counters, take=self._take)
         self._ticks = 0
         self.drone = self._new_drone({})
         self._carry(world)
@@ -158,26 +165,16 @@ class ArDroneServer:
         return drone
 
     async def _listen(self, stack: AsyncExitStack) -> None:
-        loop = asyncio.get_running_loop()
-        host, asked = self.host, self.ports
-        at_port = AtPort(self._take, self.counters)
+        asked = self.ports
         try:
-            udp_navdata, _ = await loop.create_datagram_endpoint(lambda: self._navdata, local_addr=(host, asked.navdata))
-            stack.callback(udp_navdata.close)
-            udp_at, _ = await loop.create_datagram_endpoint(lambda: at_port, local_addr=(host, asked.at))
-            stack.callback(udp_at.close)
-            video_port = await self._video.listen(host, asked.video, stack)
-            tcp_control = await loop.create_server(self._control.connection, host, asked.control)
-            stack.callback(self._control.close)
-            stack.callback(tcp_control.close)
+            self.ports = Ports(
+                navdata=await self._navdata.listen(self.host, asked.navdata, stack),
+                video=await self._video.listen(self.host, asked.video, stack),
+                at=await self._at.listen(self.host, asked.at, stack),
+                control=await self._control.listen(self.host, asked.control, stack),
+            )
         except OSError as why:
-            raise Recoverable(f"the simulated drone cannot listen on {host}: {os.strerror(why.errno or 0)}") from why
-        self.ports = Ports(
-            navdata=udp_navdata.get_extra_info("sockname")[1],
-            video=video_port,
-            at=udp_at.get_extra_info("sockname")[1],
-            control=tcp_control.sockets[0].getsockname()[1],
-        )
+            raise Recoverable(f"the simulated drone cannot listen on {self.host}: {os.strerror(why.errno or 0)}") from why
 
     # Flying
 
@@ -204,7 +201,7 @@ class ArDroneServer:
         self._ticks += 1
         if not drone.in_demo_mode or self._ticks % DEMO_TICKS == 0:
             self._send_navdata()
-        if drone.answers and self._control.connected:
+        if drone.answers and self._control.busy:
             for answer in drone.answers.values():
                 self._control.send(answer())
             drone.answers.clear()
@@ -213,7 +210,7 @@ class ArDroneServer:
 
     def _send_navdata(self) -> None:
         now = self._clock.now()
-        if self._navdata.clients and not self.silent:
+        if self._navdata.busy and not self.silent:
             self._sent.send(self.drone.datagram, now)
         while (packet := self._sent.arrived(now)) is not None:
             self._navdata.send(packet[1])
