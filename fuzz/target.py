@@ -20,7 +20,6 @@ MODULES = {
     "at": "fuzz.ardrone",
     "mavlink_codec": "fuzz.mavlink",
     "mavlink_signing": "fuzz.mavlink",
-    "nmea": "fuzz.nmea",
     "mcap_bytes": "fuzz.recordings",
     "mcap_messages": "fuzz.recordings",
     "dataflash": "fuzz.imports",
