@@ -30,7 +30,7 @@ from companion.parts.mavlink.component import Component, ComponentOptions, speak
 from companion.parts.mavlink.operator import PilotTower
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.load import load as load_settings
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel

@@ -20,9 +20,9 @@ from aiohttp.typedefs import Handler
 
 from companion.base.connection_limits import ConnectionLimits, listen
 from companion.base.health import Health
-from companion.settings import secret_files
-from companion.settings.http import HttpSettings
-from companion.settings.tls import server_context
+from companion.settings import files
+from companion.settings.links import HttpSettings
+from companion.settings.referenced_files import server_context
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ class HttpServer:
         """Browsers and programs that watch, whose connections are bounded by those who serve them."""
         self.port: int | None = None
         """The port that the server listens on; None while it does not listen."""
-        self._token = secret_files.token(settings.token_file, "http", "token_file")
+        self._token = files.token(settings.token_file, "http", "token_file")
         self._tls = server_context(settings)
         self._routes: list[web.RouteDef] = []
         health.counters("http", self.counted)
@@ -75,7 +75,7 @@ class HttpServer:
 
     def knows(self, token: str) -> bool:
         """Return whether a text is the token; True if none is set. Wrong ones are counted."""
-        known = self._token is None or secret_files.is_token(token, self._token)
+        known = self._token is None or files.is_token(token, self._token)
         if not known:
             self.counts["wrong_tokens"] += 1
             if self.counts["wrong_tokens"] == 1:

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from companion.base.containment import report
 from companion.base.health import Health
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock

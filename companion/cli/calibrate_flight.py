@@ -13,8 +13,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from companion.recording.reading import CAMERA, Recording, open_recording
-from companion.settings.expert import in_file
 from companion.settings.load import load
+from companion.settings.model import in_file
 from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
 from companion.tools.calibrate.touchdown_cost import TouchdownCost

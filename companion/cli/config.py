@@ -7,10 +7,10 @@ import sys
 
 from companion.guidance.mission.page import page
 from companion.parts.mqtt import messages
-from companion.settings import whole_file
-from companion.settings.effect import not_checked, remarks
+from companion.settings import schema
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
+from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput
 
 
@@ -67,11 +67,11 @@ def run(args: argparse.Namespace) -> int:
             for line in remarks(settings):
                 sys.stdout.write(f"{file}: {line}\n")
     elif args.action == "show":
-        sys.stdout.write(whole_file.toml(load(args.file)))
+        sys.stdout.write(schema.toml(load(args.file)))
     elif args.action == "schema":
-        sys.stdout.write(messages.schema() if args.mqtt else whole_file.schema())
+        sys.stdout.write(messages.schema() if args.mqtt else schema.schema())
     elif args.action == "mission":
         sys.stdout.write(page())
     else:
-        sys.stdout.write(whole_file.reference(expert=args.expert))
+        sys.stdout.write(schema.reference(expert=args.expert))
     return 0

@@ -33,11 +33,10 @@ from companion.cli.progress import ProgressObserver
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
-from companion.settings import whole_file
-from companion.settings.http import HttpSettings
+from companion.settings import schema
+from companion.settings.links import HttpSettings, VideoStreamOptions
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
-from companion.settings.video import VideoStreamOptions
 from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
@@ -134,7 +133,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
-            log.settings = whole_file.toml(settings)
+            log.settings = schema.toml(settings)
             progress = None if args.json else ProgressObserver()
             observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}

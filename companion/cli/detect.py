@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.learned_file import second_opinion
 from companion.settings.load import find_file, read_camera, read_toml
+from companion.settings.referenced_files import second_opinion
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames, video_of
 from drivers.pyav import require_pyav

@@ -9,8 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from companion.settings.gamepad import mapping_of
 from companion.settings.load import shipped
+from companion.settings.referenced_files import mapping_of
 from drivers.clock import SystemClock
 from drivers.gamepad.device import AXES, EV_ABS, EV_KEY, FOLDER, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, gamepad_step, positions, start

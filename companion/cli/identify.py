@@ -11,7 +11,7 @@ import numpy as np
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.reading import Recording, open_recording
-from companion.settings.follow_deck import FollowDeckOptions
+from companion.settings.guidance import FollowDeckOptions
 from companion.settings.load import find_file, read_toml, response_model, shipped
 from companion.settings.response import Response, TiltResponse, response_from_mapping
 from companion.tools.calibrate import touchdown_cost

@@ -19,10 +19,10 @@ from companion.cli import report_option
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
-from companion.settings import whole_file
+from companion.settings import schema
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
-from companion.settings.recorder import FrameForm
+from companion.settings.service import FrameForm
 from companion.tools.report.flight_log import FlightLog, TruthSample
 from companion.tools.report.log_observer import LogObserver
 from companion.tools.report.page import PAGE, write_report
@@ -171,7 +171,7 @@ def keeping(
 def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:
     return FlightLog(
         title, started=started, pad=pad_model(settings), camera=camera_model(settings), steering=settings.estimator.path,
-        settings=whole_file.toml(settings),
+        settings=schema.toml(settings),
     )  # fmt: skip
 
 

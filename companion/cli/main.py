@@ -259,7 +259,7 @@ def pointed(message: str) -> str:
     Args:
         message: "FILE: KEY ..." as settings are refused.
     """
-    from companion.settings.plain_file import LARGEST_BYTES
+    from companion.settings.files import LARGEST_BYTES
 
     found = re.match(r"(?P<file>[^:]+\.toml): (?P<what>.*)", message)
     path = Path(found["file"]) if found else None

@@ -41,14 +41,14 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: an option is wrong, the extra or ROS is missing, or the token is refused.
     """
-    from companion.settings import secret_files
+    from companion.settings import files
     from companion.settings.load import camera_model, load
     from companion.tools.ros2.typestore import require_rosbags
 
     require_rosbags("decklander ros2")
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
-    token = secret_files.token(args.token_file, "ros2", "--token-file")
+    token = files.token(args.token_file, "ros2", "--token-file")
     settings = None if args.config is None else load(args.config)
     camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
     from companion.base import event_loop

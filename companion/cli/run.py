@@ -15,10 +15,10 @@ from companion.base.service_log import logging_to_stderr
 from companion.cli.progress import WorkProgress
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
-from companion.settings.effect import not_checked, remarks
+from companion.settings.links import BridgeOptions
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
-from companion.settings.mavlink import BridgeOptions
 from companion.settings.referenced_files import check_files, check_installed
+from companion.settings.remarks import not_checked, remarks
 from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)

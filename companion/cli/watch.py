@@ -16,7 +16,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 
 if TYPE_CHECKING:
     from companion.parts.mqtt.connection import BrokerEndpoint
-    from companion.settings.mqtt import MqttSettings
+    from companion.settings.links import MqttSettings
 
 _REDRAW_S = 0.25
 _BACK_OFF_S = 1.0
@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from companion.parts.mqtt.connection import BrokerEndpoint
     from companion.parts.mqtt.topics import Topics
+    from companion.settings.links import MqttSettings
     from companion.settings.load import load
-    from companion.settings.mqtt import MqttSettings
 
     if args.config is not None:
         settings = load(args.config).mqtt

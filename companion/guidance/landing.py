@@ -33,8 +33,8 @@ from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level
 from companion.guidance.mission.wind import watched as watched_wind
 from companion.guidance.operator.command_limits import Unmeasured, without_velocity
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.rendezvous import ReportLimits
 from companion.settings.response import ClimbResponse, TiltResponse
+from companion.settings.vessel import ReportLimits
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult

@@ -124,7 +124,7 @@ def tracker(settings: Settings) -> TrackerConfig:
     vision = settings.vision
     asked: SecondOpinion | None = None
     if vision.learned == "second_opinion":
-        from companion.settings.learned_file import second_opinion
+        from companion.settings.referenced_files import second_opinion
 
         asked = second_opinion(vision.learned_file, "vision.learned_file")
     limits = settings.estimator.integrity

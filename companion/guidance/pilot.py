@@ -18,11 +18,10 @@ from companion.guidance.landing import LandingGuidance
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.limits import LimitOptions
 from companion.settings.load import shipped_response
-from companion.settings.operator import ManualOptions
-from companion.settings.rendezvous import ReportLimits
+from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.response import ClimbResponse, TiltResponse
+from companion.settings.vessel import ReportLimits
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult

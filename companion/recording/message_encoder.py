@@ -16,7 +16,7 @@ from companion.recording import foxglove as fox
 from companion.recording.frame_encoder import FrameEncoder
 from companion.recording.frame_video import RECORDED
 from companion.recording.scene import error_ellipsoid, fixed_scene
-from companion.settings.recorder import FrameForm
+from companion.settings.service import FrameForm
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import (

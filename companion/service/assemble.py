@@ -31,9 +31,9 @@ from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.flight_keeper import keeper_of, no_modes
 from companion.service.vehicle_parts import vehicle_parts
-from companion.settings import whole_file
+from companion.settings import schema
 from companion.settings.model import Settings
-from companion.settings.ship_place import sources
+from companion.settings.remarks import sources
 from drivers.clock import SystemClock
 from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
@@ -62,7 +62,7 @@ class Proven(NullObserver):
     def __init__(self, settings: Settings, environment: Mapping[str, str] = os.environ) -> None:
         folder = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
         self._path = Path(folder) / "proven" if folder else None
-        self._digest = hashlib.sha256(whole_file.toml(settings).encode()).hexdigest()
+        self._digest = hashlib.sha256(schema.toml(settings).encode()).hexdigest()
         self._noted = False
 
     @property
@@ -190,7 +190,7 @@ def make_daemon(
         health.counters("operator", terminals.counted)
     if settings.operator.gamepad != OFF:
         from companion.parts.operator.gamepad_part import GamepadPart
-        from companion.settings.gamepad import mapping_of
+        from companion.settings.referenced_files import mapping_of
 
         gamepad = GamepadPart(mapping_of(settings.operator.gamepad), settings.operator.gamepad_device, pilot, ticking)
         extras["gamepad"] = gamepad.run

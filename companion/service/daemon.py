@@ -27,7 +27,7 @@ from companion.base.supervise import Body, run, uncancelled
 from companion.base.worker import Worker
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable

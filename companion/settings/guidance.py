@@ -1,16 +1,64 @@
-"""Guidance's options: when it begins, the position controller's gains and limits; the mission's are in `mission_options`."""
+"""Guidance's settings: when it begins, and the controllers' gains and limits; the mission's are in `mission`."""
 
 import math
 from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.settings.follow_deck import FollowDeckOptions
 from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
-from companion.settings.rendezvous import RendezvousOptions
+from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import LandingPlace
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.keys import check_ranges, choice, name, number, text
+from estimator.contracts.keys import CheckedOptions, choice, name, number, text
+
+_AUTO = "auto"
+
+
+class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The controller that follows the deck.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    response: Annotated[
+        str,
+        text(
+            'file of the vehicle\'s response: the name of a shipped one, or a path relative to the settings file; "auto" '
+            "takes the one of the kind of vehicle",
+            4096,
+            public=True,
+        ),
+    ] = _AUTO
+    identify: Annotated[
+        bool,
+        choice(
+            "whether the response is identified in flight: the gains are softer until the delay is known, and a delay that "
+            "contradicts the file takes its place",
+            public=True,
+        ),
+    ] = True
+    delay_known_s: Annotated[
+        float, number("standard deviation up to which the delay of the tilt counts as known", "s", 0.005, 0.2)
+    ] = 0.04
+    accelerometer: Annotated[
+        bool, choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed")
+    ] = True
+    delay_line: Annotated[bool, choice("whether commands under way are taken into account")] = True
+    forecast: Annotated[bool, choice("whether the deck's motion is followed ahead of time")] = True
+    keep_in_view: Annotated[bool, choice("whether the lean is cut so that the pad stays in the picture", public=True)] = True
+    tilt_max_deg: Annotated[
+        float, number("largest tilt; the response's own limit where that is smaller", "deg", 2.0, 45.0, public=True)
+    ] = 45.0
+    climb_max_m_s: Annotated[
+        float, number("largest vertical speed; the response's own limit where that is smaller", "m/s", 0.1, 5.0, public=True)
+    ] = 5.0
+
+    @property
+    def response_by_vehicle(self) -> bool:
+        """True if the kind of vehicle decides on the response."""
+        return self.response == _AUTO
+
 
 _TUNED = "tuned in simulation"
 _Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
@@ -18,7 +66,7 @@ _Ki = Annotated[float, number("integral gain", "1/s^2", 0.0, 10.0, _TUNED)]
 _Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
 
 
-class HorizontalGains(Struct, frozen=True, forbid_unknown_fields=True):
+class HorizontalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Gains from the forward and right error, m, to m/s.
 
     Raises:
@@ -29,11 +77,8 @@ class HorizontalGains(Struct, frozen=True, forbid_unknown_fields=True):
     ki: _Ki = 0.05
     kd: _Kd = 0.1
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
-
-class VerticalGains(Struct, frozen=True, forbid_unknown_fields=True):
+class VerticalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Gains from the height error, m, to m/s.
 
     Raises:
@@ -44,11 +89,8 @@ class VerticalGains(Struct, frozen=True, forbid_unknown_fields=True):
     ki: _Ki = 0.15
     kd: _Kd = 0.1
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
-
-class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
+class HeadingGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Gains from the heading error, rad, to rad/s. There is no derivative gain because the estimate has no rate of the heading.
 
     Raises:
@@ -57,9 +99,6 @@ class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
 
     kp: _Kp = 0.8
     ki: _Ki = 0.0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
@@ -102,7 +141,7 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
         return math.radians(self.turn_max_deg_s)
 
 
-class ElsewhereOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The place, on land or on a ship at rest, where a drone lands that refused. It needs GNSS; another one holds.
 
     Raises:
@@ -119,16 +158,13 @@ class ElsewhereOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     range_max_m: Annotated[float, number("distance beyond which it does not fly there, and holds", "m", 10.0, 50_000.0)] = 1000.0
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def landing_place(self) -> LandingPlace:
         """The place as a command holds it."""
         return LandingPlace(GeoPoint.of_degrees(self.latitude_deg, self.longitude_deg, self.height_m), self.range_max_m)
 
 
-class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Guidance: from the estimate to commands.
 
     Raises:
@@ -196,7 +232,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     rendezvous: RendezvousOptions = RendezvousOptions()
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.refused == "land elsewhere" and self.elsewhere == ElsewhereOptions():
             raise ValueError(
                 'refused = "land elsewhere" needs a place: set latitude_deg, longitude_deg and height_m of elsewhere'

@@ -20,12 +20,9 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
-from companion.settings.expert import in_file, joined
-from companion.settings.model import PadSettings, Settings
-from companion.settings.plain_file import LARGEST_BYTES, refuse_special
+from companion.settings.files import CREDENTIAL, LARGEST_BYTES, refuse_special
+from companion.settings.model import PadSettings, Settings, in_file, joined
 from companion.settings.response import Response, response_from_mapping
-from companion.settings.secret_files import CREDENTIAL
-from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, unusable
 from estimator.gimbal_history import DOWN
@@ -46,6 +43,15 @@ _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _INTO_HTTP = ("page", "metrics", "foxglove")
 """Tables of 1.0 that are one table [http] now. A settings file with them is refused; a recording is read without them."""
+_FILES = {
+    "vehicle": ("signing_key_file", "signing_time_file"),
+    "bridge": ("signing_key_file", "signing_time_file"),
+    "vision": ("learned_file",),
+    "guidance": ("policy_file",),
+    "http": ("token_file", "certificate_file", "key_file"),
+    "mqtt": ("password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"),
+}
+"""Keys that hold paths relative to the settings file, by table."""
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
     ("guidance", "tries"): {"heading": "align"},
     ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
@@ -90,18 +96,8 @@ def complete(settings: Settings, path: Path) -> Settings:
     pad = _reference(settings.pad.file, "pads", path, "pad.file")
     found = msgspec.structs.replace(settings.camera, file=camera)
     settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
-    signing = [] if isinstance(settings.vehicle, ArDroneOptions) else ["signing_key_file", "signing_time_file"]
-    settings = msgspec.structs.replace(
-        settings,
-        vehicle=_anchored(settings.vehicle, path.parent, signing),
-        bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
-        vision=_anchored(settings.vision, path.parent, ["learned_file"]),
-        guidance=_anchored(settings.guidance, path.parent, ["policy_file"]),
-        http=_anchored(settings.http, path.parent, ["token_file", "certificate_file", "key_file"]),
-        mqtt=_anchored(
-            settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
-        ),
-    )
+    anchored = {name: _anchored(getattr(settings, name), path.parent, keys) for name, keys in _FILES.items()}
+    settings = msgspec.structs.replace(settings, **anchored)
     follow = settings.guidance.follow_deck
     if not follow.response_by_vehicle:
         named = _reference(follow.response, "responses", path, "guidance.follow_deck.response")
@@ -157,7 +153,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
-        from companion.settings.refusal import explain  # it describes the whole model
+        from companion.settings.schema import explain  # it describes the whole model
 
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 
@@ -357,9 +353,9 @@ def _anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
     Args:
         table: a table of the settings.
         base: folder of the settings file, to which the paths are relative.
-        keys: names of the keys that hold paths.
+        keys: names of the keys that hold paths; a table of another kind lacks them.
     """
-    given = {key: str(getattr(table, key)) for key in keys}
+    given = {key: str(getattr(table, key)) for key in keys if hasattr(table, key)}
     return msgspec.structs.replace(
         table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
     )

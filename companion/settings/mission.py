@@ -3,12 +3,10 @@
 import math
 from typing import Annotated, Literal
 
-from msgspec import Struct
-
-from estimator.contracts.keys import check_ranges, choice, number
+from estimator.contracts.keys import CheckedOptions, choice, number
 
 
-class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The way down of the mission "cone": over the pad, down inside a cone, a gate just over the deck, then to the deck.
 
     Raises:
@@ -52,7 +50,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.4
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.commit_s * self.commit_rate_m_s < 1.5 * self.gate_height_m:
             raise ValueError(
                 f"commit_s ({self.commit_s:g} s) is too short for gate_height_m ({self.gate_height_m:g} m) "
@@ -65,7 +63,7 @@ class ConeOptions(Struct, frozen=True, forbid_unknown_fields=True):
         return self.feet_below_m + self.gate_height_m
 
 
-class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
+class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Limits for a landing. The gate waits for them; a breach during the commit ends the attempt.
 
     Raises:
@@ -155,16 +153,13 @@ class LandingLimits(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.1
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def heading_rad(self) -> float:
         """The largest heading off the arrow, rad."""
         return math.radians(self.heading_deg)
 
 
-class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Landing attempts: the time of each, the number of go-arounds, and the behaviour without sight.
 
     Raises:
@@ -259,14 +254,14 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 60.0
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.climb_after_s >= self.give_up_after_s:
             raise ValueError(
                 f"climb_after_s ({self.climb_after_s:g} s) must be shorter than give_up_after_s ({self.give_up_after_s:g} s)"
             )
 
 
-class ThesisOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The way down of the mission "thesis": to a point above the pad, straight down to another, then the vehicle's own landing.
 
     Raises:
@@ -297,7 +292,7 @@ class ThesisOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.6
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.final_height_m >= self.approach_height_m:
             raise ValueError(
                 f"final_height_m ({self.final_height_m:g} m) must be below approach_height_m ({self.approach_height_m:g} m)"

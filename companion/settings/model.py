@@ -3,29 +3,32 @@
 Every key has its unit, its range, its meaning and, if that helps, the origin of its default. Ranges hold for values that are read
 from a file (`companion.settings.load.load`); code that builds these structs itself is trusted. Defaults describe a real
 AR.Drone 2.0 indoors.
+
+In a file the keys of experts stand under `[expert]`, in the same tables as the others: `[expert.guidance.cone]` holds the keys of
+`[guidance.cone]` that are not declared with `public=True`.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from inspect import get_annotations
+from operator import getitem
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.http import HttpSettings
-from companion.settings.limits import LimitOptions
-from companion.settings.mavlink import BridgeOptions, OutputOptions
-from companion.settings.mqtt import MqttSettings
-from companion.settings.operator import OperatorOptions
-from companion.settings.recorder import RecorderOptions
-from companion.settings.restart import RestartOptions
+from companion.settings.links import BridgeOptions, HttpSettings, MqttSettings, OutputOptions, VideoStreamOptions
+from companion.settings.operator import LimitOptions, OperatorOptions
+from companion.settings.service import RecorderOptions, RestartOptions
 from companion.settings.vessel import VesselOptions
-from companion.settings.video import VideoStreamOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.exposure_options import DRIVEN_SOURCES
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import choice, number, text
+from estimator.contracts.keys import PUBLIC, choice, number, text
 from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
@@ -122,3 +125,76 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
     if not isinstance(v, ArDroneOptions):
         raise BadInput('vehicle.kind must be "ardrone" here')
     return v
+
+
+EXPERT = "expert"
+
+
+def joined(data: Mapping[str, Any], *, recorded: bool = False) -> dict[str, Any]:
+    """Return the tables of a settings file with the keys below `[expert]` in the tables that they belong to.
+
+    Args:
+        data: the mapping of the file.
+        recorded: the file belongs to a recording, which nobody can edit, so a key may stand on either side.
+
+    Raises:
+        BadInput: keys stand on the wrong side; the text names each with the table where it belongs.
+    """
+    inside = data.get(EXPERT, {})
+    if not isinstance(inside, Mapping):
+        raise BadInput(f"{EXPERT} must be a table of keys")
+    outside = {name: value for name, value in data.items() if name != EXPERT}
+    misplaced = [f"{path} belongs in [{EXPERT}.{path.rpartition('.')[0]}]" for path, public in _known(outside) if not public]
+    misplaced += [f"{EXPERT}.{path} belongs in [{path.rpartition('.')[0]}]" for path, public in _known(inside) if public]
+    if misplaced and not recorded:
+        raise BadInput("; ".join(misplaced))
+    return _merged(outside, inside)
+
+
+def split(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of whole settings as a settings file has them: what `joined` joins."""
+    found: dict[bool, dict[str, Any]] = {True: {}, False: {}}
+    for path, public in _known(tables):
+        value: Any = reduce(getitem, path.split("."), tables)
+        found[public] = _merged(found[public], _alone(path, value))
+    return {**found[True], EXPERT: found[False]}
+
+
+def in_file(path: str) -> str:
+    """Return the dotted path of a key as a settings file has it; an unknown one stays as it is."""
+    return f"{EXPERT}.{path}" if any(not public for _, public in _known(_alone(path, None))) else path
+
+
+def _alone(path: str, value: object) -> dict[str, Any]:
+    """Return tables that hold a single key."""
+    *above, last = path.split(".")
+    return reduce(lambda inner, name: {name: inner}, reversed(above), {last: value})
+
+
+def _known(data: Mapping[str, Any], kinds: tuple[type[Struct], ...] = (Settings,), above: str = "") -> Iterator[tuple[str, bool]]:
+    """Yield the dotted path of each key that the settings know, and whether it is public."""
+    for name, value in data.items():
+        if any(name == kind.__struct_config__.tag_field for kind in kinds):
+            yield above + name, True
+            continue
+        owners = (owner for kind in kinds for owner in kind.__mro__)
+        annotation = next((a for owner in owners if (a := get_annotations(owner).get(name))), None)
+        if inner := _tables_of(annotation):
+            if isinstance(value, Mapping):
+                yield from _known(value, inner, f"{above}{name}.")
+        elif annotation is not None:
+            yield above + name, any(isinstance(m, Meta) and PUBLIC in (m.extra_json_schema or {}) for m in get_args(annotation))
+
+
+def _tables_of(annotation: Any) -> tuple[type[Struct], ...]:
+    """Return the structs that a table of this type may be; none if it holds a single value."""
+    kinds = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    return tuple(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct))
+
+
+def _merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    out = dict(first)
+    for name, value in second.items():
+        here = out.get(name)
+        out[name] = _merged(here, value) if isinstance(here, Mapping) and isinstance(value, Mapping) else value
+    return out

@@ -1,14 +1,12 @@
-"""The options of people's commands: who may give them, and how fast manual flight is."""
+"""The settings of people's commands: who may give them, how fast manual flight is, and the limits of every command."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
-from msgspec import Struct
-
-from estimator.contracts.keys import check_ranges, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 
-class ManualOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class ManualOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Manual flight: the velocities that full sticks command.
 
     Raises:
@@ -22,16 +20,13 @@ class ManualOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("silence of the sender that has the hand after which the vehicle holds", "s", 0.1, 0.5)
     ] = 0.5
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def turn_max_rad_s(self) -> float:
         """The turn rate at full stick, rad/s."""
         return math.radians(self.turn_max_deg_s)
 
 
-class OperatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The commands of people on this computer: the terminal (`decklander fly`) and the gamepad.
 
     Raises:
@@ -61,6 +56,84 @@ class OperatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
     manual: ManualOptions = ManualOptions()
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.socket not in ("auto", "off") and not self.socket.startswith("/"):
             raise ValueError(f'socket must be "auto", "off" or an absolute path, got {self.socket!r}')
+
+
+class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """Limits of every command to the vehicle, of guidance and of manual flight. None of them ever makes the vehicle descend.
+
+    Raises:
+        ValueError: a number outside its range, or a polygon that cannot be read.
+    """
+
+    fence: Annotated[
+        Literal["off", "start", "ship"],
+        choice(
+            "centre of the geofence: the place where the vehicle began to fly, which drifts with its velocity sensor; "
+            "or the pad, while its position is known to 5 m",
+            public=True,
+        ),
+    ] = "off"
+    fence_radius_m: Annotated[
+        float, number("radius of the geofence, unless there is a polygon", "m", 2.0, 10_000.0, public=True)
+    ] = 50.0
+    fence_polygon: Annotated[
+        str,
+        text(
+            "corners of the geofence instead of a circle, metres, as `x y, x y, x y`: north and east of the start, or along "
+            "the arrow and to its right on a ship",
+            2000,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+    fence_brake_s: Annotated[
+        float, number("the velocity towards the fence is at most the distance to it divided by this time", "s", 0.5, 20.0)
+    ] = 2.0
+    fence_ends_s: Annotated[
+        float, number("time for which the fence may hold guidance back before it ends the landing and holds", "s", 0.5, 60.0)
+    ] = 3.0
+    height_max_m: Annotated[
+        float, number("height above the start above which no command climbs", "m", 2.0, 500.0, public=True)
+    ] = 50.0
+    manual_height_min_m: Annotated[
+        float, number("height above what is below, under which manual flight does not descend", "m", 0.0, 10.0)
+    ] = 0.5
+    take_off_charge_min: Annotated[
+        float, number("charge of the battery below which a take-off is refused", "1", 0.0, 1.0, public=True)
+    ] = 0.2
+    return_charge: Annotated[
+        float,
+        number(
+            "charge below which manual flight goes no farther away from the pad, or from the start if no pad is known",
+            "1",
+            0.0,
+            1.0,
+            public=True,
+        ),
+    ] = 0.15
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fence_polygon and len(self.corners()) < 3:
+            raise ValueError(f"fence_polygon needs three corners or more, got {self.fence_polygon!r}")
+
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Return the corners of the polygon, metres; empty for a circle.
+
+        Raises:
+            ValueError: the text is not a list of corners.
+        """
+        found = []
+        for part in self.fence_polygon.split(",") if self.fence_polygon.strip() else ():
+            words = part.split()
+            try:
+                x, y = (float(word) for word in words)
+            except ValueError:
+                raise ValueError(f"fence_polygon: {part.strip()!r} is not a corner such as 30 -12.5") from None
+            if not (abs(x) <= 1e5 and abs(y) <= 1e5):
+                raise ValueError(f"fence_polygon: the corner {part.strip()!r} is too far away")
+            found.append((x, y))
+        return tuple(found)

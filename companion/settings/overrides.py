@@ -7,9 +7,8 @@ from typing import Any
 
 import msgspec
 
-from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping
-from companion.settings.model import Settings
+from companion.settings.model import EXPERT, Settings
 from estimator.contracts.errors import BadInput
 
 Value = bool | int | float | str

@@ -1,18 +1,138 @@
-"""Check the files that settings name besides camera and pad: keys, passwords, certificates, the gamepad's mapping, a network.
+"""Read the files that settings name besides camera and pad: certificates, a network, the gamepad's mapping; and check them all.
 
 `load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
 """
 
-import os
-from collections.abc import Callable, Iterator, Mapping
+from __future__ import annotations
 
-from companion.settings import secret_files
+import os
+import ssl
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from companion.settings import files
+from companion.settings.files import CREDENTIAL, refuse_special
+from companion.settings.links import HttpSettings, MqttSettings
+from companion.settings.load import SHIPPED, find_file, read_toml
 from companion.settings.model import Settings
-from companion.settings.secret_files import CREDENTIAL
+from companion.settings.schema import explain
 from drivers.ardrone.options import ArDroneOptions
+from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
+
+if TYPE_CHECKING:
+    from estimator.vision.learned.second_opinion import SecondOpinion
+
+
+def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
+    """Return a context for TLS 1.2 or newer that checks the broker's name against its certificate, or None for plain TCP.
+
+    Raises:
+        BadInput: a file of certificates or keys that cannot be read or used.
+    """
+    if settings.transport != "tls":
+        return None
+    ca = files.find(settings.ca_file, "mqtt")
+    if ca is not None:
+        refuse_special(ca, f"mqtt.ca_file: {ca}")
+    try:
+        context = ssl.create_default_context(cafile=None if ca is None else str(ca))
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+    except (OSError, ValueError) as why:
+        raise BadInput(f"mqtt.ca_file: {ca}: {_reason(why)}") from why
+    _add_certificate(context, settings, "mqtt")
+    return context
+
+
+def server_context(settings: HttpSettings) -> ssl.SSLContext | None:
+    """Return the TLS context of the HTTP port; None where it is served in clear.
+
+    Raises:
+        BadInput: the certificate or its key cannot be read or used.
+    """
+    if settings.endpoint != "https":
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    _add_certificate(context, settings, "http")
+    return context
+
+
+def _add_certificate(context: ssl.SSLContext, settings: HttpSettings | MqttSettings, section: str) -> None:
+    """Load the certificate of a section and its key, if it names both.
+
+    Raises:
+        BadInput: a file cannot be read or used.
+    """
+    certificate, key = files.find(settings.certificate_file, section), files.find(settings.key_file, section)
+    if certificate is None or key is None:
+        return
+    refuse_special(certificate, f"{section}.certificate_file: {certificate}")
+    refuse_special(key, f"{section}.key_file: {key}")
+    try:
+        context.load_cert_chain(certificate, key, password=_no_passphrase)
+    except (OSError, ValueError) as why:
+        raise BadInput(f"{section}.certificate_file, key_file: {certificate}, {key}: {_reason(why)}") from why
+
+
+def _no_passphrase() -> str:
+    raise ValueError("a key with a passphrase cannot be used: nobody is there to type it")
+
+
+def _reason(why: Exception) -> str:
+    if isinstance(why, ssl.SSLError):
+        return "not certificates or keys that fit" + (f" ({why.reason})" if why.reason else "")
+    return str(getattr(why, "strerror", None) or why)
+
+
+SHIPPED_NETWORK = SHIPPED / "learned" / "second_opinion.onnx"
+_LARGEST_BYTES = 2_000_000
+
+
+def second_opinion(file: str, what: str) -> SecondOpinion:
+    """Return the network in a file; the shipped one for an empty name.
+
+    Args:
+        what: the setting or option that names the file, for errors.
+
+    Raises:
+        BadInput: the file cannot be read, is larger than 2 MB, or holds no network of this kind.
+    """
+    from estimator.vision.learned.second_opinion import SecondOpinion  # few look with a network
+
+    path = Path(file) if file else SHIPPED_NETWORK
+    cure = (
+        f"decklander is not installed completely: install it again, or name a network with {what}"
+        if not file
+        else (f"name a file that is there, or leave {what} empty for the shipped network")
+    )
+    try:
+        found = path.stat()
+        if found.st_size > _LARGEST_BYTES:
+            raise BadInput(f"{what}: {path} has {found.st_size} bytes, a network for a second opinion at most {_LARGEST_BYTES}")
+        refuse_special(path, f"{what}: {path}", _LARGEST_BYTES)
+        return SecondOpinion(path.read_bytes(), f"{what}: {path}")
+    except OSError as why:
+        raise BadInput(f"{what}: {path}: {why.strerror or why}: {cure}") from why
+
+
+def mapping_of(name_or_path: str) -> GamepadMapping:
+    """Return the mapping in a file, or a shipped one (`configs/gamepads/*.toml`) by its name.
+
+    Raises:
+        BadInput: the file is missing or has a fault; the text names the file and the key.
+    """
+    path = find_file(name_or_path, "gamepads", Path(), "operator.gamepad")
+    data = read_toml(path)
+    try:
+        return msgspec.convert(data, GamepadMapping, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{path}: {explain(GamepadMapping, data, str(why))}") from why
 
 
 def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:
@@ -43,8 +163,6 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         yield _signing("bridge", settings.bridge.signing_key_file)
     vision = settings.vision
     if vision.learned != "off":
-        from companion.settings.learned_file import second_opinion
-
         yield (
             "vision.learned_file",
             (vision.learned_file,),
@@ -52,24 +170,18 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         )
     m = settings.mqtt
     if m.transport != "off":
-        from companion.settings.tls import tls_context
-
-        yield "mqtt.password_file", (m.password_file,), lambda: secret_files.text(m.password_file, "mqtt", "password_file")
+        yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt", "password_file")
         yield (
             "mqtt.command_key_file",
             (m.command_key_file,),
-            lambda: secret_files.key(m.command_key_file, "mqtt", "command_key_file"),
+            lambda: files.key(m.command_key_file, "mqtt", "command_key_file"),
         )
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
     if settings.http.endpoint != "off":
-        from companion.settings.tls import server_context
-
         http = settings.http
-        yield "http.token_file", (http.token_file,), lambda: secret_files.token(http.token_file, "http", "token_file")
+        yield "http.token_file", (http.token_file,), lambda: files.token(http.token_file, "http", "token_file")
         yield "http.certificate_file", (http.certificate_file, http.key_file), lambda: server_context(http)
     if settings.operator.gamepad != "off":
-        from companion.settings.gamepad import mapping_of
-
         yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
 
 

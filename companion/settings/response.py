@@ -15,7 +15,7 @@ from msgspec.structs import force_setattr
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.contracts.keys import check_ranges, number
+from estimator.contracts.keys import CheckedOptions, number
 from estimator.contracts.motion import G_M_S2
 
 _AGREE = 0.02
@@ -37,7 +37,7 @@ def within(frequency_rad_s: float, damping: float) -> Row2:
     return min(fastest, max(slowest, frequency_rad_s)), min(most, max(least, damping))
 
 
-class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class TiltResponse(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Response of roll and pitch to their commands.
 
     Raises:
@@ -73,7 +73,7 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Their covariance, in s, rad/s and 1; it gives the standard deviations that are left out."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.cov_delay_frequency_damping is not None:
             keys = ("delay_sigma_s", "frequency_sigma_rad_s", "damping_sigma")
             _take_sigmas(self, "cov_delay_frequency_damping", keys, (0.6, 60.0, 3.0))
@@ -89,7 +89,7 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.delay_s + self.lag_s + 2.0 * self.damping / self.frequency_rad_s
 
 
-class ClimbResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ClimbResponse(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Response of the vertical speed to its command.
 
     Raises:
@@ -107,7 +107,7 @@ class ClimbResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Covariance of delay_s and lag_s, s^2; it gives the standard deviations that are left out."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.cov_delay_lag is not None:
             _take_sigmas(self, "cov_delay_lag", ("delay_sigma_s", "lag_sigma_s"), (0.6, 3.0))
 

@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.settings.files import refuse_special
 from companion.settings.load import SHIPPED
-from companion.settings.plain_file import refuse_special
 from estimator.contracts.errors import BadInput, in_words, unusable
 
 BEFORE = ".before"

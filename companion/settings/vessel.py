@@ -1,14 +1,138 @@
-"""The section [vessel] of the settings: sources of the ship's place, and limits of its reports."""
+"""The settings of the ship: sources and limits of her reports, and the flight to her."""
 
 import ipaddress
+import math
 from typing import Annotated
 
 from msgspec import Struct
 
-from companion.settings.rendezvous import ReportLimits
 from drivers.endpoint import Endpoint, parse_endpoint
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
+
+
+class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """Limits for the positions that ship and vehicle report.
+
+    Raises:
+        ValueError: a number outside its range, or two that do not go together.
+    """
+
+    age_max_s: Annotated[
+        float,
+        number("age beyond which a report is refused, and beyond which the newest one tells no place any more", "s", 0.2, 60.0),
+    ] = 5.0
+    speed_max_m_s: Annotated[float, number("speed that no ship of yours reaches; a faster one is refused", "m/s", 1.0, 50.0)] = (
+        20.0
+    )
+    jump_m: Annotated[
+        float,
+        number(
+            "how far a report may lie from the place that was carried on to its time, beyond three of the sigmas; a farther one "
+            "is refused",
+            "m",
+            1.0,
+            1000.0,
+        ),
+    ] = 10.0
+    forget_s: Annotated[
+        float,
+        number("time without a report that fits after which the next one is believed alone", "s", 1.0, 600.0),
+    ] = 30.0
+    acceleration_m_s2: Annotated[
+        float, number("acceleration by which the ship may leave the course that carries her place on", "m/s^2", 0.01, 5.0)
+    ] = 0.2
+    sigma_max_m: Annotated[
+        float, number("horizontal standard deviation of the place beyond which nobody flies to it", "m", 0.5, 200.0)
+    ] = 15.0
+    pad_forward_m: Annotated[
+        float, number("the pad from the point that the ship reports, towards her bow", "m", -400.0, 400.0, public=True)
+    ] = 0.0
+    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
+    pad_up_m: Annotated[
+        float,
+        number(
+            "the same upward; where the ship reports no height (AIS) it is the pad's height over the sea",
+            "m",
+            -50.0,
+            50.0,
+            public=True,
+        ),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.forget_s < 2.0 * self.age_max_s:
+            raise ValueError(f"forget_s ({self.forget_s:g} s) must be at least twice age_max_s ({self.age_max_s:g} s)")
+
+    @property
+    def pad_aside_m(self) -> float:
+        """The pad's horizontal distance from the point that the ship reports, metres."""
+        return math.hypot(self.pad_forward_m, self.pad_right_m)
+
+
+class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The flight to the ship: to a hold-off point, then a search over her pad until the camera sees it.
+
+    It is level or upward: nothing but sight of the pad brings the drone down.
+
+    Raises:
+        ValueError: a number outside its range, or two that do not go together.
+    """
+
+    enabled: Annotated[
+        bool,
+        choice(
+            "whether the drone flies to the ship's reported place when a landing is ordered and the pad is not in sight",
+            public=True,
+        ),
+    ] = False
+    bearing_deg: Annotated[
+        float,
+        number(
+            "direction of the hold-off point from the pad, clockwise from the bow: 180 is behind",
+            "deg",
+            -180.0,
+            180.0,
+            public=True,
+        ),
+    ] = 180.0
+    range_m: Annotated[float, number("horizontal distance of the hold-off point from the pad", "m", 1.0, 200.0, public=True)] = (
+        8.0
+    )
+    height_m: Annotated[
+        float,
+        number(
+            "height over the pad to which it climbs on the way, above masts; it does not descend to it",
+            "m",
+            1.0,
+            100.0,
+            public=True,
+        ),
+    ] = 6.0
+    reached_m: Annotated[float, number("distance at which it counts as there", "m", 0.5, 50.0)] = 2.0
+    speed_m_s: Annotated[float, number("largest speed against the ship on the way", "m/s", 0.2, 15.0, public=True)] = 3.0
+    time_s: Annotated[float, number("longest time on the way; after it the drone gives up", "s", 5.0, 3600.0)] = 180.0
+    lost_s: Annotated[
+        float, number("time without sight and without a usable place of ship or drone after which it refuses", "s", 1.0, 600.0)
+    ] = 10.0
+    search_speed_m_s: Annotated[float, number("speed against the ship along the search pattern", "m/s", 0.1, 5.0)] = 1.0
+    spacing_m: Annotated[
+        float,
+        number(
+            "distance of the tracks of the expanding square", "m", 0.3, 100.0, "half the width that the camera sees from height_m"
+        ),
+    ] = 2.5
+    extent_m: Annotated[
+        float, number("distance from the pad's reported place at which the square begins again", "m", 1.0, 500.0)
+    ] = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reached_m >= self.range_m:
+            raise ValueError(f"reached_m ({self.reached_m:g} m) must be shorter than range_m ({self.range_m:g} m)")
+        if self.extent_m < self.spacing_m:
+            raise ValueError(f"extent_m ({self.extent_m:g} m) must not be shorter than spacing_m ({self.spacing_m:g} m)")
 
 
 class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=True):

@@ -70,6 +70,17 @@ def check_ranges(options: Struct) -> None:
             raise ValueError(f"{kind}.{key} must be one of {', '.join(map(str, words))}, got {getattr(options, key)!r}")
 
 
+class CheckedOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Options whose ranges hold for those made in code, too.
+
+    Raises:
+        ValueError: a number outside its declared range or not finite, or a word that is not among the choices.
+    """
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
 def grown(options: _Options, factor: float, keys: Container[str]) -> _Options:
     """Return options with some numbers times a factor, each within its declared range."""
     ranges, _ = _limits(type(options))

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from companion.settings.expert import EXPERT
 from companion.settings.load import from_mapping as settings_from_mapping
-from companion.settings.model import Settings
+from companion.settings.model import EXPERT, Settings
 from companion.settings.overrides import NOTHING, Value, finite, key_and_text, leaf, leaves, nearest, plain, put, value_like
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import following

@@ -22,7 +22,7 @@ from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.load import pad_model as pad_of_settings
 from companion.settings.model import Settings
 from companion.settings.overrides import plain
-from companion.settings.refusal import explain
+from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, text
 from sitl.campaign.code import code_version

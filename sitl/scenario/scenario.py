@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.settings.load import SHIPPED, pad_of_file, read_camera, read_toml, shipped
-from companion.settings.refusal import explain
+from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera

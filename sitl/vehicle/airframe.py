@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from companion.settings.load import read_toml
-from companion.settings.refusal import explain
+from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text

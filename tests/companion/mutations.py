@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from companion.recording.reading import SETTINGS
-from companion.settings import whole_file
+from companion.settings import schema
 from companion.settings.load import load
 
 NONSENSE: tuple[Any, ...] = (
@@ -27,7 +27,7 @@ def small(source: Path, messages: int = 150) -> list[Any]:
     A recording keeps the settings of the version that made it. One that stays for years is refused for a key of then, before
     any of its messages is read.
     """
-    settings = whole_file.toml(load("sim")).encode()
+    settings = schema.toml(load("sim")).encode()
     out: list[Any] = []
     with source.open("rb") as file:
         for record in StreamReader(file).records:

@@ -17,7 +17,7 @@ from companion.recording.decode import frame_times
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable

@@ -24,10 +24,10 @@ from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.service import assemble as service
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from companion.settings.model import Settings
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample

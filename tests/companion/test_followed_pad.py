@@ -12,7 +12,7 @@ from companion.base.observer import NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import Verdict
 from estimator.options import EstimatorOptions

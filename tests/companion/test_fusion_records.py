@@ -27,7 +27,7 @@ from companion.recording import channels, decode
 from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import camera_model
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series

@@ -19,8 +19,8 @@ from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.http import HttpSettings
-from companion.settings.restart import RestartOptions
+from companion.settings.links import HttpSettings
+from companion.settings.service import RestartOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs

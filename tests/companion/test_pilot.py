@@ -15,8 +15,7 @@ from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import Progress
 from companion.guidance.pilot import Pilot, PilotOptions
-from companion.settings.follow_deck import FollowDeckOptions
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict

@@ -21,7 +21,7 @@ from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording import channels
 from companion.recording.channels import TOPICS
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
@@ -197,7 +197,7 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
         import time
         from pathlib import Path
         from tests.companion.test_recorder import ABOUT, CAMERA, imu
-        from companion.settings.recorder import RecorderOptions
+        from companion.settings.service import RecorderOptions
         from companion.parts.recorder.recorder import Recorder
         from companion.parts.recorder.storage_policy import SingleFile
         recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1))

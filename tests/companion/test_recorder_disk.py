@@ -16,7 +16,7 @@ from companion.parts.recorder.recorder import Recorder, RecorderState
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording import mcap_file
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of

@@ -16,7 +16,7 @@ from companion.guidance.mission.machine import mission_step, take_status
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.rendezvous import RendezvousOptions
+from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import Velocity
 from tests.make import estimate, ns, status
 

@@ -7,7 +7,7 @@ import pytest
 
 from companion.guidance.mission.cycle import VehicleHold, VesselPosition
 from companion.guidance.mission.search import along_pattern, arrived, expanding_square, far, hold_off, next_leg, to_hold_off
-from companion.settings.rendezvous import RendezvousOptions
+from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.geometry import F64
 from tests.make import ns
 

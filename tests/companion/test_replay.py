@@ -20,7 +20,7 @@ from companion.parts.recorder.setup import about
 from companion.parts.recorder.storage_policy import SingleFile
 from companion.recording.reading import open_recording
 from companion.settings.load import camera_model
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, differences, log_of, recorded_beliefs
 from companion.tools.report.flight_log import FlightLog

@@ -32,8 +32,7 @@ from companion.guidance.law.response_watch import (
     shaped,
 )
 from companion.guidance.make_pilot import make_pilot
-from companion.settings.follow_deck import FollowDeckOptions
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Hover, Lean

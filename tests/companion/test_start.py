@@ -12,7 +12,7 @@ from companion.base.observer import Decision
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from estimator.options import EstimatorOptions
 from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle
 from tests.support.waiting import until

@@ -22,7 +22,7 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import open_recording
 from companion.service.daemon import VisionShare
 from companion.settings.load import camera_model
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from companion.tools.replay.recorded_log import log_of
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable

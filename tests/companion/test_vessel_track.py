@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission.cycle import VesselPosition
 from companion.guidance.mission.vessel_track import VesselTrack
-from companion.settings.rendezvous import ReportLimits
+from companion.settings.vessel import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport

@@ -22,7 +22,7 @@ from companion.parts.operator.client import socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.load import load
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command, CutMotors, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp, after

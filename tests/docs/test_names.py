@@ -13,9 +13,8 @@ from msgspec import inspect
 from companion.cli.main import COMMANDS
 from companion.parts.mqtt.messages import PUBLISHED
 from companion.parts.mqtt.topics import Topics
-from companion.settings.expert import EXPERT, in_file
-from companion.settings.model import Settings
-from companion.settings.refusal import variants
+from companion.settings.model import EXPERT, Settings, in_file
+from companion.settings.schema import variants
 
 ROOT = Path(__file__).parents[2]
 PAGES = [

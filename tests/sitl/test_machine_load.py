@@ -12,7 +12,7 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.cli import demo
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.settings.restart import RestartOptions
+from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import GUIDANCE_LATE_MAX_S, Contact, Ending, Load

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from companion.settings.load import SHIPPED
-from companion.settings.refusal import unit_of, walk
+from companion.settings.schema import unit_of, walk
 from estimator.contracts.errors import BadInput
 from sitl.faults.kinds import KINDS
 from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load, shipped_scenarios

@@ -14,9 +14,9 @@ import pytest
 from companion.base.health import Health
 from companion.base.mission import ENDED, State
 from companion.parts.metrics.endpoint import families
-from companion.settings.http import HttpSettings
+from companion.settings.files import CREDENTIAL
+from companion.settings.links import HttpSettings
 from companion.settings.load import load
-from companion.settings.secret_files import CREDENTIAL
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict

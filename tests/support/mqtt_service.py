@@ -19,9 +19,9 @@ from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.mqtt.spool import Spool
 from companion.parts.mqtt.topics import Topics
-from companion.settings import secret_files
-from companion.settings.mqtt import MqttSettings
-from companion.settings.restart import RestartOptions
+from companion.settings import files
+from companion.settings.links import MqttSettings
+from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import PathName, RelativeState
@@ -102,7 +102,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     spool = Spool(folder, settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
     command_handler = CommandHandler(
-        topics, session, operator, RUN, secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
+        topics, session, operator, RUN, files.key(settings.command_key_file, "mqtt", "command_key_file")
     )
     part = MqttPart(settings, BrokerEndpoint.of(settings), outbox, command_handler, health, clock, version="1.2.3")
     ended = asyncio.Event()

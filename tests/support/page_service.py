@@ -21,9 +21,9 @@ from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.parts.page import endpoint
 from companion.parts.page.make import make_page
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from companion.settings.load import load
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState, Verdict

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
+from companion.settings.files import refuse_special, unzipped
 from companion.settings.load import SHIPPED
-from companion.settings.plain_file import refuse_special, unzipped
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.errors import BadInput, unusable
 from estimator.contracts.estimates import RelativeState

@@ -26,7 +26,7 @@ from companion.guidance.mission.phase import LANDING, Phase
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.rendezvous import RendezvousOptions
+from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between

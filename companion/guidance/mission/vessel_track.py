@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission.cycle import VesselPosition
-from companion.settings.rendezvous import ReportLimits
+from companion.settings.vessel import ReportLimits
 from estimator.contracts.geodesy import ned_between
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport

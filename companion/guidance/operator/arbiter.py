@@ -17,8 +17,7 @@ from msgspec.structs import replace
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.command_limits import Limit, PlaceMemory, limited, place_step
 from companion.guidance.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
-from companion.settings.limits import LimitOptions
-from companion.settings.operator import ManualOptions
+from companion.settings.operator import LimitOptions, ManualOptions
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Sample, VehicleStatus

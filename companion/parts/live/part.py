@@ -24,7 +24,7 @@ from companion.recording import channels
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
 from companion.recording.message_encoder import MessageEncoder
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from drivers.mailbox import Line
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult

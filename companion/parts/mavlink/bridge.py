@@ -19,7 +19,7 @@ from companion.base.observer import NullObserver
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera
 from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
-from companion.settings.mavlink import BridgeOptions
+from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, Tap, open_links

@@ -17,7 +17,7 @@ from importlib import metadata
 from typing import Protocol, TypeAlias
 
 from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
-from companion.settings.video import VideoStreamOptions
+from companion.settings.links import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav

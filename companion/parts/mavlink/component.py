@@ -27,7 +27,7 @@ from companion.parts.mavlink.operator import Operator
 from companion.parts.mavlink.outputs import MavSeverity, Outputs, StatusTexts
 from companion.parts.mavlink.parameters import ParameterServer, Store
 from companion.parts.mavlink.target_track import TargetTrack
-from companion.settings.mavlink import OutputOptions
+from companion.settings.links import OutputOptions
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from companion.parts.mavlink.target_track import TargetSample, TargetTrack, lag_locked, position_at
-from companion.settings.mavlink import OutputOptions
+from companion.settings.links import OutputOptions
 from drivers.mavlink.dialect import Message, TargetRelative, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack

@@ -26,9 +26,9 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from companion.settings import secret_files
-from companion.settings.mqtt import MqttSettings
-from companion.settings.tls import tls_context
+from companion.settings import files
+from companion.settings.links import MqttSettings
+from companion.settings.referenced_files import tls_context
 from drivers.wires import AddressInfo, resolve
 from estimator.contracts.errors import Recoverable
 
@@ -105,7 +105,7 @@ class BrokerEndpoint:
             settings.host,
             settings.port,
             settings.user or None,
-            secret_files.text(settings.password_file, "mqtt", "password_file"),
+            files.text(settings.password_file, "mqtt", "password_file"),
             tls_context(settings),
             settings.protocol == "5",
             settings.keepalive_s,

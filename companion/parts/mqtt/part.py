@@ -33,8 +33,8 @@ from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.spool import Spool
 from companion.parts.mqtt.topics import Topics
-from companion.settings import secret_files
-from companion.settings.mqtt import MqttSettings
+from companion.settings import files
+from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
@@ -360,7 +360,7 @@ def make_mqtt(
     spool = Spool(spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
     operator = PilotOperator(pilot, OrderSender(OrderSource.MQTT), clock, recording)
-    key = secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
+    key = files.key(settings.command_key_file, "mqtt", "command_key_file")
     run = secrets.token_hex(16)
     command_handler = CommandHandler(topics, session, operator, run, key)
     ship = None if reports is None else (ShipReportReader(topics, run, key), reports)

@@ -5,8 +5,7 @@ import socket
 from collections.abc import Collection
 from urllib.parse import urlsplit
 
-from companion.settings.addresses import is_address
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings, is_address
 
 _TOKEN_BYTES = 24
 

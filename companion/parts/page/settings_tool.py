@@ -17,12 +17,11 @@ from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
 from companion.parts.page.tool_messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
 from companion.parts.page.viewer import PageViewer
-from companion.settings import whole_file
-from companion.settings.effect import remarks
-from companion.settings.expert import in_file
+from companion.settings import schema
 from companion.settings.load import complete, from_file
-from companion.settings.model import Settings
+from companion.settings.model import Settings, in_file
 from companion.settings.referenced_files import check_files
+from companion.settings.remarks import remarks
 from companion.settings.settings_file import BEFORE, SettingsFile
 from drivers.mailbox import Line
 from estimator.contracts.errors import BadInput, DecklanderError
@@ -90,7 +89,7 @@ class SettingsTool:
             worker.close()
 
     def _shown(self) -> SettingsText:
-        in_force = masked(whole_file.toml(self._in_force))
+        in_force = masked(schema.toml(self._in_force))
         if self._file is None:
             return SettingsText(text=in_force, in_force=in_force, path="", revision="", refusal=NO_FILE)
         path = str(self._file.path)

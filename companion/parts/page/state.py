@@ -13,7 +13,7 @@ from companion.base.missing_inputs import missing_inputs
 from companion.base.observer import Decision, ProcessedFrame
 from companion.parts.page.messages import HealthCause, Level, PageHealth, PictureLine, PlaceReport
 from companion.recording.frame_encoder import VideoQuality
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from companion.tools.report.overlay import pad_lines
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation

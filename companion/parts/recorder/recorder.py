@@ -27,7 +27,7 @@ from companion.facts import records as rec
 from companion.parts.recorder.storage_policy import StoragePolicy, in_words
 from companion.recording.mcap_file import About, McapFile
 from companion.recording.message_encoder import MessageEncoder
-from companion.settings.recorder import RecorderOptions
+from companion.settings.service import RecorderOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult

@@ -14,10 +14,10 @@ from companion.parts.recorder.recorder import PART, Recorder
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording.mcap_file import About, Attachment
 from companion.recording.reading import CAMERA, PAD, SETTINGS
-from companion.settings import whole_file
+from companion.settings import schema
 from companion.settings.load import body_camera, find_file, pad_model
 from companion.settings.model import Settings
-from companion.settings.recorder import FrameForm, RecorderOptions
+from companion.settings.service import FrameForm, RecorderOptions
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
@@ -31,7 +31,7 @@ def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> 
     Raises:
         BadInput: the camera or pad file is missing.
     """
-    files = [Attachment(SETTINGS, "application/toml", whole_file.toml(settings).encode())]
+    files = [Attachment(SETTINGS, "application/toml", schema.toml(settings).encode())]
     for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
         path = find_file(text, folder, Path(), name)
         files.append(Attachment(name, "application/toml", path.read_bytes()))

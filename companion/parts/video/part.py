@@ -15,7 +15,7 @@ from companion.base.observer import NullObserver, ProcessedFrame
 from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
 from companion.recording.timed_frames import CLOCK_HZ, TimedFrames, prepare
-from companion.settings.video import VideoStreamOptions
+from companion.settings.links import VideoStreamOptions
 from companion.tools.report.expected_place import camera_lean
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
 from drivers.mailbox import Latest

@@ -10,13 +10,12 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.base.health import HealthSnapshot
-from companion.settings import secret_files
-from companion.settings.effect import without_effect
-from companion.settings.http import HttpSettings
+from companion.settings import files
+from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_files
-from companion.settings.ship_place import contradiction
+from companion.settings.remarks import contradiction, without_effect
 from companion.tools.doctor.snapshot import GimbalSnapshot, ServiceSnapshot
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
@@ -130,7 +129,7 @@ async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
     if http.endpoint == "off":
         return None
     host = "127.0.0.1" if http.host in ("0.0.0.0", "::") else http.host
-    token = secret_files.text(http.token_file, "http", "token_file")
+    token = files.text(http.token_file, "http", "token_file")
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     try:
         async with (
@@ -148,7 +147,7 @@ def _our_own(http: HttpSettings) -> ssl.SSLContext | bool:
     """Return how to check that our own service answers: it has the certificate of the settings, whatever name that is for."""
     if http.endpoint == "http":
         return True
-    certificate = secret_files.find(http.certificate_file, "http.certificate_file")
+    certificate = files.find(http.certificate_file, "http.certificate_file")
     context = ssl.create_default_context(cafile=certificate)
     context.check_hostname = False
     context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN

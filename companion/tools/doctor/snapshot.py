@@ -8,7 +8,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct, field
 
-from companion.settings.ship_place import Contradiction
+from companion.settings.remarks import Contradiction
 from drivers.imports.log_history import LogHistory
 from estimator.contracts.errors import BadInput
 

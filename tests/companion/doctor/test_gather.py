@@ -16,7 +16,7 @@ from companion.base.http_server import HttpServer
 from companion.cli import doctor
 from companion.cli.main import Parser
 from companion.parts.metrics.endpoint import MetricsEndpoint
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from companion.settings.load import Settings
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose

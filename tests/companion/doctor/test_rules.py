@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.settings.load import from_mapping
 from companion.settings.model import Settings
-from companion.settings.ship_place import contradiction
+from companion.settings.remarks import contradiction
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import LOG_RULES, RULES, diagnose
 from companion.tools.doctor.finding import Severity

@@ -30,7 +30,7 @@ from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.frame_encoder import is_key_frame
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario

@@ -12,7 +12,7 @@ import companion.settings.load as settings_of
 from companion.base.observer import Decision
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.mavlink.parameters import Tunables
-from companion.settings.mavlink import OutputOptions
+from companion.settings.links import OutputOptions
 from companion.settings.model import Settings
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions

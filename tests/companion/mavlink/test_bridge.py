@@ -14,7 +14,7 @@ import pytest
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.bridge import BridgePart, VehicleBridge
 from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
-from companion.settings.mavlink import BridgeOptions
+from companion.settings.links import BridgeOptions
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import AccessLevel

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from companion.parts.mavlink.camera_component import COMPONENT, CameraComponent
+from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
-from companion.settings.video import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

@@ -11,8 +11,8 @@ import pytest
 from companion.parts.mavlink.camera_component import CameraComponent, Send, showing
 from companion.parts.mavlink.operator import LandingProgress
 from companion.parts.mavlink.parameters import NAMES
+from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
-from companion.settings.video import VideoStreamOptions
 from drivers.clock import SystemClock
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged

@@ -16,8 +16,8 @@ from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.supervise import run
 from companion.parts.metrics.endpoint import MetricsEndpoint, text
-from companion.settings.http import HttpSettings
-from companion.settings.restart import RestartOptions
+from companion.settings.links import HttpSettings
+from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict

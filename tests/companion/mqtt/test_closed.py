@@ -19,8 +19,8 @@ from companion.parts.mqtt.commands import CommandHandler, Forged, Unsigned, sign
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
 from companion.parts.mqtt.messages import CommandReply, OperatorNotice, decode
 from companion.parts.mqtt.topics import Topics
+from companion.settings.links import MqttSettings
 from companion.settings.load import from_mapping
-from companion.settings.mqtt import MqttSettings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from tests.support.mosquitto import Broker

@@ -90,7 +90,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
-from companion.settings.mqtt import MqttSettings
+from companion.settings.links import MqttSettings
 from tests.support.mqtt_service import running
 from tests.support.waiting import until
 async def main():

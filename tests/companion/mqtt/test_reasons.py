@@ -13,7 +13,7 @@ import pytest
 from companion.parts.mqtt import part as part_module
 from companion.parts.mqtt.connection import client_id
 from companion.parts.mqtt.messages import StatusMessage, encode
-from companion.settings.mqtt import MqttSettings
+from companion.settings.links import MqttSettings
 from tests.support.mqtt_service import SESSION, running
 from tests.support.waiting import until
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.settings.mqtt import MqttSettings
+from companion.settings.links import MqttSettings
 from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker
 from tests.support.mqtt_consumer import Consumer

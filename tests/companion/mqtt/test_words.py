@@ -22,9 +22,9 @@ from companion.parts.mqtt.encode import Changes
 from companion.parts.mqtt.messages import PUBLISHED, decode
 from companion.parts.mqtt.part import spool_folder
 from companion.parts.mqtt.topics import Topics, split
-from companion.settings import secret_files
-from companion.settings.mqtt import MqttSettings
-from companion.settings.tls import tls_context
+from companion.settings import files
+from companion.settings.links import MqttSettings
+from companion.settings.referenced_files import tls_context
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Lean
 from estimator.contracts.errors import BadInput
@@ -209,14 +209,14 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
     file.chmod(0o644)
     assert BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file))).password == "hush"
     assert "can be read by everyone" in caplog.text
-    assert secret_files.find("credential:mqtt", "mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
+    assert files.find("credential:mqtt", "mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
     for reference, environment in (
         ("credential:mqtt", {}),
         ("credential:", {"CREDENTIALS_DIRECTORY": "/x"}),
         ("credential:../a", {"CREDENTIALS_DIRECTORY": "/x"}),
     ):
         with pytest.raises(BadInput, match="mqtt: 'credential:"):
-            secret_files.find(reference, "mqtt", environment)
+            files.find(reference, "mqtt", environment)
     file.write_text("\n")
     with pytest.raises(BadInput, match="is empty"):
         BrokerEndpoint.of(MqttSettings(user="u", password_file=str(file)))

@@ -14,8 +14,8 @@ import pytest
 from companion.base.orders import HandledOrder, OperatorOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.operator.gamepad_part import GamepadPart
-from companion.settings.gamepad import mapping_of
 from companion.settings.load import load
+from companion.settings.referenced_files import mapping_of
 from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, InputDevice, gamepads
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus

@@ -21,8 +21,8 @@ from companion.guidance.operator.command_limits import (
     within,
     without_velocity,
 )
-from companion.settings.limits import LimitOptions
 from companion.settings.load import load
+from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation

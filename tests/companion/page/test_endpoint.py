@@ -23,7 +23,7 @@ from companion.base.reason import Reason, ReasonCause
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import request_in
 from companion.parts.page.recordings import Recordings
-from companion.settings.http import HttpSettings
+from companion.settings.links import HttpSettings
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput

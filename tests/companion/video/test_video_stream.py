@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from companion.base.observer import ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.video.part import RtpStream, VideoStreamPart
+from companion.settings.links import VideoStreamOptions
 from companion.settings.load import load
-from companion.settings.video import VideoStreamOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame

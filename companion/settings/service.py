@@ -1,15 +1,45 @@
-"""The recorder's options: the table [recorder] of the settings file."""
+"""The settings of the service itself: its restarts, and the table [recorder]."""
 
 from typing import Annotated, Literal
 
-from msgspec import Struct
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
-from estimator.contracts.keys import check_ranges, choice, number, text
+
+class RestartOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The restart of failed parts, and the point at which they are given up.
+
+    Raises:
+        ValueError: a number outside its range, or back-offs that do not go together.
+    """
+
+    restart_first_s: Annotated[float, number("first back-off before a failed part restarts", "s", 0.01, 60.0)] = 0.2
+    restart_factor: Annotated[float, number("factor between a back-off and the next", "1", 1.0, 10.0)] = 2.0
+    restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
+    restart_healthy_after_s: Annotated[
+        float, number("time of uninterrupted work after which a part begins with the first back-off again", "s", 0.1, 3600.0)
+    ] = 5.0
+    restart_give_up_after: Annotated[
+        int,
+        number(
+            "failures in a row after which a part beside the flight is given up; those of the outside world do not count",
+            "1",
+            1,
+            1000,
+        ),
+    ] = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.restart_cap_s < self.restart_first_s:
+            raise ValueError(
+                f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
+            )
+
 
 FrameForm = Literal["jpeg", "h264", "png", "none"]
 
 
-class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Recordings of everything the service receives, decides and says, as MCAP files (docs/recordings.md).
 
     Raises:
@@ -60,7 +90,7 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     retry_cap_s: Annotated[float, number("longest such back-off", "s", 0.01, 600.0)] = 60.0
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.max_total_mb < self.max_file_mb:
             raise ValueError(
                 f"max_total_mb ({self.max_total_mb:g} MB) must not be less than max_file_mb ({self.max_file_mb:g} MB)"

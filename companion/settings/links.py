@@ -1,0 +1,272 @@
+"""The settings of the service's links: the tables [http], [mqtt], [video_stream], [landing_target] and [bridge]."""
+
+import ipaddress
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from drivers.mavlink.options import MavlinkOptions
+from estimator.contracts.keys import CheckedOptions, choice, name, number, text
+
+
+def is_address(host: str) -> bool:
+    """Return whether `host` is an address, and no name."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def on_loopback(host: str) -> bool:
+    """Return whether only this machine can reach `host`. A name other than localhost may mean any address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """One port for browsers and programs: the operator page, `/metrics` for Prometheus, `/health`, and Foxglove's live data.
+
+    Whoever has the token watches, and commands if there is a page (docs/page.md).
+
+    Raises:
+        ValueError: there is no token; others could read it on its way; or a certificate is missing.
+    """
+
+    endpoint: Annotated[
+        Literal["off", "http", "https"],
+        choice(
+            "whether there is one; https needs certificate_file and key_file, and the page beyond loopback needs https",
+            public=True,
+        ),
+    ] = "off"
+    host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253, public=True)] = "127.0.0.1"
+    port: Annotated[int, number("port to listen on", "port", 1, 65535, public=True)] = 8480
+    token_file: Annotated[
+        str,
+        text(
+            "file with the token that a person enters and a program sends as bearer (decklander keys token): a path relative to "
+            'the settings file, or "credential:NAME" for a systemd credential; empty for no token, on loopback without a page',
+            4096,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+    certificate_file: Annotated[
+        str, text("file with the TLS certificate (PEM), and the chain that issued it", 4096, shortest=0, public=True)
+    ] = ""
+    key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0, public=True)] = ""
+    page: Annotated[bool, choice("whether the operator page is served, by which the token commands", public=True)] = True
+    foxglove: Annotated[
+        bool, choice("whether Foxglove and Lichtblick may watch the flight live, at /live (docs/recordings.md)", public=True)
+    ] = False
+    hosts: Annotated[
+        str,
+        text(
+            "further names by which browsers reach the page, separated by commas; addresses, localhost and this computer's own "
+            "name are known",
+            1000,
+            shortest=0,
+        ),
+    ] = ""
+    origins: Annotated[
+        str,
+        text(
+            "pages that may watch at /live without a token from a browser on this machine, by origin, separated by commas; "
+            "programs that are no browser name none",
+            4096,
+            shortest=0,
+        ),
+    ] = "https://app.foxglove.dev, file://"
+    viewers_max: Annotated[int, number("browsers and programs that may watch at a time", "1", 1, 32)] = 8
+    picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
+    picture_codec: Annotated[
+        Literal["h264", "jpeg"],
+        choice("how the page's picture is sent; a browser that cannot decode H.264 gets JPEG, and so does a camera of odd size"),
+    ] = "h264"
+    bitrate_kbit_s: Annotated[
+        int, number("largest rate of the page's picture as H.264, if it had 30 pictures a second", "kbit/s", 100, 20_000)
+    ] = 2000
+    jpeg_quality: Annotated[int, number("quality of the live picture as JPEG", "1", 10, 95)] = 70
+    foxglove_frames: Annotated[
+        Literal["jpeg", "h264", "none"],
+        choice("how /live sends the picture: as images; as a video, which takes about a tenth of that; or not at all"),
+    ] = "jpeg"
+
+    def __post_init__(self) -> None:
+        if self.endpoint == "off":
+            return
+        if self.page and not self.token_file:
+            raise ValueError("token_file is needed: whoever opens the page could command the vehicle (or set page = false)")
+        if not self.token_file and not on_loopback(self.host):
+            raise ValueError(f"token_file is needed because host ({self.host}) is not a loopback address: others can reach it")
+        if self.page and self.endpoint == "http" and not on_loopback(self.host):
+            raise ValueError(f'endpoint must be "https" because others could read the token on its way to host ({self.host})')
+        if self.endpoint == "https" and not (self.certificate_file and self.key_file):
+            raise ValueError('certificate_file and key_file are needed because endpoint is "https"')
+
+
+_FILE = 'a path relative to the settings file, or "credential:NAME" for a systemd credential; empty for none'
+
+
+class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """Telemetry, events and commands through an MQTT broker. Topics and messages: docs/mqtt.md."""
+
+    transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS", public=True)] = "off"
+    host: Annotated[
+        str, text("name or address of the broker; with TLS its certificate must be for this name", 253, public=True)
+    ] = "127.0.0.1"
+    port: Annotated[
+        int, number("port of the broker; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535, public=True)
+    ] = 8883
+    protocol: Annotated[
+        Literal["5", "3.1.1"],
+        choice("MQTT version; 3.1.1 brokers cannot say that they refuse a message: events may be lost there"),
+    ] = "5"
+    drone: Annotated[str, name("name of this drone: its topics are decklander/v2/<drone>/...", 64, public=True)] = "drone"
+    user: Annotated[str, text("user name; empty for none", 256, shortest=0, public=True)] = ""
+    password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0, public=True)] = ""
+    ca_file: Annotated[
+        str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0, public=True)
+    ] = ""
+    certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
+    key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
+    commands: Annotated[
+        Literal["off", "signed", "broker"],
+        choice(
+            "who may command: nobody; whoever signs with the key in command_key_file; or whom the broker lets write to the "
+            "command topic (TLS, an access list, and users or client certificates)",
+            public=True,
+        ),
+    ] = "off"
+    command_key_file: Annotated[
+        str, text(f"key of signed commands, 32 bytes or 64 hexadecimal digits: {_FILE}", 4096, shortest=0, public=True)
+    ] = ""
+    state_hz: Annotated[float, number("state messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
+    sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
+    health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
+    keepalive_s: Annotated[
+        int, number("keep-alive interval; a dead connection is noticed within twice that time", "s", 2, 600)
+    ] = 4
+    timeout_s: Annotated[
+        float, number("time limit for an answer of the broker; after it the connection is opened again", "s", 0.2, 60.0)
+    ] = 5.0
+    reconnect_first_s: Annotated[float, number("first back-off before a new attempt to connect", "s", 0.05, 60.0)] = 0.5
+    reconnect_cap_s: Annotated[
+        float,
+        number("longest back-off; each is twice the one before, reduced by a random part of up to one half", "s", 0.05, 600.0),
+    ] = 30.0
+    commands_max_hz: Annotated[
+        int, number("rate of commands, or of the ship's reports, that closes the connection", "Hz", 1, 60)
+    ] = 10
+    spool: Annotated[
+        str,
+        text(
+            "folder of events that wait for the broker; empty for $STATE_DIRECTORY/mqtt, or memory alone without that",
+            4096,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+    spool_max_kib: Annotated[int, number("bound of that folder; the oldest events go first", "KiB", 8, 1_048_576)] = 16_384
+    spool_fsync: Annotated[
+        Literal["always", "second", "never"],
+        choice("when events are forced to the disk: each at once, once a second, or as the system likes"),
+    ] = "second"
+
+    def __post_init__(self) -> None:
+        if self.reconnect_cap_s < self.reconnect_first_s:
+            raise ValueError(
+                f"reconnect_cap_s ({self.reconnect_cap_s:g} s) must not be shorter than reconnect_first_s "
+                f"({self.reconnect_first_s:g} s)"
+            )
+        if bool(self.certificate_file) != bool(self.key_file):
+            raise ValueError("certificate_file and key_file need each other")
+        if (self.commands == "signed") != bool(self.command_key_file):
+            raise ValueError('commands = "signed" and command_key_file need each other')
+        if self.commands == "broker" and self.transport != "off":
+            if self.transport != "tls" and not on_loopback(self.host):
+                raise ValueError('commands = "broker" needs transport = "tls": on plain TCP anybody may be the broker')
+            if not (self.user or self.certificate_file):
+                raise ValueError('commands = "broker" needs a user or a certificate_file: the broker must know who is who')
+        if self.password_file and not self.user:
+            raise ValueError("password_file needs a user")
+
+
+class VideoStreamOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The picture for a ground station: H.264 by RTP over UDP (docs/mavlink.md). Whoever is on the way of the packets can watch.
+
+    Raises:
+        ValueError: a number is outside its range, or `to` is no address and port.
+    """
+
+    to: Annotated[
+        str,
+        text(
+            "ADDRESS:PORT that it is sent to, such as 192.168.1.20:5600 (QGroundControl listens on 5600); empty for no stream",
+            253,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+    rate_hz: Annotated[float, number("largest rate of the pictures", "Hz", 1.0, 60.0, public=True)] = 15.0
+    bitrate_kbit_s: Annotated[int, number("largest bit rate", "kbit/s", 50, 20_000, public=True)] = 1000
+    drawn: Annotated[bool, choice("whether the pad and the features that were found are drawn over the picture", public=True)] = (
+        True
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.to:
+            host, colon, port = self.to.rpartition(":")
+            if not (colon and host and port.isdigit() and 1 <= int(port) <= 65535):
+                raise ValueError(f"to must be ADDRESS:PORT, such as 192.168.1.20:5600, got {self.to!r}")
+
+    @property
+    def port(self) -> int:
+        """The port that a ground station listens on; of no meaning without `to`."""
+        return int(self.to.rpartition(":")[2] or 0)
+
+
+class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The pad in messages to an autopilot: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md).
+
+    Raises:
+        ValueError: a number is outside its range.
+    """
+
+    rate_hz: Annotated[
+        float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)
+    ] = 25.0
+    receiver_s: Annotated[
+        float,
+        number("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
+    ] = 0.00125
+    vision_target_estimator: Annotated[
+        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too", public=True)
+    ] = False
+    ranges: Annotated[
+        Literal["auto", "on", "off"],
+        choice(
+            "whether to send DISTANCE_SENSOR; auto: if an ArduPilot's parameters say that its rangefinder is a MAVLink one",
+            public=True,
+        ),
+    ] = "auto"
+    range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
+    range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0
+    ground_clearance_m: Annotated[
+        float,
+        number("reading of a rangefinder while the vehicle is on the ground; ArduPilot does not arm without it", "m", 0.02, 2.0),
+    ] = 0.1
+
+
+class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
+    """An AR.Drone as a MAVLink quadrotor for ground stations, which can watch it, arm it, take off, hold and land.
+
+    Raises:
+        ValueError: as for `MavlinkOptions`.
+    """
+
+    system_id: Annotated[int, number("system id under which the drone appears", "id", 1, 255, public=True)] = 1
