@@ -86,7 +86,7 @@ def drawn_by(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
     if light == "dusk":
         lit = replace(lit, colour_temperature_k=9000.0, drone_shadow=0.0, visibility_m=400.0)
     if light == "mast":
-        lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1))), 0.6))
+        lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1)))))
     small = seed // 6 % 2 == 1
     deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
     waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.camera.light import Light, Sensor, linear_from_srgb, planck_rgb
+from estimator.vision.srgb import linear_light
+from sitl.camera.light import Light, Sensor, planck_rgb
 
 U8 = NDArray[np.uint8]
 
@@ -82,12 +83,12 @@ def adjust(automatics: Automatics, adjusted: Adjusted, image: U8, t_s: float, *,
     dt = max(0.0, t_s - adjusted.t_s)
     ev, mired = adjusted.ev, adjusted.mired
     if automatics.exposure_lag_s > 0:
-        seen = linear_from_srgb(np.array([0.114 * blue + 0.587 * green + 0.299 * red, _TARGET]))
+        seen = linear_light(np.array([0.114 * blue + 0.587 * green + 0.299 * red, _TARGET]))
         off = math.log2(float(seen[1]) / max(float(seen[0]), 1e-4))
         ev += off * (1.0 if at_once else 1.0 - math.exp(-dt / automatics.exposure_lag_s))
         ev = min(max(ev, math.log2(_SHORTEST)), 12.0)
     if automatics.balance_lag_s > 0:
-        b, r = linear_from_srgb(np.array([blue, red])).clip(1e-4)
+        b, r = linear_light(np.array([blue, red])).clip(1e-4)
         # The colour that would make the picture grey: what is redder than white now is redder light than was assumed.
         ratios, mireds = _locus()
         wanted = float(np.interp(math.log(r / b) + np.interp(mired, mireds, ratios), ratios, mireds))

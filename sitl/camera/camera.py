@@ -23,10 +23,16 @@ from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shado
 from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
 from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
 from sitl.camera.render.sea import SeaPainter
+from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.core.abi import DL_GAIN_ONE, DL_PAD_EDGE, DL_PAD_NONE
 
 U8 = NDArray[np.uint8]
+
+_GLARE_RADIUS_M = 0.225
+"""Radius at which the spot of glare has fallen to a half: it covers a third of the thesis' disc."""
+_MAST_SHADOW = 0.6
+"""Share of light missing in the mast's shadow."""
 
 
 def _zeros() -> F64:
@@ -87,7 +93,7 @@ class Renderer:
         surroundings: Surroundings | None = None,
         light: Light | None = None,
         sensor: Sensor | None = None,
-        lamps: Lamps | None = None,
+        lamps: LampSettings | None = None,
         drops: Drops | None = None,
     ) -> None:
         self.camera, self.pad = camera, pad
@@ -96,11 +102,10 @@ class Renderer:
         self.sensor = sensor if sensor is not None else Sensor()
         self._lens = lens_of(camera)
         self._pad = PadPainter(self._lens, pad) if pad is not None else None
-        self._sea = SeaPainter(self._lens, self.surroundings, self.light, self.sensor.blend)
+        self._sea = SeaPainter(self._lens, self.surroundings, self.light)
         deck = self.surroundings.deck
-        self._deck = DeckPainter(self._lens, deck, self.light, self.sensor.blend) if deck is not None else None
-        self.lamps, self.drops = lamps if lamps is not None else Lamps(), drops
-        self._own_lamps = pad.lamps if pad is not None and self.lamps.own_level > 0.0 else ()
+        self._deck = DeckPainter(self._lens, deck, self.light) if deck is not None else None
+        self.lamps, self.drops = Lamps(lamps or LampSettings(), pad.lamps if pad is not None else ()), drops
         self._development = self.development(self.light, self.sensor)
         self._vignette = vignette(self._lens, self.light.vignetting)
         self._even = np.full_like(self._vignette, DL_GAIN_ONE)
@@ -108,17 +113,12 @@ class Renderer:
         # The largest arrays of a frame: requesting their memory each time costs as much as filling it.
         self._scene = np.empty((camera.height, camera.width, 4), np.uint16)
         self._room = np.empty((camera.height, camera.width, 3), np.int16)
-        self._pad_scene = _pad_scene(pad, self.sensor.blend) if pad is not None else None
+        self._pad_scene = _pad_scene(pad) if pad is not None else None
         self._decals = [
-            (decal.on, [(points, scene_of(rgb[::-1], self.sensor.blend)) for points, rgb in decal.polygons()])
-            for decal in self.surroundings.decals
+            (decal.on, [(points, scene_of(rgb[::-1])) for points, rgb in decal.polygons()]) for decal in self.surroundings.decals
         ]
         e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
-
-    @property
-    def _has_small_lamps(self) -> bool:
-        return bool(self.lamps.pad_lamps or self._own_lamps)
 
     def development(self, light: Light, sensor: Sensor) -> Development:
         """Return the sensor model with another exposure, amplification or white balance than this renderer's own."""
@@ -128,7 +128,7 @@ class Renderer:
         """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
         development = development or self._development
         view = self._view(shot, development)
-        if self.lamps.floods or self._has_small_lamps or self.drops is not None or view.added is not None:
+        if self.lamps.floods or self.lamps.has_small or self.drops is not None or view.added is not None:
             light, blur = self._light_on_sensor(shot, development, view)
             return development.sensor_image(light, rng, blur)
         return development.image(view.scene, view.gain, view.pad, self._pad_scene, rng)
@@ -145,9 +145,9 @@ class Renderer:
 
     def _view(self, shot: Exposure, development: Development) -> _View:
         """Return what the camera sees during an exposure, before the light is counted."""
-        poses = [_pose(shot, self.camera, 0.0)]
+        poses = [pose_at(shot, self.camera)]
         exposure_s = development.sensor.exposure_s
-        ends = [_pose(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
+        ends = [pose_at(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
 
         scene, gain, added = self._scenery(shot, *poses[0])
         if ends:
@@ -155,7 +155,7 @@ class Renderer:
         half = development.sensor.readout_s / 2
         rows = None
         if half > 0:
-            cells = row_map(self._lens, _pose(shot, self.camera, -half), poses[0], _pose(shot, self.camera, half))
+            cells = row_map(self._lens, pose_at(shot, self.camera, -half), poses[0], pose_at(shot, self.camera, half))
             if cells is not None:
                 rows, scene = self._lens.spread(cells), moved_scene(scene, cells)
                 gain = np.asarray(moved(gain, rows), np.int16)
@@ -176,9 +176,9 @@ class Renderer:
             blur = blur.under(gains) if blur is not None else None
         if added is not None:
             cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
-        if self._has_small_lamps:
+        if self.lamps.has_small:
             own = np.zeros(gain.shape, np.float32)
-            self.lamps.shine(own, self._lens, *view.pose, self._own_lamps)
+            self.lamps.shine(own, self._lens, *view.pose)
             own = own if rows is None else np.asarray(moved(own, rows), np.float32)
             level = np.float32(2.0**-self.light.daylight_ev)
             cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)
@@ -207,7 +207,7 @@ class Renderer:
         half = sensor.readout_s / 2
 
         def rows(at_s: float) -> tuple[Pose, Pose] | None:
-            return (_pose(shot, self.camera, at_s - half), _pose(shot, self.camera, at_s + half)) if half > 0 else None
+            return (pose_at(shot, self.camera, at_s - half), pose_at(shot, self.camera, at_s + half)) if half > 0 else None
 
         way = self._pad.travel_px(*ends) if ends else np.zeros(2)
         travel = float(way.max())
@@ -217,7 +217,7 @@ class Renderer:
         if n == 1:
             return self._uncovered(self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))]), middle)
         times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * sensor.exposure_s
-        poses = [_pose(shot, self.camera, float(s)) for s in times]
+        poses = [pose_at(shot, self.camera, float(s)) for s in times]
         strokes = [Stroke(poses[2 * i], poses[2 * i + 1], poses[2 * i + 2], rows(float(times[2 * i + 1]))) for i in range(n)]
         return self._uncovered(self._pad.place(strokes), middle)
 
@@ -299,13 +299,13 @@ class Renderer:
                 for points, colour in polygons:
                     draw(scene, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, colour)
         if ship:
-            hull_side(scene, self._lens, rim, R_ned_cam, p_cam_ned, self.sensor.blend)
+            hull_side(scene, self._lens, rim, R_ned_cam, p_cam_ned)
 
     def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, plane: F64, mask: U8 | None) -> I16:
         R_pad_ned = shot.R_ned_pad.matrix.T
         if self.light.mast is not None:
             fallen = mast_shadow(self._lens, self.light.mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
-            gain = gain if fallen is None else self._shaded(gain, fallen, self.light.mast.shadow, mask)
+            gain = gain if fallen is None else self._shaded(gain, fallen, mask)
         if self.light.drone_shadow == 0:
             return gain
         if gain is self._vignette:
@@ -324,12 +324,12 @@ class Renderer:
         self._dark_part = slice(0), slice(0)
         return self._darkened
 
-    def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], share: float, mask: U8 | None) -> I16:
-        """Return the factors on the light with a shadow that takes `share` of it, where the deck is."""
+    def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], mask: U8 | None) -> I16:
+        """Return the factors on the light with the mast's shadow, where the deck is."""
         depth, rows, cols = cast
         if mask is not None:
             depth = np.asarray(cv2.multiply(depth, mask[rows, cols], scale=1.0 / 255.0), dtype=np.uint8)
-        left = np.asarray(np.round(DL_GAIN_ONE * (1.0 - share * np.arange(256) / 255.0)), dtype=np.int16)
+        left = np.asarray(np.round(DL_GAIN_ONE * (1.0 - _MAST_SHADOW * np.arange(256) / 255.0)), dtype=np.int16)
         if gain is self._vignette:
             gain = gain.copy()
         part = gain[rows, cols]
@@ -375,7 +375,7 @@ class Renderer:
         h, w = self.camera.height, self.camera.width
         out = np.zeros((h, w), np.float32) if added is None else added
         light = self.light
-        reach = 2.6 * light.glare_radius_m
+        reach = 2.6 * _GLARE_RADIUS_M
         a = np.linspace(0.0, math.tau, 24, endpoint=False)
         around = np.stack([reach * np.cos(a), reach * np.sin(a), 0.0 * a], axis=1) + np.array([*light.glare_centre_m, 0.0])
         uv = self._lens.outline(around @ R_cam_pad.T + t_cam_pad)
@@ -388,12 +388,12 @@ class Renderer:
         places = self._lens.meet(plane, (slice(y0, y1), slice(x0, x1))) - np.array(light.glare_centre_m, np.float32)
         r2 = places[..., 0] ** 2 + places[..., 1] ** 2
         # Flat in the middle and soft at the rim, as the image of the sun on varnished paint is: half of it at the radius.
-        spot = np.exp(np.float32(-math.log(2.0)) * (r2 * np.float32(1.0 / light.glare_radius_m**2)) ** 2)
+        spot = np.exp(np.float32(-math.log(2.0)) * (r2 * np.float32(1.0 / _GLARE_RADIUS_M**2)) ** 2)
         out[y0:y1, x0:x1] += np.float32(light.glare) * spot
         return out
 
 
-def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
+def pose_at(shot: Exposure, camera: Camera, later_s: float = 0.0) -> tuple[F64, F64]:
     """Return the rotation (3, 3) and position (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
     R_ned_body, R_ned_pad = shot.R_ned_body.matrix, shot.R_ned_pad.matrix
     away = shot.p_pad_ned - shot.p_body_ned
@@ -405,8 +405,8 @@ def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
     return R_cam_ned.dot(R_ned_pad), R_cam_ned.dot(away - R_ned_body.dot(camera.T_body_cam.t))
 
 
-def _pad_scene(pad: Pad, blend: str) -> U16:
+def _pad_scene(pad: Pad) -> U16:
     """Return the paints (6, 4) of the background (unused), rim, disc, orange, white, upper lettering, as pixels of a scene."""
     c = pad.markings.colours
     rim, upper = c.rim if c.rim is not None else c.disc, c.upper if c.upper is not None else c.h
-    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1], upper[::-1]]), blend)
+    return scene_of(np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1], upper[::-1]]))

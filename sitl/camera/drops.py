@@ -11,12 +11,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
+from sitl.camera.settings import DropSettings
 
 I16 = NDArray[np.int16]
 
 _SHOWN_WIDTHS = 4.0
 """Width of the scene that a drop shows, in its own radii."""
+_SPRAY_DROPS = 12
+"""Drops of a gust of spray."""
+_RADIUS_PX, _STAYS_S = 28.0, 6.0
+"""Radius of a drop's blurred disc, and time until a drop has run off, on average; both assumed."""
+_CELL_S = 1.5 * _STAYS_S
+"""Span of time whose drops are drawn together."""
 _RUNS_OFF = 0.7
 """Part of its life after which a drop runs off."""
 
@@ -34,38 +40,25 @@ class Drop:
 class Drops:
     """The water that falls on a lens: the same at an instant whatever was computed before."""
 
-    rain_per_s: float = 0.0
-    """Rate of single drops."""
-    spray_per_s: float = 0.0
-    """Rate of gusts of spray."""
-    spray_drops: int = 12
-    """Drops of a gust."""
-    radius_px: float = 28.0
-    stays_s: float = 6.0
+    settings: DropSettings
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not (self.rain_per_s >= 0 and self.spray_per_s >= 0 and self.spray_drops >= 1):
-            raise BadInput("drops: rates 0 or more, at least one drop in a gust")
-        if not (self.radius_px >= 1 and self.stays_s > 0):
-            raise BadInput("drops: radius_px 1 or more, stays_s positive")
 
     def present(self, t_s: float, width: int, height: int) -> list[Drop]:
         """Return the drops on the lens at an instant of the flight, the oldest first."""
-        cell_s = max(2.0, 1.5 * self.stays_s)
-        newest = math.floor(t_s / cell_s)
-        return [drop for cell in (newest - 1, newest) for drop in self._of_cell(cell, cell_s, t_s, width, height)]
+        newest = math.floor(t_s / _CELL_S)
+        return [drop for cell in (newest - 1, newest) for drop in self._of_cell(cell, t_s, width, height)]
 
-    def _of_cell(self, cell: int, cell_s: float, t_s: float, width: int, height: int) -> list[Drop]:
+    def _of_cell(self, cell: int, t_s: float, width: int, height: int) -> list[Drop]:
         """Return the drops that fell in one span of time and are still there."""
         rng = np.random.default_rng([self.seed, 0xD409, cell + 1000])
-        single = rng.uniform(0.0, cell_s, rng.poisson(self.rain_per_s * cell_s))
-        gusts = rng.uniform(0.0, cell_s, rng.poisson(self.spray_per_s * cell_s))
-        fell_s = cell * cell_s + np.concatenate([single, np.repeat(gusts, self.spray_drops)])
+        rain_per_s, spray_per_s = self.settings.rain_per_minute / 60.0, self.settings.spray_per_minute / 60.0
+        single = rng.uniform(0.0, _CELL_S, rng.poisson(rain_per_s * _CELL_S))
+        gusts = rng.uniform(0.0, _CELL_S, rng.poisson(spray_per_s * _CELL_S))
+        fell_s = cell * _CELL_S + np.concatenate([single, np.repeat(gusts, _SPRAY_DROPS)])
         n = len(fell_s)
         x, y = rng.uniform(-0.05, 1.05, n) * width, rng.uniform(-0.05, 1.05, n) * height
-        radius = self.radius_px * np.exp(rng.normal(-0.08, 0.4, n))
-        life_s, aside = self.stays_s * rng.uniform(0.5, 1.5, n), rng.normal(0.0, 0.25, n)
+        radius = _RADIUS_PX * np.exp(rng.normal(-0.08, 0.4, n))
+        life_s, aside = _STAYS_S * rng.uniform(0.5, 1.5, n), rng.normal(0.0, 0.25, n)
         age = (t_s - fell_s) / life_s
         out = []
         for i in np.nonzero((age >= 0.0) & (age < 1.0))[0]:

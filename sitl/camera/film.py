@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from sitl.camera.automatic import Adjusted, Automatics, adjust, settings
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Development, Light, Sensor
+from sitl.camera.settings import VideoSettings
 
 U8 = NDArray[np.uint8]
 
@@ -101,13 +101,14 @@ class Film:
     """Renders the frames of one flight in order.
 
     Args:
-        link: the video link; None if frames arrive as the camera made them.
+        link: the video link; one without a bit rate shows frames as the camera made them.
         seed: of the packets that the link loses.
     """
 
-    def __init__(self, renderer: Renderer, automatics: Automatics, link: VideoLinkOptions | None, seed: int) -> None:
+    def __init__(self, renderer: Renderer, automatics: Automatics, link: VideoSettings, seed: int) -> None:
         self._renderer, self._automatics = renderer, automatics
-        self._link = VideoLink(link, renderer.camera.width, renderer.camera.height, seed) if link is not None else None
+        size = renderer.camera.width, renderer.camera.height
+        self._link = VideoLink(link, *size, seed) if link.bitrate_kbit_s > 0 else None
         self._adjusted: Adjusted | None = None
         self._ordered: deque[Callable[[], U8]] = deque()
 
@@ -166,29 +167,20 @@ class Film:
 
 _PACKET_BYTES = 1400
 _FPS = 30
+_KEYFRAME_S = 1.0
+"""Time between two pictures that need no other, as of the AR.Drone's encoder."""
 _SLICES = (1, 5)
 """NAL unit types of coded slices (ITU-T H.264, table 7-1)."""
 
 
-@dataclass(frozen=True, slots=True)
-class VideoLinkOptions:
-    """The encoder's rate and the packets that the link loses, in bursts (Gilbert, Bell System Technical Journal 39, 1960)."""
-
-    bitrate_kbit_s: float = 1000.0
-    loss: float = 0.0
-    burst_packets: float = 4.0
-    keyframe_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (self.bitrate_kbit_s > 0 and 0.0 <= self.loss < 1.0 and self.burst_packets >= 1.0 and self.keyframe_s > 0):
-            raise BadInput("video: bitrate_kbit_s and keyframe_s positive, loss 0 to below 1, burst_packets 1 or more")
-
-
 class VideoLink:
-    """Sends the frames of one camera, in order. The same frames and seed give the same pictures."""
+    """Sends the frames of one camera, in order. The same frames and seed give the same pictures.
 
-    def __init__(self, options: VideoLinkOptions, width: int, height: int, seed: int) -> None:
-        self._options = options
+    Packets are lost in bursts (Gilbert, Bell System Technical Journal 39, 1960).
+    """
+
+    def __init__(self, settings: VideoSettings, width: int, height: int, seed: int) -> None:
+        self._settings = settings
         self._rng = np.random.default_rng([seed, 0x264])
         self._lost = False
         self._shown: U8 = np.full((height, width, 3), 16, np.uint8)
@@ -201,9 +193,9 @@ class VideoLink:
         assert isinstance(decoder, av.VideoCodecContext)
         encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
         encoder.time_base, encoder.framerate = Fraction(1, _FPS), Fraction(_FPS)
-        encoder.bit_rate = round(1000 * options.bitrate_kbit_s)
+        encoder.bit_rate = round(1000 * settings.bitrate_kbit_s)
         encoder.thread_count = decoder.thread_count = 1
-        every, rate = max(1, round(options.keyframe_s * _FPS)), round(options.bitrate_kbit_s)
+        every, rate = max(1, round(_KEYFRAME_S * _FPS)), round(settings.bitrate_kbit_s)
         encoder.options = {
             "preset": "ultrafast",
             "tune": "zerolatency",
@@ -235,7 +227,7 @@ class VideoLink:
 
     def _next_is_lost(self) -> bool:
         """Return whether the link loses its next packet."""
-        o = self._options
+        o = self._settings
         if o.loss == 0:
             return False
         leave, enter = 1.0 / o.burst_packets, min(1.0, o.loss / (o.burst_packets * (1.0 - o.loss)))

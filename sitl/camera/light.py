@@ -1,8 +1,7 @@
 """The light on the scene and the sensor model.
 
 Everything between paint and frame is computed in linear light, because a lens and a sensor add up light and the tone curve
-comes last. Adding up sRGB values instead moves the place where an edge crosses half way, by a fifth of a pixel between dark and
-bright paint. `Sensor.blend = "srgb"` does just that, for comparison with renderers that do so.
+comes last.
 """
 
 from __future__ import annotations
@@ -11,13 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
+from estimator.vision.srgb import linear_light
 from sitl.camera.projection import F32
 from sitl.core.abi import (
     DL_CELL_PX,
@@ -45,8 +44,6 @@ class Mast:
     height_m: float
     p_m: tuple[float, float]
     """Position of its foot in `pad`, m."""
-    shadow: float = 0.6
-    """Share of light missing in its shadow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +52,8 @@ class Light:
 
     colour_temperature_k: float = 6500.0
     """Colour temperature of the light, 1700 to 25000 K."""
-    balanced_for_k: float | None = 6500.0
-    """Colour temperature that the camera takes for white; None if the camera follows the light without error."""
+    balanced_for_k: float = 6500.0
+    """Colour temperature that the camera takes for white."""
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Gains on red, green and blue beyond that: an error of 20 % is (1.2, 1, 1) or the like."""
     exposure_ev: float = 0.0
@@ -72,8 +69,6 @@ class Light:
     """Mirrored sun on the pad: light added at the spot's centre, in units of white paint."""
     glare_centre_m: tuple[float, float] = (0.12, 0.08)
     """Centre of the glare spot in `pad`."""
-    glare_radius_m: float = 0.225
-    """Radius at which the spot has fallen to a half; 0.225 m covers a third of the thesis' disc."""
     wetness: float = 0.0
     """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
     wear: float = 0.06
@@ -86,27 +81,10 @@ class Light:
     """Light of the mirrored sun on the sea and, times the wetness, on the deck, in units of white paint in daylight."""
     mast: Mast | None = None
 
-    def __post_init__(self) -> None:
-        for name in ("colour_temperature_k", "balanced_for_k"):
-            k = getattr(self, name)
-            if k is not None and not 1700.0 <= k <= 25000.0:
-                raise BadInput(f"light: {name} must lie in 1700..25000 K, got {k!r}")
-        if not all(math.isfinite(g) and g > 0 for g in self.white_balance):
-            raise BadInput(f"light: white_balance gains must be positive, got {self.white_balance!r}")
-        for name in ("vignetting", "drone_shadow", "wetness"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise BadInput(f"light: {name} must lie in 0..1, got {getattr(self, name)!r}")
-        if not (self.glare >= 0 and self.glare_radius_m > 0 and 0 <= self.wear <= 0.5 and abs(self.exposure_ev) <= 10):
-            raise BadInput("light: glare 0 or more, glare_radius_m positive, wear 0..0.5, exposure_ev within +-10 stops")
-        if not (self.visibility_m > 0 and self.glint >= 0 and abs(self.daylight_ev) <= 20):
-            raise BadInput("light: visibility_m positive, glint 0 or more, daylight_ev within +-20 stops")
-        if not 0.05 <= self.sun_elevation_rad <= math.pi / 2:
-            raise BadInput(f"light: sun_elevation_rad must lie in 0.05..pi/2, got {self.sun_elevation_rad!r}")
-
     def gains_bgr(self) -> F32:
         """Factors (3,) from paint to the sensor's full scale in blue, green, red."""
         rgb = planck_rgb(self.colour_temperature_k)
-        rgb = rgb / (rgb if self.balanced_for_k is None else planck_rgb(self.balanced_for_k))
+        rgb = rgb / planck_rgb(self.balanced_for_k)
         rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0 ** (self.exposure_ev + self.daylight_ev)
         return np.asarray(rgb[::-1], dtype=np.float32)
 
@@ -121,15 +99,8 @@ class Sensor:
     full_well_e: float = 8000.0
     """Electrons at full scale: sets the shot noise."""
     read_noise_e: float = 12.0
-    blend: Literal["linear", "srgb"] = "linear"
     readout_s: float = 0.0
     """Time from the middle of the first row's exposure to that of the last row's; 0 for a global shutter."""
-
-    def __post_init__(self) -> None:
-        if not (0.0 <= self.exposure_s <= 0.5 and 0.0 <= self.psf_sigma_px <= 10.0 and 0.0 <= self.readout_s <= 0.5):
-            raise BadInput("sensor: exposure_s and readout_s must lie in 0..0.5 and psf_sigma_px in 0..10")
-        if not (self.full_well_e > 0 and self.read_noise_e >= 0):
-            raise BadInput("sensor: full_well_e must be positive and read_noise_e 0 or more")
 
 
 def planck_rgb(kelvin: float) -> NDArray[np.float64]:
@@ -154,29 +125,15 @@ def planck_rgb(kelvin: float) -> NDArray[np.float64]:
     return np.asarray(rgb / rgb.max())
 
 
-def linear_from_srgb(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return linear light 0..1 for sRGB values 0..255. Source: IEC 61966-2-1."""
-    v = np.asarray(value, dtype=float) / 255.0
-    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
-
-
 FULL_SCALE = 8192
 """Counts of linear light at the sensor's full scale. Light is kept in int16: steps of a thirteenth of the default read noise, and
 clipped before the blur of the lens at four times full scale."""
 
 
-@lru_cache(maxsize=2)
-def _decode(blend: str) -> F32:
-    codes = np.arange(256)
-    return np.asarray(linear_from_srgb(codes) if blend == "linear" else codes / 255.0, dtype=np.float32)
-
-
-def _encode(blend: str, light: NDArray[np.float64]) -> U8:
-    """Return the frame's values for light 0..1 of full scale; light outside is clipped."""
-    light = np.clip(light, 0.0, 1.0)
-    if blend == "linear":
-        light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.round(light * 255.0).astype(np.uint8)
+def srgb_values(light: NDArray[np.float64]) -> U8:
+    """Return the frame's values for linear light 0..1 of full scale; light outside is clipped. Source: IEC 61966-2-1."""
+    x = np.clip(light, 0.0, 1.0)
+    return np.round(255.0 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)).astype(np.uint8)
 
 
 _GRAIN_STEP = 0.25
@@ -200,7 +157,7 @@ def _level_light() -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=16)
-def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
+def _noisy(well: float, read_noise_e: float) -> U8 | None:
     """Return the values of the frame (DL_LIGHT_LEVELS, DL_GRAIN_LEVELS) by light and noise, or None if noise is less than a step.
 
     Noise is added to light transformed by g(L) = 2 F (sqrt(L / F + r^2) - r), whose slope is one over the standard deviation
@@ -218,13 +175,13 @@ def _noisy(well: float, read_noise_e: float, blend: str) -> U8 | None:
     g = even[:, None] + step * (np.arange(DL_GRAIN_LEVELS) - DL_GRAIN_LEVELS // 2)
     back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
     # Below the vertex of the parabola, some read noise under black, everything is black.
-    return _encode(blend, np.where(g < -2.0 * well * read, 0.0, back))
+    return srgb_values(np.where(g < -2.0 * well * read, 0.0, back))
 
 
-@lru_cache(maxsize=2)
-def _clean(blend: str) -> U8:
+@lru_cache(maxsize=1)
+def _clean() -> U8:
     """Return (65536,) the value of the frame by the count of light, without noise."""
-    return _encode(blend, np.arange(65536) / FULL_SCALE)
+    return srgb_values(np.arange(65536) / FULL_SCALE)
 
 
 @lru_cache(maxsize=16)
@@ -238,15 +195,13 @@ def _taps(sigma_px: float) -> U16:
     return np.asarray(taps, dtype=np.uint16)
 
 
-@lru_cache(maxsize=2)
-def _reflected(blend: str) -> U16:
-    """Return what a paint value reflects, (256,), parts of `DL_SCENE_ONE`."""
-    return np.round(DL_SCENE_ONE * _decode(blend)).astype(np.uint16)
+_REFLECTED = np.round(DL_SCENE_ONE * linear_light(np.arange(256)).astype(np.float32)).astype(np.uint16)
+"""Reflected light of each paint value, (256,), parts of `DL_SCENE_ONE`."""
 
 
-def scene_of(bgr: U8 | Sequence[int], blend: str) -> U16:
+def scene_of(bgr: U8 | Sequence[int]) -> U16:
     """Return pixels of a scene (..., 4), without wear, for paint values (..., 3) in blue, green, red."""
-    light = _reflected(blend)[np.asarray(bgr, dtype=np.intp)]
+    light = _REFLECTED[np.asarray(bgr, dtype=np.intp)]
     return np.concatenate([light, np.full((*light.shape[:-1], 1), DL_SCENE_ONE, np.uint16)], axis=-1)
 
 
@@ -313,15 +268,15 @@ class Development:
 
     def __init__(self, light: Light, sensor: Sensor, most_bgr: F32 | None = None) -> None:
         self.sensor = sensor
-        self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
+        self.gains_bgr = light.gains_bgr()
         self.lifted_bgr: F32 = np.ones(3, np.float32)
         """Factors by which `exposure` holds more than the light of the sky, where lamps add to it."""
         if most_bgr is not None:
             self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
         gains = self.gains_bgr * self.lifted_bgr * np.float32(FULL_SCALE / DL_SCENE_ONE)
         self._exposure: F32 = np.append(gains, np.float32(0.0)).astype(np.float32)
-        self._noisy = _noisy(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
-        self._clean = _clean(sensor.blend)
+        self._noisy = _noisy(sensor.full_well_e, sensor.read_noise_e)
+        self._clean = _clean()
         self._taps = _taps(sensor.psf_sigma_px)
         self._room: U16 | None = None
         self._room_width = 0

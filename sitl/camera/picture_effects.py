@@ -13,8 +13,9 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of
-from sitl.camera.camera import Exposure
-from sitl.camera.light import Light, linear_from_srgb
+from estimator.vision.srgb import linear_light
+from sitl.camera.camera import Exposure, pose_at
+from sitl.camera.light import Light, srgb_values
 from sitl.camera.projection import SHIFT as BITS
 from sitl.camera.projection import Lens, fixed_point, lens_of
 from sitl.camera.solids import Solid
@@ -46,7 +47,7 @@ class PictureEffects:
     def drawn(self, px: U8, faults: Sequence[PictureFault], shot: Exposure, rng: np.random.Generator) -> U8:
         """Return the frame (H, W, 3) with the faults, of the scene in the middle of its exposure."""
         out = px.copy()
-        R, t = _pose(shot, self._camera)
+        R, t = pose_at(shot, self._camera)
         polygons = [polygon for fault in faults for polygon in self._polygons(fault, shot.t_s, -R.T @ t)]
         if polygons and R[:, 2] @ t > 0.01:
             self._draw(out, polygons, R, t, rng)
@@ -94,7 +95,7 @@ class PictureEffects:
             uv = self._lens.outline(points @ R[:, : points.shape[1]].T + t, 6)
             if len(uv) < 3:
                 continue
-            paint = _srgb(linear_from_srgb(np.array(rgb[::-1])) * self._gains)
+            paint = srgb_values(linear_light(np.array(rgb[::-1])) * self._gains)
             cv2.fillPoly(out, [fixed_point(uv)], paint.tolist(), cv2.LINE_AA, BITS)
             cv2.fillPoly(touched, [fixed_point(uv)], 255, cv2.LINE_8, BITS)
         rows, cols = np.nonzero(touched)
@@ -110,8 +111,8 @@ class PictureEffects:
         if len(uv) < 3 or R[:, 2] @ t <= 0.01:
             return px
         cv2.fillPoly(mask, [fixed_point(uv)], 255, cv2.LINE_AA, BITS)
-        share, light = mask[..., None] / 255.0, linear_from_srgb(px)
-        return np.where(mask[..., None] > 0, _srgb(light * (1.0 - 0.35 * share) + 0.02 * share * self._gains), px)
+        share, light = mask[..., None] / 255.0, linear_light(px)
+        return np.where(mask[..., None] > 0, srgb_values(light * (1.0 - 0.35 * share) + 0.02 * share * self._gains), px)
 
     def _glint(self, px: U8, fault: Glint, R: F64, t: F64) -> U8:
         plane = self._lens.plane_from_ray(np.stack([R[:, 0], R[:, 1], t], axis=1))
@@ -123,7 +124,7 @@ class PictureEffects:
         spot = fault.brightness * np.exp(-math.log(2.0) * (r2 / fault.radius_m**2) ** 2)
         near = spot > 1e-3
         out = px.copy()
-        out[near] = _srgb(linear_from_srgb(px[near]) + spot[near][:, None] * self._gains)
+        out[near] = srgb_values(linear_light(px[near]) + spot[near][:, None] * self._gains)
         return out
 
     def _zoomed(self, px: U8, scale: float) -> U8:
@@ -144,24 +145,11 @@ def _thing(fault: ObjectOnPad) -> list[Polygon]:
     if fault.thing == "wet patch":
         return []
     if fault.thing != "vest":
-        grey = int(_srgb(np.array(fault.brightness)))
+        grey = int(srgb_values(np.array(fault.brightness)))
         colour = (grey, grey, grey) if fault.brightness and fault.thing in ("crate", "rope") else None
         return Decal(fault.thing, place, fault.size_m, turned, "deck", colour).polygons()
-    body = np.array(
-        [
-            (1, -0.6),
-            (1, -0.2),
-            (0.8, 0.0),
-            (1, 0.2),
-            (1, 0.6),
-            (0.45, 0.6),
-            (0.3, 0.75),
-            (-1, 0.7),
-            (-1, -0.7),
-            (0.3, -0.75),
-            (0.45, -0.6),
-        ]
-    )
+    neck, starboard = [(1, -0.6), (1, -0.2), (0.8, 0.0)], [(1, 0.2), (1, 0.6), (0.45, 0.6), (0.3, 0.75), (-1, 0.7)]
+    body = np.array([*neck, *starboard, (-1, -0.7), (0.3, -0.75), (0.45, -0.6)])
     stripes = [np.array([(x, -0.7), (x + 0.16, -0.7), (x + 0.16, 0.7), (x, 0.7)]) for x in (-0.75, -0.25)]
     parts: list[Polygon] = [(body, (255, 105, 15)), *[(stripe, (226, 230, 214)) for stripe in stripes]]
     return [(_moved(0.5 * fault.size_m * points, fault.turned_deg, *place), rgb) for points, rgb in parts]
@@ -172,24 +160,11 @@ def _moved(points: F64, turned_deg: float, forward_m: float, right_m: float) -> 
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + (forward_m, right_m))
 
 
-def _pose(shot: Exposure, camera: Camera) -> tuple[F64, F64]:
-    """Return the rotation (3, 3) and the position (3,) m of the pad in `cam`."""
-    R_ned_cam = shot.R_ned_body.matrix @ camera.T_body_cam.R.matrix
-    p_cam = shot.p_body_ned + shot.R_ned_body.matrix @ camera.T_body_cam.t
-    return R_ned_cam.T @ shot.R_ned_pad.matrix, R_ned_cam.T @ (shot.p_pad_ned - p_cam)
-
-
-def _srgb(light: F64) -> U8:
-    """Return sRGB values for linear light 0..1. Source: IEC 61966-2-1."""
-    x = np.clip(light, 0.0, 1.0)
-    return np.asarray(np.round(255.0 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)), np.uint8)
-
-
 def _darker(px: U8, fraction: float, rng: np.random.Generator) -> U8:
     """Return a frame with less light and the noise that its sensor then has: 8000 electrons of full scale, 12 of read noise."""
-    light = fraction * linear_from_srgb(px)
+    light = fraction * linear_light(px)
     sigma = np.sqrt(light / 8000.0 + (12.0 / 8000.0) ** 2)
-    return _srgb(light + sigma * rng.standard_normal(light.shape))
+    return srgb_values(light + sigma * rng.standard_normal(light.shape))
 
 
 def _behind_drops(px: U8, fault: WetLens, seed: int) -> U8:

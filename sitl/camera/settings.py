@@ -17,9 +17,6 @@ class DropSettings(Struct, frozen=True, forbid_unknown_fields=True):
     spray_per_minute: Annotated[float, number("gusts of spray that hit the lens, each with many drops", "per min", 0.0, 60.0)] = (
         0.0
     )
-    spray_drops: Annotated[int, number("drops of a gust of spray", "1", 1, 60)] = 12
-    radius_px: Annotated[float, number("radius of a drop's blurred disc, on average", "px", 2.0, 200.0, "assumed")] = 28.0
-    stays_s: Annotated[float, number("time until a drop has run off, on average", "s", 0.2, 120.0, "assumed")] = 6.0
 
 
 class LampSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,13 +24,9 @@ class LampSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     floods: Annotated[int, number("number of floodlights around the pad, the first ahead of it", "1", 0, 8)] = 0
     flood_level: Annotated[float, number("their light in the pad's middle, daylight is 1", "1", 0.0, 2.0)] = 0.05
-    flood_distance_m: Annotated[float, number("their distance from the pad's centre", "m", 0.5, 30.0)] = 2.5
-    flood_height_m: Annotated[float, number("their height over the deck", "m", 0.2, 20.0)] = 1.5
-    flood_temperature_k: Annotated[float, number("their colour temperature", "K", 1700.0, 25000.0, "halogen lamps")] = 3200.0
     pad_lamps: Annotated[
         int, number("number of small lamps in a ring around the pad, the first where the arrow points", "1", 0, 24)
     ] = 0
-    pad_lamps_radius_m: Annotated[float, number("radius of that ring", "m", 0.3, 10.0)] = 0.55
     pad_lamps_level: Annotated[float, number("brightness of a small lamp, white paint in daylight is 1", "1", 0.0, 50.0)] = 1.0
     own_level: Annotated[
         float, number("brightness of the lamps that the pad's file names, 0 while they are off", "1", 0.0, 50.0)
@@ -46,20 +39,13 @@ class VideoSettings(Struct, frozen=True, forbid_unknown_fields=True):
     bitrate_kbit_s: Annotated[float, number("bit rate of H.264; 0 for frames that are not encoded", "kbit/s", 0.0, 20000.0)] = 0.0
     loss: Annotated[float, number("fraction of the link's packets that are lost", "1", 0.0, 0.9)] = 0.0
     burst_packets: Annotated[float, number("packets lost in a row, on average", "1", 1.0, 200.0, "assumed")] = 4.0
-    keyframe_s: Annotated[
-        float, number("time between two pictures that need no other", "s", 0.1, 10.0, "the AR.Drone's encoder")
-    ] = 1.0
 
 
 class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The light on the scene, and the white balance of the camera."""
+    """The light on the scene, and the exposure of the camera."""
 
     colour_temperature_k: Annotated[float, number("colour temperature of the light", "K", 1700.0, 25000.0)] = 6500.0
-    balanced_for_k: Annotated[float, number("colour temperature that the camera takes for white", "K", 1700.0, 25000.0)] = 6500.0
-    gain_red: Annotated[float, number("white-balance error on red beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
-    gain_blue: Annotated[float, number("white-balance error on blue beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
     exposure_ev: Annotated[float, number("stops against white paint at 80 % of full scale", "1", -6.0, 6.0)] = 0.0
-    vignetting: Annotated[float, number("fraction of light lost in the corners", "1", 0.0, 1.0)] = 0.2
     sun_elevation_deg: Annotated[float, number("elevation of the sun over the horizon", "deg", 3.0, 90.0)] = 55.0
     sun_azimuth_deg: Annotated[float, number("azimuth of the sun, clockwise from north", "deg", -360.0, 360.0)] = 140.0
     drone_shadow: Annotated[
@@ -67,7 +53,6 @@ class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.45
     glare: Annotated[float, number("brightness of the mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
     wetness: Annotated[float, number("wetness of deck and pad, from 0 (dry) to 1 (soaked)", "1", 0.0, 1.0)] = 0.0
-    wear: Annotated[float, number("standard deviation of the paint's brightness", "1", 0.0, 0.5)] = 0.06
     daylight_ev: Annotated[float, number("stops of light against full daylight, -5 at dusk", "1", -12.0, 1.0)] = 0.0
     visibility_m: Annotated[float, number("meteorological visibility; less than 100 m is dense fog", "m", 5.0, CLEAR_M)] = CLEAR_M
     glint: Annotated[
@@ -78,7 +63,6 @@ class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
     mast_right_m: Annotated[float, number("position of the mast from the pad, to the right of the arrow", "m", -100.0, 100.0)] = (
         0.5
     )
-    mast_shadow: Annotated[float, number("fraction of light missing in the mast's shadow", "1", 0.0, 1.0)] = 0.6
 
 
 class GimbalSettings(Struct, frozen=True, forbid_unknown_fields=True):

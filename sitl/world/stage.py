@@ -12,9 +12,8 @@ from estimator.vision.camera import Camera
 from sitl.camera.automatic import Automatics
 from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
-from sitl.camera.film import Film, VideoLinkOptions
+from sitl.camera.film import Film
 from sitl.camera.light import Light, Mast, Sensor
-from sitl.camera.render.light import Lamps
 from sitl.camera.settings import CLEAR_M
 from sitl.camera.surroundings import Deck, Surroundings
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, sea_of, ship_model, vehicle_model, wind_of
@@ -116,23 +115,19 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
     Args:
         seed: of the water on the lens and of the packets that the video link loses.
     """
-    c, s, d, v = scenario.camera, scenario.light, scenario.drops, scenario.video
+    c, s, d = scenario.camera, scenario.light, scenario.drops
     light = Light(
         colour_temperature_k=s.colour_temperature_k,
-        balanced_for_k=s.balanced_for_k,
-        white_balance=(s.gain_red, 1.0, s.gain_blue),
         exposure_ev=s.exposure_ev,
-        vignetting=s.vignetting,
         sun_elevation_rad=math.radians(s.sun_elevation_deg),
         sun_azimuth_rad=math.radians(s.sun_azimuth_deg),
         drone_shadow=s.drone_shadow,
         glare=s.glare,
         wetness=s.wetness,
-        wear=s.wear,
         daylight_ev=s.daylight_ev,
         visibility_m=s.visibility_m if s.visibility_m < CLEAR_M else math.inf,
         glint=s.glint,
-        mast=Mast(s.mast_height_m, (s.mast_forward_m, s.mast_right_m), s.mast_shadow) if s.mast_height_m > 0 else None,
+        mast=Mast(s.mast_height_m, (s.mast_forward_m, s.mast_right_m)) if s.mast_height_m > 0 else None,
     )
     scene = Surroundings(
         deck=Deck.of(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg)),
@@ -140,17 +135,16 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
         wake_speed_m_s=scenario.vessel.speed_m_s,
     )
     sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e, readout_s=c.readout_s)
-    water = Drops(d.rain_per_minute / 60.0, d.spray_per_minute / 60.0, d.spray_drops, d.radius_px, d.stays_s, seed)
     one_by_one = Renderer(
         true_camera(scenario),
         pad_model(scenario),
         scene,
         light,
         sensor,
-        Lamps(**msgspec.structs.asdict(scenario.lamps)),
-        water if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
+        scenario.lamps,
+        Drops(d, seed) if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
     )
-    if _automatics(scenario).any or v.bitrate_kbit_s > 0:
+    if _automatics(scenario).any or scenario.video.bitrate_kbit_s > 0:
         return film(scenario, one_by_one, seed)
     return one_by_one
 
@@ -159,9 +153,7 @@ def film(scenario: Scenario, made: Renderer | Film, seed: int) -> Film:
     """Return what renders the frames one after the other, each taken under given conditions (`Taken`)."""
     if isinstance(made, Film):
         return made
-    v = scenario.video
-    link = VideoLinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
-    return Film(made, _automatics(scenario), link, seed)
+    return Film(made, _automatics(scenario), scenario.video, seed)
 
 
 def _automatics(scenario: Scenario) -> Automatics:

@@ -1,4 +1,4 @@
-"""Light, sensor and noise: what the settings promise is what the frame shows."""
+"""Light, lamps, weather, sensor and noise: each does to the frame's light what its setting promises."""
 
 import math
 from dataclasses import replace
@@ -6,144 +6,182 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.camera.camera import Renderer
-from sitl.camera.light import FULL_SCALE, Development, Light, Sensor, counts, linear_from_srgb, planck_rgb
+from estimator.vision.srgb import linear_light
+from sitl.camera.camera import Exposure, Renderer
+from sitl.camera.drops import Drop, Drops, wet_lens
+from sitl.camera.light import FULL_SCALE, Development, Light, Mast, PadBlur, Sensor, counts, planck_rgb
+from sitl.camera.settings import DropSettings, LampSettings
+from sitl.camera.surroundings import Deck, Surroundings
+from sitl.core.abi import DL_GAIN_ONE
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 
-OVER = shot(1.0)
+OVER = shot(2.0)
 STEP = 1.0 / FULL_SCALE
 """Light is kept in steps of this."""
-CENTRE = tuple(np.round(project(PLAIN, OVER, np.zeros((1, 3)))[0]).astype(int))
+BIG = Surroundings(Deck(30.0, 30.0, (0.0, 0.0)))
 
 
-def white_light(light: Light, sensor: Sensor = IDEAL) -> F64:
-    """(3,) red, green, blue light on the middle of a pad painted white all over."""
-    image = Renderer(PLAIN, pad("thesis", disc=WHITE, ring=WHITE, h=WHITE), None, light, sensor).radiance(OVER)
-    return image[CENTRE[1], CENTRE[0], ::-1].astype(float)
+def light_of(light: Light, lamps: LampSettings | None = None, *, s: Exposure = OVER, black: bool = False) -> F64:
+    """(H, W, 3) blue, green, red light of a pad painted in one colour, on a deck that fills the frame."""
+    painted = pad("thesis", **({"disc": (0, 0, 0)} if black else {"disc": WHITE, "ring": WHITE, "h": WHITE}))
+    return Renderer(PLAIN, painted, BIG, light, IDEAL, lamps).radiance(s).astype(float)
 
 
-def test_white_paint_is_at_four_fifths_of_full_scale_and_a_stop_doubles_it() -> None:
-    assert white_light(FLAT) == pytest.approx([0.8] * 3, abs=STEP)
-    assert white_light(replace(FLAT, exposure_ev=-2.0)) == pytest.approx([0.2] * 3, abs=STEP)
-    assert white_light(replace(FLAT, exposure_ev=2.0)) == pytest.approx([3.2] * 3, abs=STEP)
+def px_of(p_pad_m: list[tuple[float, float]], s: Exposure = OVER) -> F64:
+    return project(PLAIN, s, np.array([(*at, 0.0) for at in p_pad_m]))
 
 
-def test_low_colour_temperatures_are_red_high_ones_blue_and_a_camera_that_follows_sees_white() -> None:
-    red, _, blue = white_light(replace(FLAT, colour_temperature_k=3000.0))
-    assert red > 1.3 * 0.8
-    assert blue < 0.6 * 0.8
-    red, _, blue = white_light(replace(FLAT, colour_temperature_k=9000.0))
-    assert red < 0.9 * 0.8
-    assert blue > 1.1 * 0.8
-    assert white_light(replace(FLAT, colour_temperature_k=3000.0, balanced_for_k=None)) == pytest.approx([0.8] * 3, abs=STEP)
+def at(image: F64, p_pad_m: tuple[float, float] = (0.0, 0.0)) -> F64:
+    """(3,) red, green, blue light at a place on the pad."""
+    u, v = np.round(px_of([p_pad_m])[0]).astype(int)
+    return np.asarray(image[v, u, ::-1])
 
 
-def test_planck_is_near_the_known_whites() -> None:
+def middle(where: F64) -> F64:
+    return np.array([axis.mean() for axis in np.nonzero(where)[::-1]])
+
+
+def sun_of(light: Light) -> F64:
+    e, a = light.sun_elevation_rad, light.sun_azimuth_rad
+    return np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
+
+
+@pytest.mark.parametrize(
+    ("light", "expected", "tolerance"),
+    [
+        ({}, (0.8, 0.8, 0.8), STEP),
+        ({"exposure_ev": -2.0}, (0.2, 0.2, 0.2), STEP),
+        ({"exposure_ev": 2.0}, (3.2, 3.2, 3.2), STEP),
+        ({"white_balance": (1.2, 1.0, 0.8)}, (0.96, 0.8, 0.64), STEP),
+        ({"colour_temperature_k": 3000.0, "balanced_for_k": 3000.0}, (0.8, 0.8, 0.8), STEP),
+        ({"daylight_ev": -6.0, "exposure_ev": 5.0}, (0.4, 0.4, 0.4), 2e-3),
+        # Haze takes contrast with the distance and adds its own light.
+        ({"visibility_m": 20.0}, (0.55 + 0.25 * 0.02**0.1,) * 3, 0.01),
+    ],
+)
+def test_white_paint_has_the_light_that_the_settings_say(light: dict[str, float], expected: F64, tolerance: float) -> None:
+    assert at(light_of(replace(FLAT, **light))) == pytest.approx(list(expected), abs=tolerance)
+
+
+def test_low_colour_temperatures_are_red_and_high_ones_blue() -> None:
     # CIE illuminant A is 2856 K: linear sRGB (1, 0.449, 0.117) of chromaticity (0.4476, 0.4074); D65 is near 6500 K.
     assert planck_rgb(2856.0) == pytest.approx([1.0, 0.449, 0.117], abs=0.02)
     assert planck_rgb(6500.0) == pytest.approx([1.0, 0.98, 0.98], abs=0.04)
-
-
-def test_a_white_balance_error_scales_its_channel() -> None:
-    assert white_light(replace(FLAT, white_balance=(1.2, 1.0, 0.8))) == pytest.approx([0.96, 0.8, 0.64], abs=STEP)
+    warm, cold = (at(light_of(replace(FLAT, colour_temperature_k=k))) / 0.8 for k in (3000.0, 9000.0))
+    assert warm[0] > 1.3 > 0.6 > warm[2]
+    assert cold[0] < 0.9 < 1.1 < cold[2]
 
 
 def test_vignetting_takes_its_share_in_the_corners_and_nothing_in_the_middle() -> None:
-    with_it, without = (Renderer(PLAIN, None, None, replace(FLAT, vignetting=v), IDEAL).radiance(OVER) for v in (0.3, 0.0))
-    ratio = with_it / without
+    ratio = light_of(replace(FLAT, vignetting=0.3)) / light_of(FLAT)
     assert ratio[0, 0] == pytest.approx([0.7] * 3, abs=1e-3)
     assert ratio[180, 320] == pytest.approx([1.0] * 3, abs=1e-3)
 
 
 def test_glare_covers_a_third_of_the_disc() -> None:
-    p = pad("thesis")
-    with_it, without = (Renderer(PLAIN, p, None, replace(FLAT, glare=g), IDEAL).radiance(OVER) for g in (2.0, 0.0))
-    added = with_it[..., 1] - without[..., 1]
-    spot = (added > 0.8).sum()
-    disc = math.pi * np.sum((project(PLAIN, OVER, p.circle(p.disc_radius_m, 4))[0] - CENTRE) ** 2)
-    assert spot / disc == pytest.approx(1 / 3, abs=0.05)
+    added = (light_of(replace(FLAT, glare=2.0)) - light_of(FLAT))[..., 1]
+    disc = math.pi * np.sum((project(PLAIN, OVER, pad("thesis").circle(0.390, 4))[0] - px_of([(0.0, 0.0)])[0]) ** 2)
+    assert (added > 0.8).sum() / disc == pytest.approx(1 / 3, abs=0.05)
     assert added.max() == pytest.approx(1.6, rel=0.01)
-    at = project(PLAIN, OVER, np.array([[0.12, 0.08, 0.0]]))[0]
-    yy, xx = np.nonzero(added > 0.8)
-    assert np.hypot(xx.mean() - at[0], yy.mean() - at[1]) < 1.0
+    assert np.linalg.norm(middle(added > 0.8) - px_of([(0.12, 0.08)])[0]) < 1.0
 
 
-def test_the_drone_s_shadow_falls_away_from_the_sun_by_its_height() -> None:
-    light = replace(FLAT, drone_shadow=0.5, sun_elevation_rad=math.radians(75.0), sun_azimuth_rad=1.0)
-    low = shot(2.0)
-    with_it, without = (Renderer(PLAIN, None, None, replace(light, drone_shadow=d), IDEAL).radiance(low) for d in (0.5, 0.0))
-    dark = 1.0 - (with_it / without)[..., 1]
+def test_shadows_of_drone_and_mast_fall_away_from_the_sun() -> None:
+    high = replace(FLAT, drone_shadow=0.5, sun_elevation_rad=math.radians(75.0), sun_azimuth_rad=1.0)
+    dark = 1.0 - (light_of(high) / light_of(replace(high, drone_shadow=0.0)))[..., 1]
     assert dark.max() == pytest.approx(0.5, abs=0.02)
     assert np.all(dark > -1e-3)
     # Along the sun's rays from the body to the pad's plane, by hand.
-    sun = np.array([math.cos(light.sun_elevation_rad) * math.cos(1.0), math.cos(light.sun_elevation_rad) * math.sin(1.0), 0.0])
-    sun[2] = -math.sin(light.sun_elevation_rad)
-    n = low.R_ned_pad.matrix[:, 2]
-    s = n @ (low.p_body_ned - low.p_pad_ned) / (n @ sun)
-    where = low.R_ned_pad.matrix.T @ (low.p_body_ned - s * sun - low.p_pad_ned)
-    at = project(PLAIN, low, where[None])[0]
-    yy, xx = np.nonzero(dark > 0.25)
-    assert 60 < at[0] < 580, "the whole shadow is in the frame"
-    assert np.hypot(xx.mean() - at[0], yy.mean() - at[1]) < 4.0
+    n, sun = OVER.R_ned_pad.matrix[:, 2], sun_of(high)
+    s = n @ (OVER.p_body_ned - OVER.p_pad_ned) / (n @ sun)
+    where = OVER.R_ned_pad.matrix.T @ (OVER.p_body_ned - s * sun - OVER.p_pad_ned)
+    assert np.linalg.norm(middle(dark > 0.25) - px_of([tuple(where[:2])])[0]) < 4.0
+    # The pad's arrow points to 0.7 rad: the sun stands to its right, and the shadow of a mast at (0, 1) crosses the pad.
+    low = replace(FLAT, sun_elevation_rad=math.radians(45.0), sun_azimuth_rad=0.7 + math.pi / 2)
+    dark = 1.0 - light_of(replace(low, mast=Mast(3.0, (0.0, 1.0)))) / light_of(low)
+    assert at(dark, (0.0, -0.1)) == pytest.approx([0.6] * 3, abs=0.02)
+    assert abs(at(dark, (0.5, -0.1))).max() < 0.01
 
 
-def test_wet_paint_is_darker_and_has_puddles_that_mirror_the_sky() -> None:
-    black = pad("thesis", disc=(0, 0, 0))
-    wet = Renderer(PLAIN, black, None, replace(FLAT, wetness=0.8), IDEAL).radiance(OVER)
-    near = wet[CENTRE[1] - 60 : CENTRE[1] + 60, CENTRE[0] - 60 : CENTRE[0] + 60, 1]
-    assert near.max() > 0.03
-    assert near.min() < 0.01
-    assert white_light(replace(FLAT, wetness=1.0))[1] < 0.72
+def test_wet_paint_is_darker_has_puddles_that_mirror_the_sky_and_the_sun_where_it_does() -> None:
+    near = light_of(replace(FLAT, wetness=0.8), s=shot(1.0), black=True)[120:240, 260:380, 1]
+    assert near.min() < 0.01 < 0.03 < near.max()
+    assert at(light_of(replace(FLAT, wetness=1.0)))[1] < 0.72
+    light = replace(FLAT, sun_elevation_rad=math.radians(75.0), sun_azimuth_rad=0.7)
+    wet = replace(light, wetness=0.5)
+    spot = (light_of(replace(wet, glint=2.0)) - light_of(wet))[..., 1]
+    to_sun = OVER.R_ned_pad.matrix.T @ sun_of(light)
+    p_cam = OVER.R_ned_pad.matrix.T @ (OVER.p_body_ned + OVER.R_ned_body @ PLAIN.T_body_cam.t - OVER.p_pad_ned)
+    # The ray that comes from the sun and is mirrored in z = 0 reaches the camera from this point.
+    mirrored = p_cam + np.array([to_sun[0], to_sun[1], -to_sun[2]]) * (-p_cam[2] / -to_sun[2])
+    assert np.linalg.norm(middle(spot > 0.3) - px_of([tuple(mirrored[:2])])[0]) < 12.0
+    assert np.array_equal(light_of(replace(light, glint=2.0)), light_of(light)), "a dry deck does not mirror"
 
 
 def test_wear_has_its_deviation_and_keeps_the_mean() -> None:
-    p = pad("thesis", disc=WHITE, ring=WHITE, h=WHITE)
-    image = Renderer(PLAIN, p, None, replace(FLAT, wear=0.1), IDEAL).radiance(shot(0.3))[..., 1] / 0.8
+    image = light_of(replace(FLAT, wear=0.1), s=shot(0.3))[..., 1] / 0.8
     assert image.mean() == pytest.approx(1.0, abs=0.08)
     assert 0.04 < image.std() < 0.12
 
 
+def test_floodlights_add_to_the_sky_s_light_and_small_lamps_shine_where_they_stand() -> None:
+    dark = replace(FLAT, daylight_ev=-6.0, exposure_ev=5.0)
+    red, green, blue = at(light_of(dark, LampSettings(floods=3, flood_level=2.0**-6)))
+    assert green == pytest.approx(0.8, abs=0.01)
+    assert red > 1.1 * green > 1.2 * blue, "the light of halogen lamps"
+    lamps = LampSettings(pad_lamps=6, pad_lamps_level=2.0)
+    added = light_of(replace(FLAT, daylight_ev=-8.0, exposure_ev=8.0), lamps) - light_of(FLAT)
+    for u, v in np.round(px_of([(0.55 * math.cos(a), 0.55 * math.sin(a)) for a in np.arange(6) * math.tau / 6])).astype(int):
+        assert added[v - 1 : v + 2, u - 1 : u + 2, 1].max() > 1.0
+    assert abs(at(added)).max() < 0.05
+
+
+def test_light_that_is_added_follows_factors_on_it() -> None:
+    window, added = np.array([2, 1, 3, 2], np.int32), np.full((2, 3, 3), 100, np.int16)
+    gains = np.full((5, 6, 3), DL_GAIN_ONE, np.int16)
+    gains[1, 3] = DL_GAIN_ONE // 2, DL_GAIN_ONE, 0
+    under = PadBlur(window, added).under(gains).added
+    assert under[0, :, 1].tolist() == [50, 100, 0]
+    assert np.count_nonzero(under != 100) == 2
+
+
+def test_drops_fall_stay_and_run_off_the_same_whatever_was_requested_before() -> None:
+    drops = Drops(DropSettings(rain_per_minute=60.0, spray_per_minute=6.0), 5)
+    later = drops.present(33.3, 640, 360)
+    numbers = [len(drops.present(float(t), 640, 360)) for t in range(200)]
+    assert np.mean(numbers) == pytest.approx((1.0 + 0.1 * 12) * 6.0, rel=0.25)
+    assert drops.present(33.3, 640, 360) == later
+    assert replace(drops, seed=6).present(33.3, 640, 360) != later
+    # A drop stays where it fell, then only goes down.
+    tracks: dict[float, list[float]] = {}
+    for t in np.arange(0.0, 12.0, 0.1):
+        for drop in Drops(DropSettings(rain_per_minute=12.0), 1).present(float(t), 640, 360):
+            tracks.setdefault(round(drop.x, 0), []).append(drop.y)
+    assert any(len(track) > 10 for track in tracks.values())
+
+
+def test_a_drop_blurs_its_patch_and_nothing_else() -> None:
+    fine = (np.indices((360, 640)).sum(axis=0) % 2 * 4000).astype(np.int16)
+    light = np.ascontiguousarray(np.repeat(fine[..., None], 3, axis=2))
+    before = light.copy()
+    wet_lens(light, [Drop(300.0, 150.0, 20.0), Drop(-500.0, 50.0, 20.0)])
+    assert light[145:155, 295:305].std() < 0.2 * before[145:155, 295:305].std()
+    away = np.hypot(*(np.indices((360, 640)) - np.array([150, 300])[:, None, None])) > 30
+    assert np.array_equal(light[away], before[away])
+    assert 0 <= light.min() <= light.max() <= 4 * FULL_SCALE
+
+
 def test_noise_has_shot_and_read_parts_and_no_bias() -> None:
-    sensor = Sensor(psf_sigma_px=0.0, full_well_e=5000.0, read_noise_e=10.0)
-    development = Development(FLAT, sensor)
+    development = Development(FLAT, Sensor(psf_sigma_px=0.0, full_well_e=5000.0, read_noise_e=10.0))
     rng = np.random.default_rng(3)
     for level in (0.05, 0.2, 0.6):
         images = [development.sensor_image(counts(np.full((360, 640, 3), level, np.float32)), rng) for _ in range(6)]
-        values = linear_from_srgb(np.stack(images))
+        values = linear_light(np.stack(images))
         expected = math.sqrt(level / 5000.0 + (10.0 / 5000.0) ** 2)
         assert values.std() == pytest.approx(expected, rel=0.06)
         assert values.mean() == pytest.approx(level, rel=0.01)
         # Frames are independent of each other.
         a, b = (v - v.mean() for v in values[:2])
         assert abs((a * b).mean()) < 0.02 * expected**2
-
-
-def test_srgb_blending_moves_the_half_way_crossing_and_linear_does_not() -> None:
-    # The same edge pixel, half covered: linear light gives 188, the mean of values 128.
-    p = pad("thesis", h=WHITE)
-    values = {}
-    for blend in ("linear", "srgb"):
-        light = replace(FLAT, exposure_ev=math.log2(1.25))
-        image = Renderer(PLAIN, p, None, light, replace(IDEAL, blend=blend)).render(shot(10.0), np.random.default_rng(0))
-        values[blend] = image[CENTRE[1] - 20 : CENTRE[1] + 21, CENTRE[0] - 20 : CENTRE[0] + 21, 1].astype(float)
-    part = (values["srgb"] > 20) & (values["srgb"] < 235) & (np.hypot(*np.mgrid[-20:21, -20:21]) < 7)
-    assert part.sum() > 5
-    assert np.all(values["linear"][part] > values["srgb"][part] + 5)
-
-
-@pytest.mark.parametrize(
-    ("bad", "text"),
-    [
-        ({"colour_temperature_k": 500.0}, "colour_temperature_k must lie in 1700..25000 K"),
-        ({"white_balance": (1.0, 0.0, 1.0)}, "white_balance gains must be positive"),
-        ({"wetness": 1.5}, "wetness must lie in 0..1"),
-        ({"glare": -1.0}, "glare 0 or more"),
-        ({"sun_elevation_rad": 0.0}, "sun_elevation_rad"),
-    ],
-)
-def test_light_out_of_range_is_refused(bad: dict[str, float], text: str) -> None:
-    with pytest.raises(BadInput, match=text):
-        Light(**bad)

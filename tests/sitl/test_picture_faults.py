@@ -71,6 +71,9 @@ def test_things_lie_where_they_say(fault: PictureFault, right: float, down: floa
 
 
 def test_a_pad_in_the_place_of_the_right_one_is_no_true_sight() -> None:
+    odd = from_mapping({"title": "x", "faults": [{"kind": "other_pad", "at_s": 1, "instead": True, "file": "theses"}]}, "my.toml")
+    with pytest.raises(BadInput, match=r"faults\[0\].file: .*did you mean 'thesis'"):
+        pad_model(odd)
     wrong = frame(OtherPad(at_s=0.1, instead=True, size=0.5))
     assert not wrong.true_view
     assert frame(OtherPad(at_s=0.1, forward_m=1.2)).true_view
@@ -112,18 +115,6 @@ def test_a_level_that_cannot_show_a_picture_refuses_it_by_name(kind: type[Pictur
         with pytest.raises(BadInput, match=f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels"):
             perceive("model").refuse([fault])
     perceive("pixels").refuse([fault])
-
-
-def test_what_cannot_be_drawn_is_named() -> None:
-    with pytest.raises(ValueError, match="forward_m or right_m must say where the other pad is"):
-        OtherPad(at_s=1.0)
-    with pytest.raises(ValueError, match="nothing would change"):
-        FocalLength(at_s=1.0, scale=1.0)
-    odd = from_mapping(
-        {"title": "x", "faults": [{"kind": "other_pad", "at_s": 1, "instead": True, "file": "theses"}]}, "mine.toml"
-    )
-    with pytest.raises(BadInput, match=r"faults\[0\].file: .*did you mean 'thesis'"):
-        pad_model(odd)
 
 
 def test_each_shipped_fault_of_the_picture_changes_it() -> None:

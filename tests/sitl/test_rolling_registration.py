@@ -13,7 +13,6 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -22,6 +21,7 @@ from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.surroundings import Surroundings
+from tests import make
 from tests.sitl.images import BENT, PLAIN, pad, pad_pose, shot
 from tests.support.plain_light import FLAT, IDEAL
 
@@ -80,80 +80,55 @@ def test_a_frame_in_which_nothing_moves_is_left_as_it_is() -> None:
     assert at_one_instant(px, replace(PLAIN, readout_s=0.03), pad_pose(shot(1.0), PLAIN), still) is px
 
 
-def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief() -> None:
-    """A body that turns about all axes and flies over a pad, its camera at the nose."""
-    w_body, v_body_ned, at_s = np.array([0.5, -0.3, 0.2]), np.array([0.4, -0.2, 0.1]), 1.0
+@pytest.mark.parametrize("noise_rad", [0.0, 2e-3])
+def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gyro(
+    noise_rad: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A body that turns about all axes and flies over a pad, its camera at the nose.
+
+    The difference of two reported attitudes over 30 ms is noise: 0.1 rad/s for 2 mrad each.
+    """
+    w_body, v_body_ned, rng = np.array([0.5, -0.3, 0.2]), np.array([0.4, -0.2, 0.1]), np.random.default_rng(4)
     pilot = make_pilot(load("sim"))
-    cov = 1e-6 * np.eye(3)
     for k in range(120):
-        t = 0.01 * k
-        pilot.on_sample(Attitude(Stamp.from_seconds(1.0 + t, sigma_s=0.001), Rotation.from_rotvec(w_body * t), cov))
-    R = Rotation.from_rotvec(w_body * at_s)
-    level = Rotation.from_rpy(0.0, 0.0, -R.rpy_rad[2])
-    stamp = Stamp.from_seconds(1.0 + at_s, sigma_s=0.001)
-    d, at = np.array([0.1, 0.2, 1.5]), stamp.measured_at
-    belief = RelativeState(at, "ekf", d, level @ -v_body_ned, 0.0, 1e-4 * np.eye(7), at, True)
+        turned = Rotation.from_rotvec(w_body * 0.01 * k) @ Rotation.from_rotvec(noise_rad * rng.standard_normal(3))
+        pilot.on_sample(Attitude(make.stamp(1.0 + 0.01 * k), turned, (1e-6 + noise_rad**2) * np.eye(3)))
+    stamp, R = make.stamp(2.0), Rotation.from_rotvec(w_body)
+    at, v_level = stamp.measured_at, Rotation.from_rpy(0.0, 0.0, -R.rpy_rad[2]) @ -v_body_ned
+    belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), v_level, 0.0, 1e-4 * np.eye(7), at, True)
     rolling = replace(PLAIN, readout_s=READOUT_S)
-    found = camera_motion(pilot.estimator, stamp, rolling, belief)
     true = motion_of(replace(shot(1.0), R_ned_body=R, v_body_ned=v_body_ned, w_body=w_body), PLAIN)
-    assert found is not None
-    assert found.w_cam == pytest.approx(true.w_cam, abs=1e-3)
-    assert found.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
-    assert camera_motion(pilot.estimator, Stamp.from_seconds(9.0, sigma_s=0.001), rolling, belief) is None
-
-
-def test_the_gyro_says_how_fast_the_camera_turns_where_the_filter_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The difference of two reported attitudes over 30 ms is noise: 0.1 rad/s for 2 mrad each."""
-    w_body, at_s, rng = np.array([0.5, -0.3, 0.2]), 1.0, np.random.default_rng(4)
-    pilot = make_pilot(load("sim"))
-    for k in range(120):
-        noise = Rotation.from_rotvec(2e-3 * rng.standard_normal(3))
-        turned = Rotation.from_rotvec(w_body * 0.01 * k) @ noise
-        pilot.on_sample(Attitude(Stamp.from_seconds(1.0 + 0.01 * k, sigma_s=0.001), turned, 4e-6 * np.eye(3)))
-    stamp = Stamp.from_seconds(1.0 + at_s, sigma_s=0.001)
-    at = stamp.measured_at
-    moves = BodyMotion(at, 0.0, np.zeros(3), np.eye(3), w_body, Rotation.from_rotvec(w_body * at_s), np.eye(3))
-    belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), np.zeros(3), 0.0, 1e-4 * np.eye(7), at, True)
-    asked: list[int] = []
-
-    def motion(now: int) -> tuple[BodyMotion, None]:
-        asked.append(now)
-        return moves, None
-
-    rolling = replace(PLAIN, readout_s=READOUT_S)
     by_attitude = camera_motion(pilot.estimator, stamp, rolling, belief)
-    monkeypatch.setattr(pilot.estimator, "motion", motion)
-    by_gyro = camera_motion(pilot.estimator, stamp, rolling, belief)
     assert by_attitude is not None
+    assert camera_motion(pilot.estimator, make.stamp(9.0), rolling, belief) is None
+    if not noise_rad:
+        assert by_attitude.w_cam == pytest.approx(true.w_cam, abs=1e-3)
+        assert by_attitude.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
+        return
+    moves = BodyMotion(at, 0.0, np.zeros(3), np.eye(3), w_body, R, np.eye(3))
+    # The gyro's rate is that of the exposure's instant, not of now.
+    monkeypatch.setattr(pilot.estimator, "motion", lambda then: (moves, None) if then == at else None)
+    by_gyro = camera_motion(pilot.estimator, stamp, rolling, belief)
     assert by_gyro is not None
-    true = PLAIN.T_body_cam.R.inv @ w_body
-    assert by_gyro.w_cam == pytest.approx(true, abs=1e-9)
-    assert np.linalg.norm(by_attitude.w_cam - true) > 0.03
-    assert asked == [at], "of the exposure's instant, not of now"
+    assert by_gyro.w_cam == pytest.approx(true.w_cam, abs=1e-9)
+    assert np.linalg.norm(by_attitude.w_cam - true.w_cam) > 0.03
 
 
 def test_a_camera_file_with_a_readout_time_changes_what_a_flight_sees() -> None:
     """The same rolling frames, tracked by a camera that knows its shutter and by one that does not."""
-    off = {}
+    still, painted, stamp = shot(1.5, (0.1, 0.05), (0.04, -0.03, 0.4)), pad("thesis"), make.stamp(2.0)
+    view = replace(still, v_body_ned=np.array([0.3, -0.2, 0.1]), w_body=np.array([0.5, -0.6, 0.3]))
+    renderer = Renderer(PLAIN, painted, Surroundings(), FLAT, replace(SENSOR, readout_s=READOUT_S))
+    frame = Frame(stamp, 1, renderer.render(view, np.random.default_rng(1)))
+    attitude = Attitude(stamp, view.R_ned_body, math.radians(0.2) ** 2 * np.eye(3))
+    level = Rotation.from_rpy(0.0, 0.0, -view.R_ned_body.rpy_rad[2])
+    d, heading = level @ (view.p_pad_ned - view.p_body_ned), (level @ view.R_ned_pad).rpy_rad[2]
+    at, v = stamp.measured_at, level @ -view.v_body_ned
+    belief, off = RelativeState(at, "ekf", d, v, -heading, 1e-4 * np.eye(7), at, True), {}
     for known_s in (0.0, READOUT_S):
-        camera = replace(PLAIN, readout_s=known_s)
-        view = replace(
-            shot(1.5, (0.1, 0.05), (0.04, -0.03, 0.4)), v_body_ned=np.array([0.3, -0.2, 0.1]), w_body=np.array([0.5, -0.6, 0.3])
-        )
-        painted = pad("thesis")
-        px = Renderer(PLAIN, painted, Surroundings(), FLAT, replace(SENSOR, readout_s=READOUT_S)).render(
-            view, np.random.default_rng(1)
-        )
-        stamp = Stamp.from_seconds(2.0, sigma_s=0.001)
-        attitude = Attitude(stamp, view.R_ned_body, math.radians(0.2) ** 2 * np.eye(3))
-        level = Rotation.from_rpy(0.0, 0.0, -view.R_ned_body.rpy_rad[2])
-        d = level @ (view.p_pad_ned - view.p_body_ned)
-        heading = (level @ view.R_ned_pad).rpy_rad[2]
-        belief = RelativeState(
-            stamp.measured_at, "ekf", d, level @ -view.v_body_ned, -heading, 1e-4 * np.eye(7), stamp.measured_at, True
-        )
-        tracker = TrackerConfig(camera, painted, motion=motion_of(view, PLAIN) if known_s else None)
-        seen, _ = track(tracker, TrackerMemory(), Frame(stamp, 1, px), attitude, belief)
+        motion = motion_of(view, PLAIN) if known_s else None
+        tracker = TrackerConfig(replace(PLAIN, readout_s=known_s), painted, motion=motion)
+        seen, _ = track(tracker, TrackerMemory(), frame, attitude, belief)
         assert seen.selected is not None
         off[known_s] = float(np.linalg.norm(seen.selected.d_body_pad_level - d))
     assert off[READOUT_S] < 0.003 < 0.008 < off[0.0]

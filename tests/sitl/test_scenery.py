@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.light import Light, Sensor
+from sitl.camera.light import Light
+from sitl.camera.projection import F32, lens_of
+from sitl.camera.render.pad import smear
+from sitl.camera.render.sea import SeaPainter
 from sitl.camera.surroundings import Decal, DecalKind, Deck, Surroundings
 from sitl.sea.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
 from sitl.vessel.seakeeping import FERRY, SUPPLY_SHIP
@@ -25,10 +27,13 @@ FULL_SCENE = Surroundings(Deck.of(FERRY, 0.3), Waves.draw(SEA_STATES[4], 2), AFL
 RENDERERS = [Renderer(c, pad("printed"), FULL_SCENE, Light(glare=0.5, wetness=0.5)) for c in (PLAIN, BENT)]
 
 
+def scene(around: Surroundings, s: Exposure, painted: bool = False) -> F32:
+    return Renderer(PLAIN, pad("thesis") if painted else None, around, FLAT, IDEAL).radiance(s)
+
+
 def test_the_same_shot_and_seed_give_the_same_bits_from_a_new_renderer_too() -> None:
     moving = replace(shot(2.0), v_body_ned=np.array([1.0, 0.5, 0.2]), w_body=np.array([0.1, 0.0, 0.5]))
-    first = Renderer(BENT, pad("thesis"), FULL_SCENE)
-    second = Renderer(BENT, pad("thesis"), FULL_SCENE)
+    first, second = (Renderer(BENT, pad("thesis"), FULL_SCENE) for _ in range(2))
     a = first.render(moving, np.random.default_rng(11))
     first.render(shot(0.4), np.random.default_rng(1))
     assert np.array_equal(a, first.render(moving, np.random.default_rng(11))), "no memory of frames between"
@@ -45,12 +50,10 @@ def test_the_same_shot_and_seed_give_the_same_bits_from_a_new_renderer_too() -> 
 )
 @settings(max_examples=60)
 def test_an_image_comes_from_anywhere_in_any_attitude(which, p, rpy, pad_rpy, v):
-    s = Exposure(
-        3.0, Rotation.from_rpy(*rpy), np.array(p), Rotation.from_rpy(*pad_rpy), np.array([0.0, 0.0, -0.6]), v_body_ned=np.array(v)
-    )
+    at = np.array([0.0, 0.0, -0.6])
+    s = Exposure(3.0, Rotation.from_rpy(*rpy), np.array(p), Rotation.from_rpy(*pad_rpy), at, v_body_ned=np.array(v))
     image = which.render(s, np.random.default_rng(0))
-    assert image.shape == (360, 640, 3)
-    assert image.dtype == np.uint8
+    assert (image.shape, image.dtype) == ((360, 640, 3), np.uint8)
     assert np.all(np.isfinite(which.radiance(s)))
 
 
@@ -60,30 +63,16 @@ def test_standing_on_the_pad_and_a_little_under_it_still_gives_an_image(height_m
         assert np.all(np.isfinite(renderer.radiance(shot(height_m))))
 
 
-def test_the_pad_is_hidden_from_below_and_the_image_without_one_has_no_paint_of_it() -> None:
-    below = shot(2.0)
-    flipped = replace(
-        below, p_body_ned=below.p_body_ned + np.array([0.0, 0.0, 4.0]), R_ned_body=Rotation.from_rpy(math.pi, 0.0, 0.0)
-    )
-    with_pad, without = (Renderer(PLAIN, p, Surroundings(), FLAT, IDEAL).radiance(flipped) for p in (pad("thesis"), None))
-    assert np.array_equal(with_pad, without)
-
-
-def test_a_deck_that_only_just_fills_the_frame_leaves_no_sea() -> None:
-    # The frame's corners meet the deck within a pixel of its edge, where a quick test by its outline cannot tell.
-    high = shot(2.0)
-    corners = PLAIN.rays(np.array([(-0.5, -0.5), (639.5, 359.5)])) * 2.0
-    length, width = np.abs(corners[1] - corners[0])[::-1]
-    level = replace(high, R_ned_pad=Rotation.identity())
-    grey = Deck(float(length) + 0.002, float(width) + 0.002, (0.0, 0.0), paint=(200, 200, 200))
-    image = Renderer(PLAIN, None, Surroundings(grey), FLAT, IDEAL).radiance(level)
-    assert image.shape == (360, 640, 3)
+def test_the_pad_is_hidden_from_below() -> None:
+    s = shot(2.0)
+    flipped = replace(s, p_body_ned=s.p_body_ned + np.array([0.0, 0.0, 4.0]), R_ned_body=Rotation.from_rpy(math.pi, 0.0, 0.0))
+    assert np.array_equal(scene(Surroundings(), flipped, painted=True), scene(Surroundings(), flipped))
 
 
 def test_the_deck_s_edge_is_where_opencv_projects_it() -> None:
     deck = Deck(4.0, 2.0, (0.5, 0.1), pad_yaw_rad=0.4)
     high = shot(6.0)
-    on_deck, sea = (Renderer(PLAIN, None, Surroundings(d), FLAT, IDEAL).radiance(high) for d in (deck, None))
+    on_deck, sea = scene(Surroundings(deck), high), scene(Surroundings(None), high)
     c, s = math.cos(0.4), math.sin(0.4)
     in_pad = np.c_[deck.outline() @ np.array([[c, -s], [s, c]]), np.zeros(4)]
     inside, outside = (project(PLAIN, high, in_pad.mean(axis=0) + f * (in_pad - in_pad.mean(axis=0))) for f in (0.97, 1.03))
@@ -94,57 +83,70 @@ def test_the_deck_s_edge_is_where_opencv_projects_it() -> None:
 
 
 def test_waves_move_the_sea_and_calm_water_differs_from_rough() -> None:
-    rough = Renderer(PLAIN, None, Surroundings(None, Waves.draw(SEA_STATES[5], 1)), FLAT, IDEAL)
-    high = shot(12.0)
-    a, b = rough.radiance(high), rough.radiance(replace(high, t_s=high.t_s + 0.5))
+    high, rough = shot(12.0), Surroundings(None, Waves.draw(SEA_STATES[5], 1))
+    a, b = scene(rough, high), scene(rough, replace(high, t_s=high.t_s + 0.5))
     assert np.abs(a - b).mean() > 1e-3
-    calm = Renderer(PLAIN, None, Surroundings(None), FLAT, IDEAL).radiance(high)
-    assert a[..., 1].std() > 1.2 * calm[..., 1].std()
+    assert a[..., 1].std() > 1.2 * scene(Surroundings(None), high)[..., 1].std()
 
 
 def test_every_decal_shows_on_deck_and_afloat() -> None:
-    from_above = shot(6.0)
-    bare = Renderer(PLAIN, None, Surroundings(), FLAT, IDEAL).radiance(from_above)
-    open_sea = Renderer(PLAIN, None, Surroundings(None), FLAT, IDEAL).radiance(from_above)
-    for kind in get_args(DecalKind):
-        on_deck = Renderer(PLAIN, None, Surroundings(decals=(Decal(kind, (0.0, 0.0), 0.8, on="deck"),)), FLAT, IDEAL)
-        assert (np.abs(on_deck.radiance(from_above) - bare).max(axis=2) > 0.02).sum() > 200, kind
-        buoyancy = Renderer(PLAIN, None, Surroundings(None, decals=(Decal(kind, (3.0, -2.0), 0.8),)), FLAT, IDEAL)
-        assert (np.abs(buoyancy.radiance(from_above) - open_sea).max(axis=2) > 0.02).sum() > 200, kind
+    above = shot(6.0)
+    for deck, on, at in ((Deck(), "deck", (0.0, 0.0)), (None, "sea", (3.0, -2.0))):
+        bare = scene(Surroundings(deck), above)
+        for kind in get_args(DecalKind):
+            with_it = scene(Surroundings(deck, decals=(Decal(kind, at, 0.8, on=on),)), above)  # type: ignore[arg-type]
+            assert (np.abs(with_it - bare).max(axis=2) > 0.02).sum() > 200, (kind, on)
 
 
 def test_the_vessel_s_pad_is_where_its_image_shows_it() -> None:
     # Vessel, shot and frame together: the pad stays in the middle of a camera that follows it.
     waves = Waves.draw(SHELTERED_SLIGHT, 4)
     vessel = Vessel(SUPPLY_SHIP, waves, heading_rad=1.0, speed_m_s=2.0, mooring=Mooring(), seeds=4)
-    renderer = Renderer(
-        PLAIN, pad("thesis"), Surroundings(Deck.of(SUPPLY_SHIP), waves), FLAT, Sensor(psf_sigma_px=0.0, exposure_s=0.0)
-    )
     for t in (0.0, 30.0):
-        at = vessel.pad_at(t)
-        body = Rotation.from_rpy(0.0, 0.0, 1.0)
-        s = Exposure(
-            t,
-            body,
-            at.p_ned - np.array([0, 0, 3.0]) - body @ PLAIN.T_body_cam.t,
-            at.rotation(),
-            at.p_ned,
-            at.v_ned,
-            np.zeros(3),
-            at.v_ned,
-        )
-        image = renderer.render(s, np.random.default_rng(0)).astype(int)
-        green = (image[..., 1] > 60) & (image[..., 2] < 40) & (image[..., 0] < 40)
-        yy, xx = np.nonzero(green)
+        at, body = vessel.pad_at(t), Rotation.from_rpy(0.0, 0.0, 1.0)
+        p_body = at.p_ned - np.array([0, 0, 3.0]) - body @ PLAIN.T_body_cam.t
+        s = Exposure(t, body, p_body, at.rotation(), at.p_ned, at.v_ned, np.zeros(3), at.v_ned)
+        blue, green, red = np.moveaxis(scene(Surroundings(Deck.of(SUPPLY_SHIP), waves), s, painted=True), 2, 0)
+        yy, xx = np.nonzero((green > 0.045) & (red < 0.022) & (blue < 0.022))
         assert np.hypot(xx.mean() - 319.5, yy.mean() - 179.5) < 2.0
 
 
-def test_bad_scenery_is_refused() -> None:
-    with pytest.raises(BadInput, match="deck"):
-        Deck(length_m=0.1)
-    with pytest.raises(BadInput, match="decal raft: size_m"):
-        Decal("raft", (0.0, 0.0), 0.0)
-    with pytest.raises(ValueError, match="batch of 2"):
-        Surroundings(waves=Waves.draw(SHELTERED_SLIGHT, [1, 2]))
-    with pytest.raises(BadInput, match="sensor"):
-        Sensor(exposure_s=-1.0)
+def test_the_light_of_the_swell_is_that_of_its_slope_the_mirrored_sky_and_the_sun() -> None:
+    lens, waves, light = lens_of(PLAIN), Waves.draw(SHELTERED_SLIGHT, 3, towards_rad=0.8), Light()
+    painter = SeaPainter(lens, Surroundings(None, waves), light)
+    R = np.array([[0.98, -0.17, 0.05], [0.17, 0.985, -0.03], [-0.045, 0.04, 0.998]])
+    inverse = lens.plane_from_ray(np.stack([R[0], R[1], R.T @ np.array([0.0, 0.0, 12.0])], axis=1))
+    assert inverse is not None
+    rays = lens.coarse[::4, ::4].astype(float)
+    d = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    met = d @ inverse.T
+    slope = waves.longest(24).slope(met[..., :2] / met[..., 2:], 7.5)[0] @ np.array([0.75, 0.66])
+    d = d @ R.T / np.linalg.norm(d, axis=-1, keepdims=True)
+    e, a = light.sun_elevation_rad, light.sun_azimuth_rad
+    bisector = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)]) - d
+    glitter = np.exp(-(bisector[..., :2] ** 2).sum(axis=-1) / bisector[..., 2] ** 2 / (2 * 0.16**2))
+    level = 52.0 + 95.0 * (1.0 - d[..., 2]) ** 2 + 150.0 * slope + 22.0 * glitter
+    there = painter._slow(R, inverse, 7.5)[::2, ::2][: rays.shape[0], : rays.shape[1]]
+    rows, columns = there.shape[:2]
+    assert np.allclose(there[..., 0], level[:rows, :columns], atol=2e-2)
+    assert np.allclose(there[..., 1], 26.0 + 70.0 * glitter[:rows, :columns], atol=2e-2)
+    assert np.ptp(level) > 5.0
+
+
+@pytest.mark.parametrize("way", [(3.0, 1.0), (-9.0, 4.0), (2.0, -21.0), (30.0, 1.0)])
+def test_a_smear_is_as_long_as_the_way_and_moves_nothing(way: tuple[float, float]) -> None:
+    lens, at_m = lens_of(PLAIN), np.array([0.0, 0.0, 5.0])
+    dot = np.zeros((PLAIN.height, PLAIN.width, 4), np.uint16)
+    dot[PLAIN.height // 2, PLAIN.width // 2] = 60000
+    off_m = np.array([5.0 * way[0] / PLAIN.fx, 5.0 * way[1] / PLAIN.fy, 0.0])
+    ends = [(np.eye(3), at_m + s * off_m) for s in (-0.5, 0.5)]
+    seen = smear(dot, lens, (np.eye(3), at_m), ends)[..., 0].astype(float)
+    mass = np.where(seen > 200, seen, 0.0)
+    y, x = np.mgrid[: PLAIN.height, : PLAIN.width]
+    at = np.array([(mass * x).sum(), (mass * y).sum()]) / mass.sum() - (PLAIN.width // 2, PLAIN.height // 2)
+    assert np.abs(at).max() < 0.6
+    along = np.array(way) / math.hypot(*way)
+    off = (x - PLAIN.width // 2 - at[0]) * along[0] + (y - PLAIN.height // 2 - at[1]) * along[1]
+    deviation = math.sqrt((mass * off**2).sum() / mass.sum())
+    assert deviation == pytest.approx(math.hypot(math.hypot(*way) / math.sqrt(12.0), 0.4), rel=0.15)
+    assert mass.sum() == pytest.approx(60000, rel=0.1)

@@ -16,7 +16,7 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
-from sitl.camera.render.light import Lamps
+from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Deck, Surroundings
 from tests.support.pad_scenes import truth_of
 
@@ -80,7 +80,7 @@ def night_scene(
     sensor = Sensor(exposure_s=0.01, full_well_e=8000.0 * 2.0**-stops)
     broken = _broken(rng, pad) if condition == "lamps out" else pad
     deck = Surroundings(deck=Deck(8.0, 4.0))
-    px = Renderer(camera, broken, deck, light, sensor, Lamps(own_level=level if lit else 0.0)).render(shot, rng)
+    px = Renderer(camera, broken, deck, light, sensor, LampSettings(own_level=level if lit else 0.0)).render(shot, rng)
     if condition == "other lights" or not lit:
         px = _with_lights(rng, px, int(rng.integers(3, 11)) if lit else int(rng.integers(4, 26)))
     tilt_error = Rotation.from_rotvec(np.append(rng.normal(0, ATTITUDE_SIGMA_RAD, 2), 0.0))

@@ -65,9 +65,10 @@ def random_light(rng: np.random.Generator, condition: str) -> Light:
     kelvin = float(1e6 / rng.uniform(1e6 / 9000, 1e6 / 3000))
     gains = tuple(float(g) for g in rng.uniform(0.8, 1.2, 3))
     angle, out = rng.uniform(0, math.tau), 0.25 * math.sqrt(rng.uniform())
+    kelvin = kelvin if condition == "light" else float(rng.uniform(4500, 7500))
     return Light(
-        kelvin if condition == "light" else float(rng.uniform(4500, 7500)),
-        6500.0 if rng.uniform() < 0.7 else None,
+        kelvin,
+        6500.0 if rng.uniform() < 0.7 else kelvin,
         (gains[0], gains[1], gains[2]),
         float(rng.uniform(-2, 2)) if condition == "light" else float(rng.uniform(-1, 1)),
         sun_elevation_rad=float(rng.uniform(0.5, 1.5)),

@@ -37,10 +37,10 @@ class WornDrawing:
 
 
 @lru_cache(maxsize=4)
-def worn(deck: Deck, wear: float, blend: str) -> WornDrawing:
-    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`; `blend` as in `Sensor`."""
+def worn(deck: Deck, wear: float) -> WornDrawing:
+    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`."""
     drawing = draw_deck(deck)
-    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear, blend)
+    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear)
     levels = [whole]
     while min(levels[-1].shape[:2]) >= 32:
         levels.append(np.asarray(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint16))
@@ -55,11 +55,11 @@ def worn(deck: Deck, wear: float, blend: str) -> WornDrawing:
     whole_from_near = (placed[0][1] @ np.linalg.inv(near_from_deck))[:2]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     paint = cv2.warpAffine(drawing.paint, whole_from_near, (side, side), flags=flags, borderMode=cv2.BORDER_REFLECT)
-    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear, blend)
+    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear)
     return WornDrawing(((near, near_from_deck), *placed), ppm)
 
 
-def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float, blend: str) -> U16:
+def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float) -> U16:
     """Return a drawing as pixels of a scene: paint wears in patches of two texels or more."""
     h, w = paint.shape[:2]
     rows, cols = (h + 1) // 2, (w + 1) // 2
@@ -67,15 +67,15 @@ def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, se
     y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
     gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
     each = cv2.resize(np.clip(gain, 0.05, 64000.0 / DL_SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
-    return np.asarray(np.round(scene_of(paint, blend) * each[..., None]), dtype=np.uint16)
+    return np.asarray(np.round(scene_of(paint) * each[..., None]), dtype=np.uint16)
 
 
 class DeckPainter:
     """Renders a deck through one lens."""
 
-    def __init__(self, lens: Lens, deck: Deck, light: Light, blend: str) -> None:
+    def __init__(self, lens: Lens, deck: Deck, light: Light) -> None:
         self._lens, self._deck, self._light = lens, deck, light
-        self._drawing = worn(deck, light.wear, blend)
+        self._drawing = worn(deck, light.wear)
         self._grain = grain(deck.seed)
         outline = deck.outline()
         self._rim = np.concatenate([outline, np.zeros((len(outline), 1))], axis=1)
@@ -310,7 +310,7 @@ def on_water(deck: Deck, rim_ned: F64, R_ned_pad: F64, to_sun: F64, wake_speed_m
     return out
 
 
-def hull_side(scene: U16, lens: Lens, rim_ned: F64, R_ned_cam: F64, p_cam_ned: F64, blend: str) -> None:
+def hull_side(scene: U16, lens: Lens, rim_ned: F64, R_ned_cam: F64, p_cam_ned: F64) -> None:
     """Paint the sides of the hull between the deck's rim, (N, 3) m, and the waterline below it, where the camera sees them."""
     x, y = (rim_ned - p_cam_ned)[:, :2].T
     along_x, along_y = np.concatenate([x[1:], x[:1]]) - x, np.concatenate([y[1:], y[:1]]) - y
@@ -321,4 +321,4 @@ def hull_side(scene: U16, lens: Lens, rim_ned: F64, R_ned_cam: F64, p_cam_ned: F
     for i in np.nonzero(outside)[0]:
         quad = rim_ned[[i, (i + 1) % len(rim_ned), (i + 1) % len(rim_ned), i]]
         quad[2:, 2] = 0.0
-        draw(scene, lens, (quad - p_cam_ned) @ R_ned_cam, scene_of(_SIDE, blend))
+        draw(scene, lens, (quad - p_cam_ned) @ R_ned_cam, scene_of(_SIDE))

@@ -5,19 +5,18 @@ All of it varies slowly over the frame, except the glint's sparkle, and is compu
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.lamp import Lamp
 from sitl.camera.light import Light, Mast, planck_rgb
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.deck import soft_shadow
 from sitl.camera.render.textures import ripples
+from sitl.camera.settings import LampSettings
 
 U8 = NDArray[np.uint8]
 
@@ -29,47 +28,50 @@ _SEA_SLOPE, _DECK_SLOPE = 0.14, 0.05
 """Standard deviation of the slopes that mirror the sun: of small waves (Cox & Munk, J. Opt. Soc. Am. 44, 1954), of wet paint."""
 _FACET = 0.035
 """Half width, as a slope, of the sun's image in one facet, with the blur of what is smaller than a pixel."""
-_RING_LAMP_M = 0.012
-"""Radius of a lamp of the ring."""
+_RING_M, _RING_LAMP_M = 0.55, 0.012
+"""Radius of the ring of small lamps, and of a lamp of it."""
+_FLOOD_AWAY_M, _FLOOD_HEIGHT_M, _FLOOD_K = 2.5, 1.5, 3200.0
+"""Distance of the floodlights from the pad's centre, their height over the deck, and the colour temperature of halogen lamps."""
 _BRIGHTEST = 8.0
 """Largest light of the floodlights, against that in the pad's middle: near their feet it is clipped."""
 
 
-@dataclass(frozen=True, slots=True)
 class Lamps:
-    """Floodlights around the pad, small lamps in a ring around it, and the pad's own."""
+    """Floodlights around the pad, small lamps in a ring around it, and those that the pad itself has.
 
-    floods: int = 0
-    flood_level: float = 0.05
-    """Light of all of them in the pad's middle; daylight is 1."""
-    flood_distance_m: float = 2.5
-    flood_height_m: float = 1.5
-    flood_temperature_k: float = 3200.0
-    pad_lamps: int = 0
-    pad_lamps_radius_m: float = 0.55
-    pad_lamps_level: float = 1.0
-    """Brightness of a small lamp; white paint in daylight is 1."""
-    own_level: float = 0.0
-    """Brightness of the lamps that the pad's file names; 0 while they are off."""
+    Args:
+        settings: how many they are, and how bright: the light of all floodlights in the pad's middle, daylight being 1, and that
+            of a small lamp, white paint in daylight being 1.
+        own: the lamps that the pad's file names.
+    """
 
-    def __post_init__(self) -> None:
-        if self.floods < 0 or self.pad_lamps < 0 or min(self.flood_height_m, self.flood_distance_m, self.pad_lamps_radius_m) <= 0:
-            raise BadInput("lamps: numbers 0 or more, heights, distances and radii positive")
+    def __init__(self, settings: LampSettings, own: Sequence[Lamp] = ()) -> None:
+        self.floods = settings.floods
+        self._flood_level = settings.flood_level
+        around = [math.tau * n / settings.pad_lamps for n in range(settings.pad_lamps)]
+        ring = [(_RING_M * np.array([math.cos(a), math.sin(a)]), _RING_LAMP_M, settings.pad_lamps_level) for a in around]
+        lit = own if settings.own_level > 0.0 else ()
+        self._small = [*ring, *((np.array(lamp.at_m), lamp.radius_m, settings.own_level) for lamp in lit)]
+
+    @property
+    def has_small(self) -> bool:
+        """True if a lamp is on that the camera sees itself."""
+        return bool(self._small)
 
     def ratios_bgr(self, light: Light) -> F32:
         """Light of the floodlights in the pad's middle against that of the sky, (3,) in blue, green, red."""
-        ratio = planck_rgb(self.flood_temperature_k) / planck_rgb(light.colour_temperature_k)
-        ratio = ratio / ratio[1] * self.flood_level * 2.0**-light.daylight_ev
+        ratio = planck_rgb(_FLOOD_K) / planck_rgb(light.colour_temperature_k)
+        ratio = ratio / ratio[1] * self._flood_level * 2.0**-light.daylight_ev
         return np.asarray(ratio[::-1], dtype=np.float32)
 
     def most_bgr(self, light: Light) -> F32:
         """Largest light on the scene against that of the sky alone, (3,) in blue, green, red."""
-        return np.asarray(1.0 + (_BRIGHTEST * self.ratios_bgr(light) if self.floods else np.zeros(3)), dtype=np.float32)
+        return np.asarray(1.0 + _BRIGHTEST * self.ratios_bgr(light), dtype=np.float32)
 
     def on_plane(self, lens: Lens, pad_from_ray: F64) -> F32:
         """Return the light of the floodlights on the pad's plane, (H, W), against that in the pad's middle."""
         places = cv2.perspectiveTransform(lens.coarse, pad_from_ray)
-        h2, d = self.flood_height_m**2, self.flood_distance_m
+        h2, d = _FLOOD_HEIGHT_M**2, _FLOOD_AWAY_M
         total = np.zeros(places.shape[:2])
         for n in range(self.floods):
             a = math.tau * n / self.floods
@@ -77,14 +79,10 @@ class Lamps:
             total += ((d * d + h2) / (away2 + h2)) ** 1.5
         return lens.spread(np.minimum(total / self.floods, _BRIGHTEST).astype(np.float32))
 
-    def shine(self, light: F32, lens: Lens, R_cam_pad: F64, t_cam_pad: F64, own: Sequence[Lamp] = ()) -> None:
-        """Add the small lamps' own light to (H, W), white paint in daylight being 1.
-
-        Args:
-            own: the pad's own lamps.
-        """
+    def shine(self, light: F32, lens: Lens, R_cam_pad: F64, t_cam_pad: F64) -> None:
+        """Add the small lamps' own light to (H, W), white paint in daylight being 1."""
         camera = lens.camera
-        for at, radius_m, brightness in self._shining(own):
+        for at, radius_m, brightness in self._small:
             point = R_cam_pad[:, :2] @ at + t_cam_pad
             if point[2] <= 0.02:
                 continue
@@ -100,14 +98,6 @@ class Lamps:
                     across = np.exp(-0.5 * ((np.arange(x0, x1) - u) / sigma) ** 2)
                     down = np.exp(-0.5 * ((np.arange(y0, y1) - v) / sigma) ** 2)
                     light[y0:y1, x0:x1] += (share * level * down[:, None] * across).astype(np.float32)
-
-    def _shining(self, own: Sequence[Lamp]) -> list[tuple[F64, float, float]]:
-        """Return place on the pad, radius and brightness of each lamp that is on."""
-        ring = [math.tau * n / self.pad_lamps for n in range(self.pad_lamps)]
-        lamps = [
-            (self.pad_lamps_radius_m * np.array([math.cos(a), math.sin(a)]), _RING_LAMP_M, self.pad_lamps_level) for a in ring
-        ]
-        return lamps + [(np.array(lamp.at_m), lamp.radius_m, self.own_level) for lamp in own if self.own_level > 0.0]
 
 
 def through_haze(lens: Lens, normal_cam: F64, distance_m: float, visibility_m: float) -> tuple[F32, F32]:

@@ -33,7 +33,7 @@ Then the least ones, in squares of 4 x 4 pixels.
 class SeaPainter:
     """Renders the sea's surface through one lens. It lies in the plane of calm water; waves show only by their slope."""
 
-    def __init__(self, lens: Lens, surroundings: Surroundings, light: Light, blend: str) -> None:
+    def __init__(self, lens: Lens, surroundings: Surroundings, light: Light) -> None:
         self._lens, self._around = lens, surroundings
         waves = surroundings.waves
         swell = waves.longest(24) if waves is not None and float(waves.hs_m[0]) > 0 else None
@@ -45,7 +45,7 @@ class SeaPainter:
         self._to_sun = np.array(
             [cos_e * math.cos(light.sun_azimuth_rad), cos_e * math.sin(light.sun_azimuth_rad), -math.sin(light.sun_elevation_rad)]
         )
-        self._table, self._sky = scene_of(_water_table(surroundings.water), blend), scene_of(_SKY, blend)
+        self._table, self._sky = scene_of(_water_table(surroundings.water)), scene_of(_SKY)
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
     def paint(

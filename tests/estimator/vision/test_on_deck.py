@@ -59,7 +59,7 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
 
 @pytest.mark.parametrize(
     "light",
-    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4), 0.6)), Light(drone_shadow=0.0, glare=0.8)],
+    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4))), Light(drone_shadow=0.0, glare=0.8)],
     ids=["even light", "shadows", "beside glare"],
 )
 def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
@@ -80,7 +80,7 @@ def test_a_thing_that_hides_all_of_the_lettering_is_seen() -> None:
         Light(),
         Light(drone_shadow=0.0, glare=1.0),
         Light(glare=0.6, exposure_ev=1.0, white_balance=(1.2, 1.0, 0.8)),
-        Light(drone_shadow=0.6, mast=Mast(3.0, (1.0, 0.4), 0.6)),
+        Light(drone_shadow=0.6, mast=Mast(3.0, (1.0, 0.4))),
         Light(drone_shadow=0.0, wetness=1.0),
         Light(visibility_m=20.0, colour_temperature_k=3500.0, balanced_for_k=6500.0, wear=0.15),
     ],
