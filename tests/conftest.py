@@ -52,6 +52,7 @@ SLOW = (
     "tests/docs/test_guide_ardrone.py",
     "tests/benches/test_false_pads.py",
     "tests/companion/test_calibrate.py",
+    "tests/companion/test_margins.py",
     "tests/companion/test_identify.py",
     "tests/sitl/test_air.py",
     "tests/estimator/vision/test_covered.py",

@@ -14,7 +14,6 @@ from companion.guidance.law.pid import PidController
 from companion.guidance.make_pilot import field_of_view, law_of, make_pilot
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, response_model
-from companion.settings.response import response_from_mapping
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
@@ -90,19 +89,6 @@ def test_a_way_flown_at_the_targets_own_limits_leaves_nothing_in_the_integrals_o
     _, command = law.step(memory, there.at, there, target)
     assert isinstance(command, Velocity)
     assert command.v_level == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [
-        ({"tilt": {"delay_s": 0.05, "frequency_rad_s": 4.0, "damping": 0.8}}, "climb"),
-        ({"tilt": {"delay_s": 5.0, "frequency_rad_s": 4.0, "damping": 0.8}, "climb": {"delay_s": 0.1, "lag_s": 0.3}}, "delay_s"),
-        ({"tilt": {"delay": 0.05}}, "delay"),
-    ],
-)
-def test_a_response_file_with_a_fault_says_which(table: dict[str, object], said: str) -> None:
-    with pytest.raises(BadInput, match=rf"^mine.toml: .*{said}"):
-        response_from_mapping(table, "mine.toml")
 
 
 def test_settings_that_name_no_response_are_refused() -> None:

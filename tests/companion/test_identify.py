@@ -23,7 +23,7 @@ from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, f
 from companion.guidance.operator.arbiter import BY_HAND
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.mcap_file import Attachment
-from companion.recording.reading import SETTINGS, open_recording
+from companion.recording.reading import open_recording
 from companion.settings.load import SHIPPED, camera_model, shipped_response
 from companion.settings.response import TiltResponse, response_from_mapping
 from companion.tools.calibrate.flown_courses import flown_courses
@@ -49,7 +49,7 @@ def gauss_markov(rng: np.random.Generator, n: int, sigma: float, time_s: float) 
     return out
 
 
-def flown(seed: int, gusts_m_s2: float) -> tuple[TiltResponse, FlightCourse]:
+def drawn_flight(seed: int, gusts_m_s2: float) -> tuple[TiltResponse, FlightCourse]:
     """Return a vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
     rng = np.random.default_rng(seed)
     true = structs.replace(
@@ -84,7 +84,7 @@ def test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms() -> None:
     # Why: softer gains end where the delay is said to be known, so what is said has to be true.
     errors, sigmas = [], []
     for seed in range(60):
-        true, course = flown(seed, 0.5)
+        true, course = drawn_flight(seed, 0.5)
         found = fitted(course).response
         errors.append(found.delay_s - true.delay_s)
         sigmas.append(found.delay_sigma_s)
@@ -98,7 +98,7 @@ def test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms() -> None:
 @settings(max_examples=40, derandomize=True)
 @given(st.integers(0, 1_000_000), st.floats(0.0, 0.2))
 def test_little_motion_is_never_a_wrong_delay_that_is_sure(seed: int, gusts_m_s2: float) -> None:
-    true, course = flown(seed, gusts_m_s2)
+    true, course = drawn_flight(seed, gusts_m_s2)
     found = fitted(course).response
     assert found.delay_sigma_s is not None
     assert abs(found.delay_s - true.delay_s) < max(0.04, 4.0 * found.delay_sigma_s)
@@ -248,33 +248,6 @@ def test_what_cannot_be_identified_is_reported_in_one_line(recordings, tmp_path,
         assert output in received.err
         assert received.err.count("\n") == 1
         assert received.out == ""
-
-
-def test_a_recording_that_is_cut_is_identified_from_what_there_is(recordings, tmp_path, capsys):
-    torn, whole = tmp_path / "torn.mcap", recordings["rough"].read_bytes()
-    torn.write_bytes(whole[: len(whole) * 8 // 10])
-    assert main(["calibrate", "vehicle", str(torn), "--json"]) == 0
-    received = capsys.readouterr()
-    assert f"{torn} is cut short" in received.err
-    assert json.loads(received.out)["cut"] == {str(torn): "EndOfFile"}
-
-
-def test_settings_that_cannot_be_read_are_done_without_by_naming_the_response(tmp_path, capsys):
-    stranger = {SETTINGS: b"[guidance.crystal_ball]\nclarity = 1.0\n"}
-    for name, kept, why in (
-        ("older", stranger, "settings.toml: guidance.crystal_ball is not a known key"),
-        ("bare", {}, "holds no settings"),
-    ):
-        path = tmp_path / f"{name}.mcap"
-        still_flight(path, 12.0, kept)
-        assert main(["calibrate", "vehicle", str(path)]) == 2
-        output = capsys.readouterr().err
-        assert f"{name}.mcap: {why}" in output
-        assert "name the response that it flew by with --response, a file or a shipped one (ardrone2, " in output
-        assert "--config" not in output, "identify has no such option"
-        assert output.count("\n") == 1
-        assert main(["calibrate", "vehicle", str(path), "--response", "ardrone2"]) == 1
-        assert "too little motion" in capsys.readouterr().err, "the cure leads on to the flight"
 
 
 def still_flight(path: Path, seconds: float, kept: dict[str, bytes] | None = None) -> None:

@@ -131,16 +131,6 @@ def test_a_deck_may_fall_before_the_contact_and_when_the_motors_stand(at_s: tupl
     assert shut(ahead=falling(-0.9)) is None, "a deck that rises presses by itself"
 
 
-def test_a_heading_that_is_not_known_is_as_far_off_as_one_can_be() -> None:
-    found = shut({"yaw": None}, aligned=True)
-    assert found is not None
-    assert found.measured == pytest.approx(180.0)
-
-
-def test_a_drone_below_the_deck_s_plane_comes_down_at_once() -> None:
-    assert shut({"d": (0.0, 0.0, -0.2)}, ahead=tilting(3.0, 0.0)) is None
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_sigma_is_that_of_the_worst_horizontal_direction(seed: int) -> None:
     root = np.random.default_rng(seed).normal(size=(7, 7))

@@ -1,10 +1,8 @@
 """Whole flights of the machine over a point that follows: which states, how low, how often, and why."""
 
 import math
-from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,21 +10,16 @@ from msgspec.structs import replace
 
 from companion.base.mission import DESCENDS, Event, State
 from companion.base.reason import Reason, ReasonCause
-from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.gate import gate_of
-from companion.guidance.mission.holding import Aim, never_lower
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
-from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.geometry import F64
-from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import DT, PointFlight, guided, holding
 from tests.make import estimate, ns, status
 
@@ -35,51 +28,6 @@ WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRES
 
 def causes(flight: PointFlight, target: State) -> list[ReasonCause]:
     return [change.reason.cause for change in flight.changes if change.target is target]
-
-
-def committed(height_m: float) -> PointFlight:
-    """Return a flight in the commit, whose newest fit estimate shows this height."""
-    flight = PointFlight([0.0, 0.0, 3.0])
-    while flight.progress.state is not State.COMMIT:
-        flight.cycle()
-    looks(flight, height_m, consistent=True)
-    assert flight.progress.state is State.COMMIT
-    return flight
-
-
-def looks(flight: PointFlight, height_m: float, *, consistent: bool) -> Aim:
-    """Run one guidance cycle with an estimate of one's own."""
-    flight.t += 0.02
-    seen = estimate(flight.t, (0.0, 0.0, height_m), (0.0, 0.0, -0.4), consistent=consistent)
-    s = GuidanceCycle(ns(flight.t), Knowledge(ns(flight.t), seen))
-    flight.progress, aim, _ = mission_step(flight.progress, s, flight.options)
-    return aim
-
-
-def test_a_contradiction_in_the_commit_ends_it_while_a_climb_can_avoid_the_contact() -> None:
-    flight = committed(0.2)
-    looks(flight, 0.19, consistent=False)
-    assert flight.progress.state is State.GO_AROUND
-
-
-def test_a_contradiction_just_over_the_deck_awaits_the_contact_without_going_lower_and_not_for_long() -> None:
-    flight = committed(0.1)
-    waited = 0
-    while flight.progress.state is State.COMMIT:
-        aim = looks(flight, 0.08, consistent=False)
-        waited += flight.progress.state is State.COMMIT
-        assert isinstance(aim, Hover | Velocity)
-        assert isinstance(aim, Hover) or aim.v_level[2] <= 0.0
-    assert flight.progress.state is State.GO_AROUND
-    assert 0.02 * waited == pytest.approx(flight.options.cone.no_return_s, abs=0.03)
-
-
-def test_a_fit_estimate_from_higher_up_ends_the_wait() -> None:
-    flight = committed(0.1)
-    looks(flight, 0.08, consistent=False)
-    looks(flight, 0.25, consistent=True)
-    looks(flight, 0.25, consistent=False)
-    assert flight.progress.state is State.GO_AROUND
 
 
 def test_it_flies_over_the_pad_down_the_cone_through_the_gate_to_the_deck() -> None:
@@ -140,13 +88,6 @@ def test_a_pad_lost_for_good_is_given_up_at_a_safe_height() -> None:
     assert flight.progress.fault.cause in (ReasonCause.LOST_LOW, ReasonCause.NOT_FOUND_AGAIN)
 
 
-def test_a_pad_never_seen_from_near_is_not_tried_for_ever() -> None:
-    flight = PointFlight([0.0, 0.0, 3.0], sight=lambda t, d: d[2] > 1.0).run(200)
-    assert flight.states.count(State.GO_AROUND) == flight.options.tries.go_arounds_max + 1
-    assert flight.progress.state is State.GAVE_UP
-    assert flight.d[2] > 1.6
-
-
 def test_no_pad_at_all_ends_in_giving_up() -> None:
     options = guided(tries={"search_s": 9.0})
     flight = PointFlight([0.0, 0.0, 3.0], options, sight=lambda t, d: False, over_ground=True).run(14)
@@ -172,14 +113,6 @@ def test_a_landing_that_nobody_reports_is_taken_back_and_after_the_last_try_it_h
     assert flight.d[2] > 1.6
 
 
-def test_losses_that_come_and_go_end_in_a_go_around_and_the_tries_are_bounded() -> None:
-    options = guided(tries={"losses_max": 2})
-    flight = PointFlight([0.0, 0.0, 2.2], options, sight=lambda t, d: d[2] > 1.2 or (t % 2.0) < 0.1).run(400)
-    assert flight.states.count(State.GO_AROUND) >= flight.options.tries.go_arounds_max
-    assert flight.progress.state is State.GAVE_UP
-    assert flight.d[2] > 1.2
-
-
 def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut() -> None:
     options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 1}, cone={"gate_s": 3.0})
     flight = PointFlight([0.0, 0.0, 2.5], options)
@@ -190,51 +123,6 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
     assert flight.progress.fault is not None
     assert flight.progress.fault.cause is ReasonCause.RELATIVE_SPEED
     assert "m/s against the deck (limit 0.03 m/s)" in flight.progress.fault.text
-
-
-def test_what_a_shut_gate_waits_for_is_reported_and_stands_long_enough_to_be_read() -> None:
-    options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 0}, cone={"gate_s": 7.0})
-    flight = PointFlight([0.0, 0.0, 1.2], options)
-    output: list[tuple[float, Reason]] = []
-    while flight.progress.state is not State.REFUSED and flight.t < 40.0:
-        flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
-        flight.cycle()
-        waits_for = gate_of(flight.progress).waits_for
-        assert flight.progress.state is State.GATE or waits_for is None
-        if waits_for is not None and (not output or output[-1][1] is not waits_for):
-            output.append((flight.t, waits_for))
-    assert {reason.cause for _, reason in output} == {ReasonCause.RELATIVE_SPEED}
-    assert len(output) >= 3
-    assert all(later - at >= 2.0 - 1e-6 for (at, _), (later, _) in pairwise(output))
-
-
-@pytest.mark.parametrize(
-    ("below_m", "longer_s", "ends"), [(0.2, 0.0, True), (0.1, 0.0, False), (0.19, 0.0, True), (0.19, 0.1, False)]
-)
-def test_a_deck_that_tilts_ends_the_commit_while_a_climb_comes_before_the_contact(below_m, longer_s, ends):
-    def rolled(t: float, d: F64) -> float:
-        return math.radians(3.4) if d[2] < below_m else 0.0
-
-    response = ResponseInUse(ResponseState.IDENTIFIED, 0.05 + longer_s, 0.01, longer_s)
-    flight = PointFlight([0.0, 0.0, 2.0], rolled=rolled, response=response).run(30)
-    assert (State.GO_AROUND in flight.states) is ends
-    if ends:
-        assert causes(flight, State.GO_AROUND)[0] is ReasonCause.DECK_TILT
-    else:
-        assert flight.progress.state is State.LANDED
-
-
-def test_wind_and_battery_refuse_with_their_numbers() -> None:
-    gale = WindOverDrone(14.0, 1.0, 9.0, (1.0, 0.0), 0.48, spent=True)
-    over = estimate(0.0, [0, 0, 3.0])
-    for seen, situation, cause in ((over, {"wind": gale}, ReasonCause.WIND), (None, {"battery": 0.05}, ReasonCause.BATTERY)):
-        o = GuidanceOptions()
-        progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
-        s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
-        progress = replace(progress, windy_since=ns(-21.0), since=ns(-11.0))
-        progress, _, _ = mission_step(progress, s, o)
-        assert progress.fault is not None
-        assert (progress.state, progress.fault.cause) == (State.REFUSED, cause)
 
 
 @pytest.mark.parametrize("battery", [0.09, 0.03])
@@ -296,17 +184,6 @@ def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:
         assert lands is (0.02 * n >= 8.0 + DWELL_S), 0.02 * n
 
 
-def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:
-    o = GuidanceOptions()
-    progress = Progress.start(automatic=True)
-    progress, _ = take_status(progress, status(0.0, True), o)
-    for i, battery in enumerate([0.5] * 5 + [0.02] * 50):
-        t = i * DT
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
-        progress, _, _ = mission_step(progress, s, o)
-    assert progress.state is State.DESCEND
-
-
 @pytest.mark.parametrize(("battery", "lands"), [(0.5, False), (0.09, True), (0.03, True)])
 def test_a_landing_whose_battery_ends_bears_more_and_gives_up_for_nothing(battery: float, lands: bool) -> None:
     """WHY: six go-arounds for .46 instead of .45 m/s, and then a landing beside the pad with what the battery had left."""
@@ -328,32 +205,6 @@ def test_what_a_try_allows_stays_within_the_settings_ranges(data: st.DataObject)
     assert last.cone.slope >= o.cone.slope
 
 
-def test_a_low_battery_does_not_end_a_landing_that_went_around() -> None:
-    """WHY: hovering on with 5 % ends in the water; the pad is the nearest way down."""
-    flight = PointFlight([0.0, 0.0, 2.0], rolled=lambda t, d: math.radians(6.0) if d[2] < 0.2 and t < 8.0 else 0.0)
-    while flight.t < 60.0 and flight.progress.state is not State.LANDED:
-        flight.battery = 0.05 if flight.d[2] < 1.5 else flight.battery
-        flight.cycle()
-    assert State.GO_AROUND in flight.states
-    assert flight.battery == 0.05
-    assert flight.progress.state is State.LANDED
-
-
-def test_the_waits_at_the_gate_of_one_try_add_up() -> None:
-    """WHY: with a noisy heading the drone left the gate every few seconds and came back to a fresh wait, for ever."""
-    options = guided(limits={"relative_speed_m_s": 0.02}, cone={"gate_s": 3.0}, tries={"go_arounds_max": 0})
-    flight, at_gate_s = PointFlight([0.0, 0.0, 2.0], options), 0.0
-    while flight.t < 60.0 and State.GO_AROUND not in flight.states:
-        flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
-        out = (flight.t % 2.0) < DT and flight.progress.state is State.GATE
-        flight.d[0] += 0.2 if out else 0.0
-        at_gate_s += DT if flight.progress.state is State.GATE else 0.0
-        flight.cycle()
-    assert flight.states.count(State.GATE) > 1
-    assert at_gate_s == pytest.approx(3.0, abs=0.3)
-    assert causes(flight, State.GO_AROUND)[0] in (ReasonCause.RELATIVE_SPEED, ReasonCause.STATE_TIME)
-
-
 def bumpy(options: GuidanceOptions) -> PointFlight:
     """Return a flight whose estimate fails for a second in every six, and that is blown out of the cone then."""
 
@@ -373,15 +224,6 @@ def test_the_time_of_a_leg_does_not_begin_again_with_every_loss_of_sight() -> No
     assert flight.states.count(State.HOLD_BLIND) > 4
     assert ReasonCause.STATE_TIME in causes(flight, State.GO_AROUND)
     assert flight.progress.state is State.GAVE_UP
-
-
-def test_the_whole_landing_ends_in_its_time_up_over_the_deck() -> None:
-    flight = bumpy(guided(tries={"go_arounds_max": 100, "landing_s": 64.0}))
-    assert flight.progress.state is State.GAVE_UP
-    assert causes(flight, State.GO_AROUND)[-1] is ReasonCause.LANDING_TIME
-    assert 64.0 < flight.t < 79.0
-    over = next(i for i, (t, *_) in enumerate(flight.rows) if t > 65.0 + DT)
-    assert min(d[2] for _, d, *_ in flight.rows[over:]) >= flight.rows[over][1][2] - 0.2, "never lower because of it"
 
 
 def test_a_climb_that_nobody_confirms_is_not_accepted() -> None:
@@ -420,19 +262,6 @@ def test_giving_up_gives_the_reason_the_hold_began_and_not_what_ended_an_earlier
     assert progress.fault.cause is cause
 
 
-def test_height_lost_without_sight_ends_the_attempt() -> None:
-    o, t, height = GuidanceOptions(), 0.0, 1.7
-    progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
-    while t < 20 and progress.state is not State.GO_AROUND:
-        t += 0.1
-        blind = (t % 1.0) < 0.5
-        height -= 0.04 if blind else 0.0
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), None if blind else estimate(t, [0.02, 0, height])))
-        progress, _, _ = mission_step(progress, s, o)
-    assert progress.fault is not None
-    assert progress.fault.cause is ReasonCause.BLIND_DESCENT
-
-
 def test_another_pad_is_not_flown_to_but_confirmed_from_higher_up() -> None:
     flight = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(120)
     asked = [(t, d, aim) for t, d, aim, state in flight.rows if state is State.ANOTHER_PAD]
@@ -456,12 +285,6 @@ def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only
     assert twice.progress.state is State.GAVE_UP
 
 
-def test_on_its_own_it_waits_for_unbroken_sight_of_one_pad() -> None:
-    options = guided(tries={"another_pad": "automatic"})
-    sight = lambda t, d: t < 1 or (t % 4.0) < 3.0  # noqa: E731
-    assert PointFlight([0.5, 0, 4.5], options, sight, lambda t: 1 if t < 1 else 2).run(40).progress.state is State.ANOTHER_PAD
-
-
 @pytest.mark.parametrize("over_ground", [False, True])
 @pytest.mark.parametrize("blind_sigma_m", [1.0, 0.05])
 @pytest.mark.parametrize("order", [Event.PAUSE, Event.ABORT, None])
@@ -479,28 +302,6 @@ def test_still_means_still_against_the_deck(order: Event | None, blind_sigma_m: 
     aims = [aim for t, _, aim, _ in flight.rows if t > 3.0]
     without = Velocity if over_ground else Hover
     assert {type(aim) for aim in aims} == {Target if blind_sigma_m > 0.1 else without}
-
-
-def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() -> None:
-    """The deck falls at 0.4 m/s. To a velocity over the ground the driver adds that, to another nobody does."""
-    deck = DeckMotion(ns(1.0), np.array([0.0, 0.0, 0.4]), np.zeros(3), 1e-4 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
-    known = Knowledge(ns(1.0), None, deck=deck)
-    down, lean = Velocity(np.array([0.1, 0.0, 0.9]), 0.2), Lean(np.zeros(2), np.zeros(2), np.array([0.1, 0.0, 0.9]), 0.2)
-    for command, over_ground, fit, most in [
-        (down, False, True, 0.38),
-        (down, True, True, 0.0),
-        (lean, False, True, 0.38),
-        (lean, True, True, 0.38),
-        (down, False, False, 0.0),
-        (down, True, False, 0.0),
-        (lean, True, False, 0.0),
-    ]:
-        kept = never_lower(command, holding(GuidanceCycle(ns(1.0), known), over_ground), fit=fit)
-        assert isinstance(kept, Velocity | Lean)
-        assert kept.v_level == pytest.approx([0.1, 0.0, most])
-        assert kept.yaw_rate_rad_s == 0.2
-    up = Velocity(np.array([0.0, 0.0, -0.3]), 0.0)
-    assert never_lower(up, GuidanceCycle(ns(1.0), known), fit=False) is up
 
 
 @pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
@@ -536,14 +337,6 @@ def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
     assert State.PRESS not in flight.states
     assert not any(isinstance(aim, Land) for *_, aim, _ in flight.rows)
     assert ReasonCause.NO_CONTACT in causes(flight, State.GO_AROUND)
-
-
-def test_the_go_around_keeps_to_the_clear_side() -> None:
-    flight = PointFlight([0.0, 0.0, 1.5], guided(tries={"clear_side_deg": 90.0, "try_s": 5.0}), feels=False)
-    flight.run(30)
-    aims = [aim for *_, aim, state in flight.rows if state is State.GO_AROUND and isinstance(aim, Target)]
-    assert all(aim.d_body_pad_level[1] <= 0.0 and aim.descent_rate_m_s < 0.0 for aim in aims), "starboard: the pad to port"
-    assert min(aim.d_body_pad_level[1] for aim in aims) < -0.2
 
 
 @settings(max_examples=150)

@@ -23,14 +23,14 @@ def in_state(state: State, *, automatic: bool = False, stood: bool = False, we_l
     return Progress(state, automatic=automatic, stood=stood, ordered=we_land)
 
 
-def told(changes: Transitions) -> list[tuple[int, State, Event, State, ReasonCause]]:
+def events_of(changes: Transitions) -> list[tuple[int, State, Event, State, ReasonCause]]:
     return [(c.at, c.source, c.event, c.target, c.reason.cause) for c in changes]
 
 
 def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> None:
     p, changes = take_status(in_state(State.DESCEND), status(3.0, flying=True, emergency=True), OPTIONS)
     assert p.state is State.EMERGENCY
-    assert told(changes) == [(ns(3), State.DESCEND, Event.CUT, State.EMERGENCY, ReasonCause.MOTORS_CUT)]
+    assert events_of(changes) == [(ns(3), State.DESCEND, Event.CUT, State.EMERGENCY, ReasonCause.MOTORS_CUT)]
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> N
 def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, event: Event, target: State) -> None:
     p, changes = take_status(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
     assert p.state is target
-    assert told(changes) == [(ns(3), State.DOWN, event, target, ReasonCause.VEHICLE_STANDS)]
+    assert events_of(changes) == [(ns(3), State.DOWN, event, target, ReasonCause.VEHICLE_STANDS)]
 
 
 @pytest.mark.parametrize("state", STAYS_UP)
@@ -52,7 +52,7 @@ def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_sto
     assert (stood.state, stood.stood, changes) == (state, True, ())
     again, changes = take_status(stood, status(5.0, flying=True), OPTIONS)
     assert again.state is State.SEARCH
-    assert told(changes) == [
+    assert events_of(changes) == [
         (ns(5), state, Event.TAKEN_OFF, State.READY, ReasonCause.VEHICLE_FLIES),
         (ns(5), State.READY, Event.BEGIN, State.SEARCH, ReasonCause.AUTOMATIC),
     ]
@@ -82,7 +82,7 @@ def test_an_order_that_the_state_does_not_know_leaves_no_trace() -> None:
     assert take_order(p, Event.BEGIN, ns(1), OPTIONS) == (p, ())
     moved, changes = take_order(p, Event.PAUSE, ns(1), OPTIONS)
     assert moved.state is State.PAUSED
-    assert told(changes) == [(ns(1), State.SEARCH, Event.PAUSE, State.PAUSED, ReasonCause.OPERATOR)]
+    assert events_of(changes) == [(ns(1), State.SEARCH, Event.PAUSE, State.PAUSED, ReasonCause.OPERATOR)]
 
 
 def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:

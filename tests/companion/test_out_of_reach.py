@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, State
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
 from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import Progress
@@ -19,9 +19,8 @@ from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import IntegrityAlert
-from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import holding
-from tests.make import estimate, ns
+from tests.make import deck, estimate, ns, vessel_position
 
 NOW, DT = 100.0, 0.05
 OPTIONS = GuidanceOptions()
@@ -44,14 +43,6 @@ def waiting(state: State, **memory: Any) -> Progress:
     return Progress(state, automatic=True, begun=True, stood=False, since=ns(NOW - 1.0), last=ns(NOW - DT), **memory)
 
 
-def deck(rises_m_s: float) -> DeckMotion:
-    return DeckMotion(ns(NOW), np.array([0.5, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0, 0, 0, 0, np.eye(4))
-
-
-def place(height_m: float | None) -> VesselPosition:
-    return VesselPosition(ns(NOW), np.array([30.0, 4.0]), 1.0, np.array([2.0, 0.0]), 0.0, True, height_m)
-
-
 @pytest.mark.hazard("H3")
 @settings(max_examples=300)
 @given(
@@ -59,11 +50,11 @@ def place(height_m: float | None) -> VesselPosition:
     memory=memories,
     range_m=st.one_of(st.none(), st.floats(0.02, 6.0)),
     rises_m_s=st.one_of(st.none(), st.floats(-1.0, 1.0)),
-    ship=st.one_of(st.none(), st.builds(place, st.one_of(st.none(), st.floats(-1.0, 9.0)))),
+    ship=st.one_of(st.none(), st.builds(lambda h: vessel_position(NOW, height_m=h), st.one_of(st.none(), st.floats(-1.0, 9.0)))),
     over_ground=st.booleans(),
 )
 def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, memory, range_m, rises_m_s, ship, over_ground):
-    moved = None if rises_m_s is None else deck(rises_m_s)
+    moved = None if rises_m_s is None else deck(NOW, (0.5, 0.0, -rises_m_s))
     s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=moved), wind=WINDY, vessel=ship, range_m=range_m)
     p, found, _ = mission_step(waiting(state, **memory), holding(s, over_ground), OPTIONS)
     if p.state in GROUND or p.state in ENDED - {State.REFUSED, State.GAVE_UP, State.ABORTED}:
@@ -153,7 +144,7 @@ def test_where_an_ultrasound_would_find_the_deck_its_silence_begins_the_search(o
 def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:
     """WHY: a filter that begins anew takes a deck for one that falls from its crest, and the deck came up."""
     for range_m, climbs in ((1.0, True), (None, False), (1.9, False)):
-        s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck(-0.8)), range_m=range_m)
+        s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck(NOW, (0.5, 0.0, 0.8))), range_m=range_m)
         found = mission_step(waiting(State.HOLD_BLIND, seen_height_m=2.5, deck_rise_m=-1.0), s, OPTIONS)[1]
         assert isinstance(found, Velocity) is climbs
 

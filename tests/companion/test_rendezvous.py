@@ -1,6 +1,7 @@
 """The flight to the ship by her reports: to the hold-off point, over the pattern, never down, refused in time."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,21 +15,19 @@ from companion.guidance.mission import search
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition
 from companion.guidance.mission.machine import mission_step, take_status
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import Velocity
-from tests.make import estimate, ns, status
+from estimator.contracts.geometry import F64
+from tests.make import estimate, ns, status, vessel_position
 
 OPTIONS = RendezvousOptions(enabled=True)
 DT = 0.1
 
 
-def place(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, t=0.0, sigma=2.0) -> VesselPosition:
-    return VesselPosition(ns(t), np.array(d, float), sigma, np.array(v, float), axis, bow, height)
-
-
-def fly(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, known=lambda t: True, seen=lambda t, d: False):
+def fly_to_ship(
+    d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, known=lambda t: True, seen=lambda t, d: False
+):
     """Fly a point by the machine; return its states, its ways from body to pad, and its heights."""
     o = GuidanceOptions(rendezvous=OPTIONS)
     p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
@@ -37,7 +36,9 @@ def fly(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, know
     ways, heights, changes = [], [], list[StateChange]()
     for n in range(round(seconds / DT)):
         t = n * DT
-        vessel = place(d, v=v, axis=axis, bow=bow, height=height, t=t) if known(t) else Reason(ReasonCause.VESSEL_SILENT)
+        vessel = (
+            vessel_position(t, d, v=v, axis_rad=axis, bow=bow, height_m=height) if known(t) else Reason(ReasonCause.VESSEL_SILENT)
+        )
         sight = estimate(t, [*d, height]) if seen(t, d) else None
         s = GuidanceCycle(ns(t), Knowledge(ns(t), sight), vessel=vessel)
         p, aim, made = mission_step(p, s, o)
@@ -59,7 +60,7 @@ def fly(d, *, v=(0.0, 0.0), axis=0.0, bow=True, height=10.0, seconds=120.0, know
 @pytest.mark.parametrize("axis", [0.0, 2.0, -1.0])
 def test_from_every_side_it_comes_behind_a_moving_ship_and_not_over_her(north: float, east: float, axis: float) -> None:
     v = 1.5 * np.array([math.cos(axis), math.sin(axis)])
-    states, ways, *_ = fly([north, east], v=v, axis=axis)
+    states, ways, *_ = fly_to_ship([north, east], v=v, axis=axis)
     assert State.RENDEZVOUS in states
     arrival = next(n for n, state in enumerate(states) if state is State.SEARCH and n > states.index(State.RENDEZVOUS))
     behind = ways[arrival] @ np.array([math.cos(axis), math.sin(axis)])
@@ -71,82 +72,35 @@ def test_from_every_side_it_comes_behind_a_moving_ship_and_not_over_her(north: f
     assert max(math.hypot(*way) for way in ways[arrival:]) < math.sqrt(2.0) * OPTIONS.extent_m + 2.0
 
 
-def test_without_a_bow_it_holds_off_on_its_own_side() -> None:
-    point = search.hold_off(place([60.0, 0.0], bow=False), OPTIONS)
-    assert point == pytest.approx([60.0 - OPTIONS.range_m, 0.0])
-
-
 def test_it_climbs_to_the_height_over_the_pad_and_stays_higher_if_it_is() -> None:
-    _, _, low, _ = fly([60.0, 0.0], height=2.0, seconds=40.0)
+    _, _, low, _ = fly_to_ship([60.0, 0.0], height=2.0, seconds=40.0)
     assert OPTIONS.height_m - 0.6 <= low[-1] <= OPTIONS.height_m
-    _, _, high, _ = fly([60.0, 0.0], height=30.0, seconds=40.0)
+    _, _, high, _ = fly_to_ship([60.0, 0.0], height=30.0, seconds=40.0)
     assert set(high) == {30.0}
 
 
 def test_the_pad_in_sight_ends_it_anywhere() -> None:
-    states, *_ = fly([60.0, 0.0], seen=lambda t, d: math.hypot(*d) < 30.0)
+    states, *_ = fly_to_ship([60.0, 0.0], seen=lambda t, d: math.hypot(*d) < 30.0)
     assert states[-1] is State.INTERCEPT
     assert State.RENDEZVOUS in states
 
 
 def test_a_source_that_stops_is_waited_for_and_then_refused_with_its_reason() -> None:
-    states, _, _, changes = fly([60.0, 0.0], known=lambda t: t < 5.0)
+    states, _, _, changes = fly_to_ship([60.0, 0.0], known=lambda t: t < 5.0)
     assert states[-1] is State.REFUSED
     assert changes[-1].reason.cause is ReasonCause.VESSEL_SILENT
     assert len(states) * DT == pytest.approx(5.0 + OPTIONS.lost_s, abs=0.3)
-    states, _, _, _ = fly([60.0, 0.0], known=lambda t: not 5.0 < t < 12.0)
+    states, _, _, _ = fly_to_ship([60.0, 0.0], known=lambda t: not 5.0 < t < 12.0)
     assert State.REFUSED not in states, "a gap shorter than that is bridged"
-
-
-def test_a_pad_in_sight_needs_no_place_of_the_ship() -> None:
-    states, *_ = fly([3.0, 0.0], known=lambda t: False, seen=lambda t, d: t > 2.0)
-    assert states[-1] is State.INTERCEPT
 
 
 def test_a_ship_that_is_never_reached_is_given_up() -> None:
     o = GuidanceOptions(rendezvous=RendezvousOptions(enabled=True, time_s=5.0))
     p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     for n in range(70):
-        s = GuidanceCycle(ns(n * DT), Knowledge(ns(n * DT), None), vessel=place([60.0, 0.0], t=n * DT))
+        s = GuidanceCycle(ns(n * DT), Knowledge(ns(n * DT), None), vessel=vessel_position(n * DT, (60.0, 0.0)))
         p, _, _ = mission_step(p, s, o)
     assert p.state is State.GAVE_UP
-
-
-def test_the_tilt_of_the_way_is_not_taken_for_wind_and_that_of_the_wind_is() -> None:
-    o = GuidanceOptions(rendezvous=OPTIONS)
-    way_s, strong, calm = (
-        3.0,
-        WindOverDrone(12.0, 1.0, 8.0, (1.0, 0.0), 0.4, True),
-        WindOverDrone(1.0, 1.0, 8.0, (1.0, 0.0), 0.1, False),
-    )
-    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
-    states = []
-    for n in range(round((way_s + 20.0) / DT)):
-        t = n * DT
-        far_away = [60.0, 0.0] if t < way_s else [OPTIONS.range_m, 0.0]
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), None), wind=strong if t > 0.5 else calm, vessel=place(far_away, t=t))
-        p, _, changes = mission_step(p, s, o)
-        states.append(p.state)
-        if p.state is State.REFUSED:
-            assert changes[-1].reason.cause is ReasonCause.WIND
-            break
-    assert State.RENDEZVOUS in states
-    assert states[-1] is State.REFUSED
-    assert way_s + 17.0 < len(states) * DT < way_s + 19.0, (
-        "10 s in which the tilt of the way fades, then 8 s of too strong a wind"
-    )
-
-
-def test_the_square_expands_and_begins_again() -> None:
-    corners = [tuple(search.expanding_square(n)) for n in range(7)]
-    assert corners == [(0, 0), (1, 0), (1, 1), (-1, 1), (-1, -1), (2, -1), (2, 2)]
-    leg, seen = 0, []
-    for _ in range(60):
-        corner = search.expanding_square(leg) * OPTIONS.spacing_m
-        seen.append(leg)
-        leg = search.next_leg(leg, place(-corner), OPTIONS)
-    assert seen.count(0) > 1
-    assert max(math.hypot(*search.expanding_square(n)) * OPTIONS.spacing_m for n in seen) >= OPTIONS.extent_m - OPTIONS.spacing_m
 
 
 ANY = st.floats(-300, 300)
@@ -154,7 +108,7 @@ ANY = st.floats(-300, 300)
 
 @given(ANY, ANY, ANY, ANY, st.floats(-10, 10), st.one_of(st.none(), st.floats(-50, 300)), st.integers(0, 40), st.booleans())
 def test_no_place_of_the_ship_brings_it_down_or_makes_it_too_fast(x, y, vx, vy, axis, height, leg, over_ground):
-    at = place([x, y], v=(vx, vy), axis=axis, height=height)
+    at = vessel_position(1.0, (x, y), v=(vx, vy), axis_rad=axis, height_m=height)
     for command, most in (
         (search.to_hold_off(at, OPTIONS, 0.5, VehicleHold(over_ground)), OPTIONS.speed_m_s),
         (search.along_pattern(leg, at, OPTIONS, 0.5, VehicleHold(over_ground)), OPTIONS.search_speed_m_s),
@@ -162,3 +116,123 @@ def test_no_place_of_the_ship_brings_it_down_or_makes_it_too_fast(x, y, vx, vy, 
         assert command.v_level[2] <= 0.0
         relative = command.v_level[:2] - (0.0 if over_ground else at.v_level)
         assert math.hypot(*relative) <= most + 1e-9
+
+
+# The way at each edge
+
+EDGES = RendezvousOptions(
+    enabled=True, bearing_deg=180.0, range_m=8.0, height_m=6.0, reached_m=2.0, speed_m_s=3.0, search_speed_m_s=1.0,
+    spacing_m=2.5, extent_m=10.0,
+)  # fmt: skip
+AXIS = 0.7
+
+
+def hers(d: object, **more: Any) -> VesselPosition:
+    """Return the position of a ship under way by her reports."""
+    return vessel_position(1.0, d, **{"v": (0.3, -0.2), "axis_rad": AXIS, "sigma_m": 0.5, **more})
+
+
+def towards(bearing_rad: float) -> F64:
+    return np.array([math.cos(bearing_rad), math.sin(bearing_rad)])
+
+
+def test_the_hold_off_point_is_on_its_bearing_from_the_bow_or_on_the_drones_side() -> None:
+    aside = RendezvousOptions(bearing_deg=60.0, range_m=8.0)
+    assert search.hold_off(hers([5.0, 3.0]), aside) == pytest.approx(np.array([5.0, 3.0]) + 8.0 * towards(AXIS + math.pi / 3.0))
+    assert search.hold_off(hers([30.0, 40.0], bow=False), aside) == pytest.approx([30.0 - 4.8, 40.0 - 6.4])
+
+
+@pytest.mark.parametrize(("range_m", "limit_m"), [(8.0, 14.5), (20.0, 24.5)])
+def test_far_is_beyond_point_and_pattern_by_twice_the_reach_and_the_doubt(range_m: float, limit_m: float) -> None:
+    o = RendezvousOptions(range_m=range_m, extent_m=10.0, reached_m=2.0)
+    assert [search.far(hers([0.6 * at, -0.8 * at]), o) for at in (limit_m - 0.01, limit_m + 0.01)] == [False, True]
+    assert not search.far(hers([limit_m, 0.0]), o)
+
+
+def test_it_is_there_within_the_reach_of_the_point_and_not_below_its_height() -> None:
+    there = [8.0, 0.0]
+    assert search.arrived(hers([6.0, 0.0], axis_rad=0.0, sigma_m=9.0), EDGES)
+    assert not search.arrived(hers([5.99, 0.0], axis_rad=0.0), EDGES)
+    assert [search.arrived(hers(there, axis_rad=0.0, height_m=h), EDGES) for h in (5.49, 5.5, 30.0, None)] == [
+        False,
+        True,
+        True,
+        True,
+    ]
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("at_goal_deg", "at_body_deg", "goes_round"),
+    [
+        (5.0, 0.5, True),
+        (52.5, 5.0, True),
+        (53.7, 5.0, False),
+        (46.0, 84.5, False),
+        (45.5, 84.0, True),
+        (40.0, 89.0, True),
+        (30.0, 91.0, False),
+        (120.0, 5.0, False),
+        (178.0, 1.0, False),
+    ],
+    ids=[
+        "across",
+        "near",
+        "past",
+        "within fifty degrees",
+        "beyond",
+        "she is just ahead",
+        "just behind",
+        "before her",
+        "this side",
+    ],
+)
+def test_it_goes_round_the_ship_where_the_straight_way_crosses_her(at_goal_deg, at_body_deg, goes_round, side):
+    """The triangle of body, pad and hold-off point is given by its angles."""
+    at_goal, at_body = math.radians(at_goal_deg), math.radians(at_body_deg)
+    behind = AXIS + math.pi
+    bearing = behind + side * (math.pi - at_goal - at_body)
+    pad = -8.0 * math.sin(at_goal) / math.sin(at_body) * towards(bearing)
+    goal = pad + 8.0 * towards(behind)
+    around = pad + 1.3 * 8.0 * towards(bearing - side * math.radians(50.0))
+    wanted = around if goes_round else goal
+    v = search.to_hold_off(hers(pad), EDGES, 0.8, VehicleHold(True)).v_level
+    assert v[:2] == pytest.approx(wanted / math.hypot(*wanted) * min(3.0, 0.4 * math.hypot(*wanted)))
+
+
+def test_it_slows_before_the_point_and_moves_with_the_ship() -> None:
+    at = np.array([8.0, 0.0])  # over the hold-off point of a ship that heads forward
+    for off, v in (([1.0, 0.0], (0.4, 0.0)), ([0.0, -2.0], (0.0, -0.8)), ([30.0, 0.0], (3.0, 0.0)), ([0.0, 0.0], (0.0, 0.0))):
+        by_driver = search.to_hold_off(hers(at + off, axis_rad=0.0), EDGES, 0.8, VehicleHold(True))
+        assert by_driver.v_level == pytest.approx([*v, 0.0])
+        assert by_driver.yaw_rate_rad_s == 0.0
+        by_itself = search.to_hold_off(hers(at + off, axis_rad=0.0), EDGES, 0.8, VehicleHold(False))
+        assert by_itself.v_level == pytest.approx([v[0] + 0.3, v[1] - 0.2, 0.0])
+
+
+@pytest.mark.parametrize(("height", "rate"), [(5.49, -0.8), (5.5, 0.0), (60.0, 0.0), (None, 0.0), (-1.0, -0.8)])
+def test_it_climbs_while_it_is_low_and_never_descends(height: float | None, rate: float) -> None:
+    low = hers([20.0, 1.0], height_m=height)
+    assert search.to_hold_off(low, EDGES, 0.8, VehicleHold(True)).v_level[2] == rate
+    assert search.along_pattern(3, low, EDGES, 0.8, VehicleHold(False)).v_level[2] == rate
+
+
+@pytest.mark.parametrize("leg", [0, 1, 4, 6, 9])
+def test_the_pattern_lies_along_the_ship_and_is_flown_at_its_own_speed(leg: int) -> None:
+    forward, right = 2.5 * search.expanding_square(leg)
+    corner = np.array([30.0, 40.0]) + forward * towards(AXIS) + right * towards(AXIS + math.pi / 2.0)
+    v = search.along_pattern(leg, hers([30.0, 40.0]), EDGES, 0.8, VehicleHold(True)).v_level
+    assert v[:2] == pytest.approx(corner / math.hypot(*corner))
+    over = hers(-(corner - np.array([30.0, 40.0])) + [0.5, 0.0])
+    assert search.along_pattern(leg, over, EDGES, 0.8, VehicleHold(True)).v_level[:2] == pytest.approx([0.2, 0.0])
+
+
+def test_the_next_corner_is_flown_to_at_this_one_and_the_first_after_the_last() -> None:
+    def over(leg: int, off_m: float) -> VesselPosition:
+        return hers(-2.5 * search.expanding_square(leg) + [0.0, off_m], axis_rad=0.0)
+
+    assert [search.next_leg(3, over(3, off_m), EDGES) for off_m in (0.69, 0.71)] == [4, 3]
+    assert [search.next_leg(0, over(0, off_m), EDGES) for off_m in (0.0, 0.7, 0.71)] == [1, 1, 0]
+    last = next(n for n in range(99) if math.hypot(*(2.5 * search.expanding_square(n + 1))) > 10.0 * math.sqrt(2.0))
+    assert last == 16
+    assert [search.next_leg(leg, over(leg, 0.0), EDGES) for leg in (last - 1, last)] == [last, 0]

@@ -43,18 +43,6 @@ def test_a_steady_change_of_the_command_is_followed_as_late_as_is_reported(tilt:
     assert 2000 * period_s - x[2] == pytest.approx(tilt.slowness_s + 0.5 * period_s, abs=1e-6)
 
 
-@pytest.mark.parametrize(("lag_s", "states"), [(0.0, 4), (0.00009, 4), (0.00015, 5), (0.05, 5)])
-def test_a_lag_of_less_than_a_tenth_of_a_millisecond_is_none(lag_s: float, states: int) -> None:
-    assert tilt_model(TiltResponse(0.04, 5.0, 0.7, lag_s), 0.02).states == states
-
-
-@pytest.mark.parametrize(("delay_s", "delays"), [(0.0, 1), (0.02, 1), (0.021, 2), (0.06, 3), (0.14, 7), (0.141, 8)])
-def test_as_many_commands_are_under_way_as_the_delay_has_periods(delay_s: float, delays: int) -> None:
-    """0.14 / 0.02 is a little more than seven in floating point."""
-    model = tilt_model(TiltResponse(delay_s, 5.0, 0.7, 0.05), 0.02)
-    assert (model.delays, len(model.B)) == (delays, 5 + delays)
-
-
 COV = [[4e-4, 1e-3, 2e-4], [1e-3, 9e-2, 3e-3], [2e-4, 3e-3, 1e-2]]
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.guidance.law.response_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean, track
+from companion.guidance.law.response_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.guidance.law.response_fit import STEP_S, FlightCourse
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
@@ -29,12 +29,6 @@ def test_a_reported_tilt_is_where_a_thrust_that_holds_the_height_pushes(roll: fl
     thrust = Rotation.from_rpy(roll, pitch, 0.0).matrix @ np.array([0.0, 0.0, -1.0])
     for yaw in (0.0, 2.0):
         assert reported_lean(Rotation.from_rpy(roll, pitch, yaw)) == pytest.approx((-thrust / thrust[2] * G_M_S2)[:2])
-
-
-def test_rows_make_a_track() -> None:
-    made = track([(1.0, 2.0, 3.0), (1.5, 4.0, 5.0)])
-    np.testing.assert_array_equal(made.t_s, [1.0, 1.5])
-    np.testing.assert_array_equal(made.values, [[2.0, 3.0], [4.0, 5.0]])
 
 
 def uneven_tracks(seed: int) -> tuple[Track, Track]:
@@ -82,26 +76,6 @@ def test_a_course_is_the_mean_of_what_held_over_each_step_beside_what_was_report
     assert 100 < sum(counts) < n - 200
 
 
-@pytest.mark.parametrize(("held_s", "holds"), [(0.5, True), (0.501, False)])
-def test_a_command_holds_for_half_a_second_if_none_follows(held_s: float, holds: bool) -> None:
-    t = np.concatenate([0.0625 * np.arange(33), 2.0 + held_s + 0.0625 * np.arange(20)])
-    reports = Track(0.125 * np.arange(40), np.zeros((40, 1)))
-    course = course_of(Track(t, np.ones((t.size, 1))), reports)
-    assert course is not None
-    assert course.counts[110] == holds
-    assert course.asked[110, 0] == pytest.approx(1.0 if holds else 0.0)
-
-
-@pytest.mark.parametrize(("apart_s", "heard"), [(0.25, True), (0.2501, False)])
-def test_between_reports_that_are_far_apart_nothing_is_compared(apart_s: float, heard: bool) -> None:
-    t = 0.02 * np.arange(200)
-    at = np.concatenate([0.125 * np.arange(17), 2.0 + apart_s + 0.125 * np.arange(12)])
-    course = course_of(Track(t, np.ones((t.size, 1))), Track(at, np.zeros((at.size, 1))))
-    assert course is not None
-    assert course.counts[104] == heard
-    assert course.counts[90]
-
-
 @pytest.mark.parametrize(("seconds", "steps"), [(0.035, None), (0.05, 2), (0.07, 3)])
 def test_two_steps_are_a_course_and_fewer_are_none(seconds: float, steps: int | None) -> None:
     two = Track(np.array([1.0, 1.0 + seconds]), np.zeros((2, 1)))
@@ -113,47 +87,6 @@ def test_two_steps_are_a_course_and_fewer_are_none(seconds: float, steps: int | 
     assert course_of(one, two) is course_of(two, one) is None
     none = Track(np.empty(0), np.empty((0, 1)))
     assert course_of(none, two) is course_of(two, none) is course_of(none, none) is None
-
-
-def test_a_tilt_of_which_one_axis_is_unknown_is_not_compared() -> None:
-    t = STEP_S * np.arange(200)
-    asked = np.ones((t.size, 2))
-    asked[120:130, 1] = math.nan
-    course = course_of(Track(t, asked), Track(t, np.zeros((t.size, 2))))
-    assert course is not None
-    assert (course.stamp_sigma_s, course.drifts) == (0.0, 0), "unless it is said"
-    assert course.counts[60:119].all()
-    assert not course.counts[120:190].any()
-    np.testing.assert_allclose(course.asked[121:129], 0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("gap", ["first", "last"])
-def test_a_gap_between_the_outermost_reports_is_a_gap(gap: str) -> None:
-    t = 0.02 * np.arange(300)
-    inner = 0.125 * np.arange(12, 33)
-    at = np.concatenate([[0.0], inner] if gap == "first" else [inner, [inner[-1] + 0.6]])
-    course = course_of(Track(t, np.ones((t.size, 1))), Track(at, np.zeros((at.size, 1))))
-    assert course is not None
-    begins = max(t[0], at[0]) + STEP_S * np.arange(len(course.counts))
-    k = np.clip(np.searchsorted(at, begins), 1, None)
-    np.testing.assert_array_equal(course.counts, (at[k] - at[k - 1] <= 0.25) & (np.arange(len(begins)) >= 60))
-    assert not course.counts[-1] if gap == "last" else course.counts[-1]
-
-
-def test_before_the_first_command_the_vehicle_tilts_as_it_likes() -> None:
-    t = STEP_S * np.arange(100)
-    asked = np.where(t < 0.41, math.nan, 1.0)[:, None]
-    course = course_of(Track(t, asked), Track(t, np.full((t.size, 1), 0.3)))
-    assert course is not None
-    np.testing.assert_allclose(course.asked[:, 0], np.where(t[:-1] < 0.41, 0.3, 1.0))
-
-
-def test_the_last_command_holds_to_the_course_s_end() -> None:
-    """The course ends with the newer of both tracks' ends, so the last command's own time begins there."""
-    t = np.array([0.0, 0.3, 0.6, 0.9, 1.2, 1.5])
-    course = course_of(Track(t, np.arange(6.0)[:, None]), Track(0.1 * np.arange(30), np.zeros((30, 1))))
-    assert course is not None
-    np.testing.assert_allclose(course.asked[:, 0], np.repeat(np.arange(5.0), 15), atol=1e-9)
 
 
 def test_flights_are_joined_in_their_order() -> None:

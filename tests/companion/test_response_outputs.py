@@ -5,17 +5,14 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
 from companion.facts import encode, records
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.outputs import MavSeverity
-from companion.parts.metrics.endpoint import text
-from companion.parts.mqtt.encode import Changes
 from companion.recording import decode
 from estimator.contracts.time import MonoNs
-from tests.companion.metrics.test_metrics import Clock, value
+from tests.companion.metrics.test_metrics import Clock
 
 ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
 KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
@@ -38,30 +35,6 @@ def test_it_is_recorded_whole(response: ResponseInUse | None) -> None:
 def test_a_recorded_response_that_nobody_knows_is_refused() -> None:
     with pytest.raises(ValueError, match="guessed"):
         decode.response(records.ResponseRecord("guessed", 0.05))
-
-
-def test_it_is_an_event_once() -> None:
-    changes = Changes()
-    changes.decision(decision(None))
-    (event,) = changes.decision(decision(LATER))
-    assert event.kind == "vehicle"
-    assert event.text == "the vehicle answers 100 ms longer than its response file says: 150 ms (sigma 12) is flown with"
-    shape = {"frequency": 1.0, "damping": 1.0}
-    assert event.data == {"response": "identified", "delay_s": 0.15, "sigma_s": 0.012, "longer_s": 0.1, **shape}
-    (event,) = changes.decision(decision(ASSUMED))
-    assert event.data["sigma_s"] is None
-    assert changes.decision(decision(None)) == []
-
-
-def test_the_delay_that_is_flown_with_stays_on_the_page_of_metrics() -> None:
-    health = Health(Clock())
-    health.decision(decision(None), None)
-    assert value(text(health.snapshot()), "decklander_response_delay_seconds") is None
-    health.decision(decision(LATER), None)
-    health.decision(decision(None), None)
-    page = text(health.snapshot())
-    assert value(page, "decklander_response_delay_seconds") == 0.15
-    assert value(page, "decklander_response_longer_seconds") == 0.1
 
 
 def test_the_ground_station_learns_of_a_contradiction_only() -> None:

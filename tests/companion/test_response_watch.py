@@ -15,7 +15,7 @@ from msgspec import structs
 from companion.base.mission import Event, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.law.follow_deck import AS_GIVEN, FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
+from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.law.gains import TiltWeights, tilt_model
 from companion.guidance.law.margins import margins
 from companion.guidance.law.response_fit import TiltFit, fit_tilt
@@ -35,12 +35,12 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response
 from companion.settings.response import TiltResponse
-from estimator.contracts.commands import Hover, Lean
+from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.test_identify import flown, gauss_markov
+from tests.companion.test_identify import drawn_flight, gauss_markov
 from tests.make import ns
 
 GIVEN = shipped_response("ardrone2")
@@ -203,7 +203,7 @@ def test_the_same_course_without_the_nonsense_is_identified() -> None:
 
 @functools.cache
 def some_fit() -> TiltFit:
-    fit = fit_tilt(flown(1, 0.5)[1], GIVEN.tilt)
+    fit = fit_tilt(drawn_flight(1, 0.5)[1], GIVEN.tilt)
     assert fit is not None
     return fit
 
@@ -262,15 +262,6 @@ def test_every_response_that_may_be_flown_by_keeps_the_margin_of_60_ms(name: str
     assert margins(soft, late, weights=weights).stable
 
 
-def test_a_file_with_the_longest_delay_has_gains() -> None:
-    slow = structs.replace(GIVEN, tilt=structs.replace(GIVEN.tilt, delay_s=0.6), climb=structs.replace(GIVEN.climb, delay_s=0.6))
-    law = FollowDeck(slow, T)
-    memory, known = law.start(), over(0, ASSUMED)
-    for _ in range(3):
-        memory, command = law.step(memory, known.at, known, TARGET)
-        assert isinstance(command, Lean)
-
-
 TARGET = Target(np.array([0.0, 0.0, 1.0]))
 
 
@@ -320,15 +311,6 @@ def test_other_gains_come_without_a_bump(before: ResponseInUse | None, after: Re
     assert (largest_step <= 0.1 * off.max(axis=0) + 1e-12).all(), "a jump would be all of it in one cycle"
 
 
-def test_what_is_known_before_the_first_cycle_is_flown_by_from_it_on() -> None:
-    law = FollowDeck(GIVEN, T)
-    memory, _ = law.step(law.start(), over(0, LATER).at, over(0, LATER), TARGET)
-    assert memory.tuning == TuningChoice(pytest.approx(0.15), False)
-    assert memory.share == 1.0
-    assert chosen_tuning(None) == AS_GIVEN
-    assert chosen_tuning(ASSUMED) == TuningChoice(0.0, True)
-
-
 # --- the pilot's part ------------------------------------------------------------------------------------------------------
 
 
@@ -359,11 +341,6 @@ def test_a_drone_that_touches_something_reports_nothing(state: State) -> None:
     identifier, noted = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
     assert noted == []
     assert identifier.in_use == ASSUMED
-
-
-def test_a_hover_requests_no_tilt_and_reports_nothing() -> None:
-    _, noted = identified_by(GuidanceOptions(), GIVEN.tilt, command=Hover())
-    assert [one.state for one in noted] == [ResponseState.ASSUMED]
 
 
 @pytest.mark.parametrize(

@@ -187,6 +187,18 @@ def test_without_a_fault_it_lands() -> None:
     assert loop.d[2] < 0.45
 
 
+@pytest.mark.hazard("H6")
+@pytest.mark.parametrize("word", ["pause", "abort"])
+def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
+    loop = Loop()
+    loop.until(lambda decision: isinstance(decision.command, Land))
+    getattr(loop.pilot, word)()
+    for _ in range(50):
+        decision = loop.tick()
+        assert not isinstance(decision.command, Land)
+        assert not descends(decision)
+
+
 def test_a_camera_that_freezes_is_refused_reported_and_not_descended_by() -> None:
     loop = Loop()
     loop.until(below(1.5, loop))

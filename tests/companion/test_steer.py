@@ -23,8 +23,6 @@ from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import guided, holding
-from tests.companion.test_clearance import forecast, swell
-from tests.companion.test_clearance import knowledge as rising
 from tests.companion.test_limits import leaning
 from tests.make import estimate, ns, same_bits
 
@@ -61,11 +59,6 @@ def test_on_the_ground_the_vehicle_is_left_alone(state: State) -> None:
     assert asked(state, known())[1] is None
 
 
-def test_before_a_landing_is_requested_nothing_but_a_hover_is_commanded() -> None:
-    p, found = aim(Progress(State.READY, automatic=False), holding(GuidanceCycle(ns(NOW), known()), True), guided())
-    assert (p.state, found) == (State.READY, Hover())
-
-
 def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight() -> None:
     down, descends = Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, 0.5]), 0.0), set(WAY_DOWN)
     fit, old = (GuidanceCycle(ns(NOW), known(age=age)) for age in (0.0, 9.0))
@@ -90,16 +83,6 @@ def test_at_the_gate_no_deck_is_followed_down_by_sightings_that_would_keep_the_g
         assert isinstance(given, Lean)
         assert given.v_level[2] == pytest.approx(rate, abs=0.01)
         assert allowed(up, p, s, guided()) is up
-
-
-def test_a_go_around_climbs_without_sight_however_high_its_estimate_has_risen() -> None:
-    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, 9.0), age=2.0))
-    still = Lean(np.ones(2), np.zeros(2), np.zeros(3), 0.0)
-    for in_sight, rate in ((True, 0.0), (False, -guided().tries.climb_m_s)):
-        p = Progress(State.GO_AROUND, automatic=True, begun=True, in_sight=in_sight)
-        given = allowed(still, p, s, guided())
-        assert isinstance(given, Lean)
-        assert given.v_level[2] == rate
 
 
 def test_a_commit_without_sight_waits_as_high_as_it_is() -> None:
@@ -150,15 +133,6 @@ def test_it_comes_over_the_pad_so_high_that_the_cone_is_as_wide_as_the_error(hei
     np.testing.assert_allclose(found.d_body_pad_level, [0.0, 0.0, wanted_m])
 
 
-@pytest.mark.parametrize(
-    ("swell_m_s", "height_m", "rate_m_s"), [(0.5, 0.2, 0.5), (0.5, 0.5, 0.5), (1.6, 0.35, 5.0), (1.6, 5.0, 0.5)]
-)
-def test_at_the_gate_it_flees_a_deck_that_rises_faster_than_it_climbs(swell_m_s: float, height_m: float, rate_m_s: float) -> None:
-    found = target(State.GATE, rising(forecast(swell(swell_m_s)), height_m=height_m))
-    assert found.vertical_rate_max_m_s == rate_m_s
-    assert bool(found.d_body_pad_level[2] > 0.5) is (swell_m_s > 1.0)
-
-
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.5])
 @pytest.mark.parametrize(("height_m", "aside_m"), [(4.0, 0.3), (0.5, 0.075), (0.35, 0.0525)])
 def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, height_m: float, aside_m: float) -> None:
@@ -168,22 +142,6 @@ def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, h
     assert math.hypot(along, beside) == pytest.approx(aside_m)
     if aside_m > 0.0:
         assert math.degrees(math.atan2(beside, along)) == pytest.approx(110.0)
-
-
-def test_a_go_around_that_does_not_know_the_arrow_climbs_straight_up() -> None:
-    assert target(State.GO_AROUND, known(yaw=None)).d_body_pad_level.tolist() == [0.0, 0.0, 2.0]
-
-
-@pytest.mark.parametrize("over_ground", [True, False])
-@pytest.mark.parametrize("rises_m_s", [0.4, -0.4])
-def test_a_go_around_without_an_estimate_climbs_from_a_deck_that_rises(over_ground: bool, rises_m_s: float) -> None:
-    """A climb at 0.5 m/s over the ground would be overtaken. A driver that adds the deck's velocity includes it already."""
-    deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
-    knowledge = replace(known(consistent=False), deck=deck)
-    p = Progress(State.GO_AROUND, automatic=True, begun=True)
-    _, found = aim(p, holding(GuidanceCycle(knowledge.at, knowledge), over_ground), guided())
-    assert isinstance(found, Velocity)
-    assert found.v_level.tolist() == [0.0, 0.0, -0.9 if rises_m_s > 0.0 and not over_ground else -0.5]
 
 
 @pytest.mark.parametrize("over_ground", [True, False])
@@ -203,17 +161,6 @@ def test_a_low_drone_without_an_estimate_climbs_from_a_deck_as_it_rises(state, c
         assert found == Hover()
 
 
-@pytest.mark.parametrize("over_ground", [True, False])
-def test_a_blind_hold_low_over_a_deck_of_which_nothing_is_known_climbs_to_the_safe_height(over_ground: bool) -> None:
-    o, p = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=0.4)
-    for i in range(1000):
-        s = GuidanceCycle(ns(NOW + 0.02 * i), Knowledge(ns(NOW + 0.02 * i), None))
-        p, found = aim(account(p, s, o), holding(s, over_ground), o)
-        up = -float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
-        high = 0.4 + 0.5 * 0.02 * i >= o.tries.safe_height_m
-        assert up == (0.0 if high else 0.5), i
-
-
 @pytest.mark.parametrize("seen_m", [1.0, 2.4, 7.0])
 def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_with_each_wave(seen_m: float) -> None:
     o, p, climbed_m = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=seen_m), 0.0
@@ -225,28 +172,6 @@ def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_w
         climbed_m -= 0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
     crest_m = 0.8 * 8.0 / math.tau
     assert climbed_m == pytest.approx(max(0.0, crest_m + o.tries.safe_height_m - seen_m), abs=0.05), "five crests are one"
-
-
-@pytest.mark.parametrize("over_ground", [True, False])
-@pytest.mark.parametrize("known_at_rest", [True, False])
-@pytest.mark.parametrize("stuck", [True, False])
-def test_a_blind_hold_climbs_from_a_deck_that_a_range_sensor_finds_coming_up(stuck, known_at_rest, over_ground):
-    """A filter that begins anew takes the deck for one at rest. A sensor that lies low makes it climb only so far."""
-    o, p = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=1.9)
-    height_m = least_m = 1.9
-    climbed_m = 0.0
-    deck = DeckMotion(ns(NOW), np.zeros(3), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
-    for i in range(500):
-        at = NOW + 0.02 * i
-        knowledge = replace(known(consistent=False), deck=deck) if known_at_rest else Knowledge(ns(at), None)
-        s = GuidanceCycle(ns(at), knowledge, range_m=0.5 if stuck else height_m)
-        p, found = aim(account(p, s, o), holding(s, over_ground), o)
-        up_m = -0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
-        climbed_m += up_m
-        height_m += up_m - (0.02 * 0.45 if i < 300 else 0.0)
-        least_m = min(least_m, height_m)
-    assert least_m > 1.2 or stuck
-    assert climbed_m < 2.0 * o.tries.safe_height_m - 1.9 + 0.5
 
 
 @pytest.mark.parametrize("state", [State.GO_AROUND, State.PAUSED])
@@ -297,18 +222,6 @@ def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(state, he
     assert allowed(by_driver, p, holding(s, True), guided()) is by_driver, "its driver adds the deck's velocity"
 
 
-def test_a_swell_that_outruns_the_climb_is_followed_up_and_not_down() -> None:
-    p = Progress(State.REFUSED, automatic=True, begun=True, held=np.array([0.0, 0.0, 5.0]))
-    falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.6]), np.zeros(3), 1e-9 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
-    for height_m, up, down in ((2.0, 1.0, 1.0), (2.5, 1.0, 0.5), (5.0, 1.0, 0.0), (5.5, 0.5, 0.0)):
-        s = GuidanceCycle(ns(NOW), replace(known((0.0, 0.0, height_m)), outrun_m=3.0, deck=falls))
-        for rate, share in ((-0.6, up), (0.6, down)):
-            command = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, rate]), 0.0)
-            found = allowed(command, p, s, guided())
-            assert isinstance(found, Lean)
-            assert found.v_level[2] == pytest.approx(rate * share, abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("state", "age_s"), [(State.INTERCEPT, 0.1), (State.HOLD_BLIND, 4.0), (State.REFUSED, 0.1), (State.ABORTED, 2.0)]
 )
@@ -352,12 +265,6 @@ def test_a_pad_lost_lately_is_flown_over_by_dead_reckoning(ago_s: float | None, 
     found = target(State.HOLD_BLIND, known(), seen=None if ago_s is None else ns(NOW - ago_s))
     assert found.d_body_pad_level.tolist() == ([0.0, 0.0, 1.0] if over else list(ABOVE))
     assert found.speed_max_m_s == (1.5 if over else 0.5)
-
-
-@pytest.mark.parametrize(("entered_m", "rate_m_s"), [(1.0, -0.5), (9.0, None)])
-def test_a_question_about_another_pad_waits_higher_up(entered_m: float, rate_m_s: float | None) -> None:
-    found = target(State.ANOTHER_PAD, known(), since=ns(NOW), seen_height_m=entered_m, entered_height_m=entered_m)
-    assert found.descent_rate_m_s == rate_m_s
 
 
 def test_a_go_around_first_lifts_where_it_is_at_the_fastest_rate() -> None:

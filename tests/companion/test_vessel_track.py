@@ -12,21 +12,15 @@ from companion.guidance.mission.cycle import VesselPosition
 from companion.guidance.mission.vessel_track import VesselTrack
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, GeoFix, VesselReport
-from estimator.contracts.time import Stamp
-from tests.make import ns
+from estimator.contracts.samples import GeoFix, VesselReport
+from tests.make import attitude, ns, stamp
 
 HARBOUR = GeoPoint.of_degrees(54.4, 10.2, 0.0)
 
 
-def stamp(t: float, late_s: float = 0.0) -> Stamp:
-    return Stamp(ns(t), ns(t + late_s), 0.01, "sim")
-
-
 def fix(whose, t, north, east, up=0.0, *, late_s=0.0, sigma_m=2.0, v=None) -> GeoFix:
     v_ned = None if v is None else np.array([*v, 0.0])
-    return GeoFix(stamp(t, late_s), whose, moved(HARBOUR, np.array([north, east, -up])), sigma_m, v_ned)
+    return GeoFix(stamp(t, late_s, sigma_s=0.01), whose, moved(HARBOUR, np.array([north, east, -up])), sigma_m, v_ned)
 
 
 def course(t: float, v: tuple[float, float], heading: float | None = None) -> VesselReport:
@@ -40,7 +34,7 @@ def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until:
     for sample in samples:
         track = track.on_sample(sample)
     track = track.on_sample(fix("vehicle", until, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
-    return track.on_sample(Attitude(stamp(until), Rotation.from_rpy(0.0, 0.0, yaw), 1e-4 * np.eye(3)))
+    return track.on_sample(attitude(until, yaw=yaw))
 
 
 def known(track: VesselTrack, t: float) -> VesselPosition:
@@ -81,12 +75,12 @@ def test_it_is_less_certain_with_age_and_unknown_in_the_end() -> None:
     sigmas = []
     for t in (5.0, 6.0, 8.0, 9.9):
         track = track.on_sample(fix("vehicle", t, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
-        track = track.on_sample(Attitude(stamp(t), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+        track = track.on_sample(attitude(t))
         sigmas.append(known(track, t).sigma_m)
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] > sigmas[0] + 0.5
     track = track.on_sample(fix("vehicle", 10.2, 0.0, 0.0, 30.0))
-    track = track.on_sample(Attitude(stamp(10.2), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    track = track.on_sample(attitude(10.2))
     assert cause(track, 10.2) is ReasonCause.VESSEL_OLD
 
 
@@ -107,13 +101,8 @@ def test_what_cannot_be_hers_is_refused_counted_and_named(report: GeoFix, counte
     )
     late = report.stamp.received_at * 1e-9 + 4.9
     track = track.on_sample(fix("vehicle", late, 0.0, 0.0, 30.0))
-    track = track.on_sample(Attitude(stamp(late), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    track = track.on_sample(attitude(late))
     assert cause(track, late) is why
-
-
-def test_an_older_report_does_not_replace_a_newer_one() -> None:
-    track = after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 8.5, 39.0, 0.0))
-    assert track.counted() == {"taken": 1, "vessel_out_of_order": 1}
 
 
 def test_a_jump_is_accepted_when_a_person_begins_again_or_after_a_long_silence() -> None:

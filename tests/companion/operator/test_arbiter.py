@@ -136,14 +136,6 @@ def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: Contr
         assert own == ("the vehicle flies already" if order is OperatorOrder.TAKE_OFF else None)
 
 
-def test_begin_tries_again_after_guidance_gave_up_and_not_after_an_abort() -> None:
-    bridge = bridge_in(ControlSituation.OVER)
-    assert bridge.order(OperatorOrder.BEGIN) == "the flight is over: aborted"
-    bridge.guidance.outcome = FlightOutcome.GAVE_UP
-    assert bridge.order(OperatorOrder.BEGIN) is None
-    assert bridge.guidance.told == ["begin"]
-
-
 def test_of_two_crossing_orders_the_first_in_the_table_wins_whichever_arrives_first() -> None:
     for first, second in (
         (OperatorOrder.ABORT, OperatorOrder.BEGIN),
@@ -293,15 +285,6 @@ def test_an_emergency_that_does_not_arrive_is_sent_until_it_does_and_its_sender_
     assert not isinstance(bridge.cycle(), CutMotors | TakeOff)
     assert (bridge.reported[-1].order, bridge.reported[-1].detail) == (OperatorOrder.EMERGENCY, "(obeyed)")
     assert bridge.arbiter.situation(bridge.now) is ControlSituation.EMERGENCY
-
-
-def test_a_reset_withdraws_a_cut_that_has_not_arrived() -> None:
-    bridge = bridge_in(ControlSituation.GUIDED)
-    bridge.order(OperatorOrder.EMERGENCY)
-    bridge.cycle(3.0)
-    assert bridge.order(OperatorOrder.RESET) is None
-    assert bridge.cycle() == LeaveEmergency()
-    assert bridge.cycle(0.2) is GUIDED
 
 
 @pytest.mark.hazard("H6")

@@ -23,21 +23,18 @@ from companion.guidance.operator.command_limits import (
 )
 from companion.settings.load import load
 from companion.settings.operator import LimitOptions
-from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
+from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.contracts.time import MonoNs, after
+from tests.make import stamp_at
 
 NOW = MonoNs(10**9)
 L_SHAPE = ((-10.0, -10.0), (10.0, -10.0), (10.0, 0.0), (0.0, 0.0), (0.0, 10.0), (-10.0, 10.0))
 
 
-def at(now: MonoNs) -> Stamp:
-    return Stamp(now, now, 0.001, "sim")
-
-
-def place(
+def known_place(
     p: tuple[float, float] = (0.0, 0.0),
     yaw_deg: float = 0.0,
     *,
@@ -47,12 +44,12 @@ def place(
 ) -> PlaceMemory:
     return PlaceMemory(
         np.array(p),
-        BodyVelocity(at(NOW), np.zeros(3), np.eye(3)),
-        Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg)), np.eye(3)),
+        BodyVelocity(stamp_at(NOW), np.zeros(3), np.eye(3)),
+        Attitude(stamp_at(NOW), Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg)), np.eye(3)),
         flying=True,
-        baro=Baro(at(NOW), baro_m, 0.5),
+        baro=Baro(stamp_at(NOW), baro_m, 0.5),
         ground_baro_m=0.0,
-        range=None if range_m is None else Range(at(NOW), range_m, 0.02),
+        range=None if range_m is None else Range(stamp_at(NOW), range_m, 0.02),
         charge=charge,
     )
 
@@ -61,7 +58,7 @@ def pad_at(d: tuple[float, float, float], v: tuple[float, float, float] = (0.0, 
     return RelativeState(NOW, "ekf", np.array(d), np.array(v), math.radians(yaw_deg), 0.01 * np.eye(7), NOW, True)
 
 
-def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
+def ordered(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
 
 
@@ -108,10 +105,10 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(x, y, vx
 def test_no_limit_ever_makes_it_descend_or_fly_faster(v, p, yaw_deg, baro_m, range_m, charge, fence, manual, leans, sails):
     options = LimitOptions(fence=fence, fence_radius_m=30.0)  # type: ignore[arg-type]
     belief = pad_at((p[0], p[1], 4.0), sails, yaw_deg)
-    asked: Velocity | Lean = flown(v)
+    asked: Velocity | Lean = ordered(v)
     if leans:
         asked = Lean(np.array([0.5, -0.5]), np.zeros(2), np.array(v), 0.1)
-    where = place(p, yaw_deg, baro_m=baro_m, range_m=range_m, charge=charge)
+    where = known_place(p, yaw_deg, baro_m=baro_m, range_m=range_m, charge=charge)
     command, hit = limited(asked, options, where, belief, NOW, manual=manual)
     assert isinstance(command, Velocity | Lean)
     down, before = float(command.v_level[2]), v[2]
@@ -121,20 +118,14 @@ def test_no_limit_ever_makes_it_descend_or_fly_faster(v, p, yaw_deg, baro_m, ran
     assert (command is asked) == (not hit)
 
 
-@pytest.mark.parametrize("command", [Hover(), Land(), Land(persistent=True), TakeOff()])
-def test_only_velocities_and_tilts_are_limited(command: Command) -> None:
-    far = place((500.0, 0.0), baro_m=200.0, charge=0.01)
-    assert limited(command, LimitOptions(fence="start"), far, None, NOW, manual=True) == (command, ())
-
-
 def test_the_fence_around_the_start_is_in_north_and_east_and_the_command_in_forward_and_right() -> None:
     options = LimitOptions(fence="start", fence_radius_m=10.0)
-    east_edge = place((0.0, 10.0), yaw_deg=90.0)
-    command, hit = limited(flown((1.0, 0.5, 0.0), 0.2), options, east_edge, None, NOW, manual=False)
+    east_edge = known_place((0.0, 10.0), yaw_deg=90.0)
+    command, hit = limited(ordered((1.0, 0.5, 0.0), 0.2), options, east_edge, None, NOW, manual=False)
     assert isinstance(command, Velocity)
     assert hit == (Limit.FENCE,)
     assert command.v_level == pytest.approx([0.0, 0.5, 0.0], abs=0.01)
-    back, hit = limited(flown((-1.0, 0.0, 0.0)), options, east_edge, None, NOW, manual=False)
+    back, hit = limited(ordered((-1.0, 0.0, 0.0)), options, east_edge, None, NOW, manual=False)
     assert not hit
     assert isinstance(back, Velocity)
 
@@ -143,52 +134,52 @@ def test_the_fence_around_a_ship_sails_with_it() -> None:
     """The fence moves at 2 m/s: flying with it is free, outrunning it is not, and it drags nobody along."""
     options = LimitOptions(fence="ship", fence_radius_m=10.0)
     ahead, behind = pad_at((-10.0, 0.0, 3.0), (2.0, 0.0, 0.0)), pad_at((10.0, 0.0, 3.0), (2.0, 0.0, 0.0))
-    _, hit = limited(flown((2.0, 0.0, 0.0)), options, place(), ahead, NOW, manual=False)
+    _, hit = limited(ordered((2.0, 0.0, 0.0)), options, known_place(), ahead, NOW, manual=False)
     assert not hit
-    outrunning, hit = limited(flown((3.0, 0.5, 0.0)), options, place(), ahead, NOW, manual=False)
+    outrunning, hit = limited(ordered((3.0, 0.5, 0.0)), options, known_place(), ahead, NOW, manual=False)
     assert hit == (Limit.FENCE,)
     assert isinstance(outrunning, Velocity)
     assert outrunning.v_level[:2] == pytest.approx([2.0, 0.5], abs=0.01)
-    aside, _ = limited(flown((0.0, 0.5, 0.0)), options, place(), behind, NOW, manual=False)
+    aside, _ = limited(ordered((0.0, 0.5, 0.0)), options, known_place(), behind, NOW, manual=False)
     assert isinstance(aside, Velocity)
     assert aside.v_level[:2] == pytest.approx([0.0, 0.5], abs=0.01)
-    away, hit = limited(flown((-1.0, 0.0, 0.0)), options, place(), behind, NOW, manual=False)
+    away, hit = limited(ordered((-1.0, 0.0, 0.0)), options, known_place(), behind, NOW, manual=False)
     assert isinstance(away, Velocity)
     assert away.v_level[:2] == pytest.approx([0.0, 0.0])
     unknown = RelativeState(NOW, "ekf", np.array([10.0, 0.0, 3.0]), np.zeros(3), 0.0, 100.0 * np.eye(7), NOW, True)
-    assert limited(flown((-1.0, 0.0, 0.0)), options, place(), unknown, NOW, manual=False)[1] == ()
+    assert limited(ordered((-1.0, 0.0, 0.0)), options, known_place(), unknown, NOW, manual=False)[1] == ()
 
 
 @pytest.mark.hazard("H7", "H10")
 def test_heights_and_battery() -> None:
     options = LimitOptions(height_max_m=20.0, manual_height_min_m=0.5)
-    up, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=19.5), None, NOW, manual=False)
+    up, hit = limited(ordered((0.0, 0.0, -2.0)), options, known_place(baro_m=19.5), None, NOW, manual=False)
     assert isinstance(up, Velocity)
     assert (up.v_level[2], hit) == (pytest.approx(-0.5), (Limit.HEIGHT_MAX,))
-    for near in (place(baro_m=400.0, range_m=0.3), place(baro_m=400.0)):
-        up, hit = limited(flown((0.0, 0.0, -2.0)), options, near, pad_at((0.0, 0.0, 0.4)), NOW, manual=False)
+    for near in (known_place(baro_m=400.0, range_m=0.3), known_place(baro_m=400.0)):
+        up, hit = limited(ordered((0.0, 0.0, -2.0)), options, near, pad_at((0.0, 0.0, 0.4)), NOW, manual=False)
         assert not hit, "a barometer that lies keeps no drone low over a deck"
     for manual, hits in ((True, (Limit.HEIGHT_MAX,)), (False, ())):
-        _, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=30.0, range_m=0.3), None, NOW, manual=manual)
+        _, hit = limited(ordered((0.0, 0.0, -2.0)), options, known_place(baro_m=30.0, range_m=0.3), None, NOW, manual=manual)
         assert hit == hits, "a range sensor that lies lifts no limit from a hand"
     for manual, down_m_s in ((True, 0.1), (False, 0.5)):
-        down, _ = limited(flown((0.0, 0.0, 0.5)), options, place(range_m=0.6), None, NOW, manual=manual)
+        down, _ = limited(ordered((0.0, 0.0, 0.5)), options, known_place(range_m=0.6), None, NOW, manual=manual)
         assert isinstance(down, Velocity)
         assert down.v_level[2] == pytest.approx(down_m_s), "guidance lands, a hand does not touch the deck by its sticks"
-    low = place((5.0, 0.0), charge=0.1)
+    low = known_place((5.0, 0.0), charge=0.1)
     for manual, forward_m_s in ((True, 0.0), (False, 1.0)):
-        away, _ = limited(flown((1.0, 0.0, 0.0)), options, low, None, NOW, manual=manual)
+        away, _ = limited(ordered((1.0, 0.0, 0.0)), options, low, None, NOW, manual=manual)
         assert isinstance(away, Velocity)
         assert away.v_level[0] == pytest.approx(forward_m_s)
-    _, hit = limited(flown((1.0, 0.0, 0.0)), options, low, pad_at((3.0, 0.0, 2.0)), NOW, manual=True)
+    _, hit = limited(ordered((1.0, 0.0, 0.0)), options, low, pad_at((3.0, 0.0, 2.0)), NOW, manual=True)
     assert not hit
 
 
 def test_a_barometer_that_has_died_bars_no_climb() -> None:
     """WHY: nothing could take back the height that it reported last."""
-    options, climb = LimitOptions(height_max_m=20.0), flown((0.0, 0.0, -2.0))
+    options, climb = LimitOptions(height_max_m=20.0), ordered((0.0, 0.0, -2.0))
     for later_s, hits in ((2.0, (Limit.HEIGHT_MAX,)), (3.0, ())):
-        assert limited(climb, options, place(baro_m=30.0), None, after(NOW, later_s), manual=False)[1] == hits
+        assert limited(climb, options, known_place(baro_m=30.0), None, after(NOW, later_s), manual=False)[1] == hits
 
 
 def test_a_polygon_is_checked() -> None:
@@ -207,13 +198,13 @@ def test_the_place_is_the_integral_of_the_velocity_since_the_start() -> None:
     now = NOW
     for n in range(201):
         now = after(now, 0.02)
-        memory = place_step(memory, [Attitude(at(now), Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3))])
-        memory = place_step(memory, [Baro(at(now), 100.0 if n < 100 else 103.0, 0.5)])
-        memory = place_step(memory, [VehicleStatus(at(now), n >= 100, "", 0.5, False, True)])
-        memory = place_step(memory, [BodyVelocity(at(now), np.array([1.0, 0.0, 0.0]), np.eye(3))])
+        memory = place_step(memory, [Attitude(stamp_at(now), Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3))])
+        memory = place_step(memory, [Baro(stamp_at(now), 100.0 if n < 100 else 103.0, 0.5)])
+        memory = place_step(memory, [VehicleStatus(stamp_at(now), n >= 100, "", 0.5, False, True)])
+        memory = place_step(memory, [BodyVelocity(stamp_at(now), np.array([1.0, 0.0, 0.0]), np.eye(3))])
     assert memory.p_start_ned == pytest.approx([0.0, 2.02])
     assert memory.ground_baro_m == 100.0
-    assert limited(flown((0.0, 0.0, -9.0)), LimitOptions(height_max_m=4.0), memory, None, now, manual=False)[1] == (
+    assert limited(ordered((0.0, 0.0, -9.0)), LimitOptions(height_max_m=4.0), memory, None, now, manual=False)[1] == (
         Limit.HEIGHT_MAX,
     )
 
@@ -223,17 +214,17 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
     limits = LimitOptions(fence="start", fence_radius_m=5.0)
     pilot = make_pilot(msgspec.structs.replace(shipped, limits=limits))
     sender, now, v, p = OrderSender(OrderSource.GAMEPAD), NOW, np.zeros(3), np.zeros(3)
-    pilot.on_sample(VehicleStatus(at(now), False, "landed", 0.1, False, True))
+    pilot.on_sample(VehicleStatus(stamp_at(now), False, "landed", 0.1, False, True))
     refusal = pilot.operator.take(OperatorOrder.TAKE_OFF, sender, now).refusal
     assert refusal == "the battery is at 10 %, and a take-off needs 20 %"
     reasons = set()
     for n in range(1500):
         now = after(now, 0.02)
         p = p + 0.02 * v
-        pilot.on_sample(Attitude(at(now), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
+        pilot.on_sample(Attitude(stamp_at(now), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
         noise = 1e-3 * np.array([(-1) ** n, 0.0, 0.0])
-        pilot.on_sample(BodyVelocity(at(now), v + noise, 0.01 * np.eye(3)))
-        pilot.on_sample(VehicleStatus(at(now), True, "flying", 0.9, False, True))
+        pilot.on_sample(BodyVelocity(stamp_at(now), v + noise, 0.01 * np.eye(3)))
+        pilot.on_sample(VehicleStatus(stamp_at(now), True, "flying", 0.9, False, True))
         if n == 10:
             assert pilot.operator.take(OperatorOrder.MANUAL, sender, now).accepted
         pilot.operator.move(sender, StickPositions(forward=1.0), now)
@@ -245,27 +236,11 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
     assert pilot.operator.hand == sender, "the hand stays with the person"
 
 
-def test_while_the_velocity_is_refused_the_place_stands_still_and_no_fence_knows_it() -> None:
-    memory = place((0.0, 4.9), yaw_deg=90.0)
-    attitude, v = memory.attitude, np.array([1.0, 0.0, 0.0])
-    assert attitude is not None
-    now, before = NOW, memory.p_start_ned
-    for _ in range(50):
-        now = after(now, 0.02)
-        memory = place_step(memory, [BodyVelocity(at(now), v, np.eye(3))], trusts_velocity=False)
-    assert memory.p_start_ned is before
-    options = LimitOptions(fence="start", fence_radius_m=5.0)
-    command = flown((2.0, 0.0, 0.0))
-    assert limited(command, options, memory, None, now, manual=False) == (command, ())
-    memory = place_step(memory, [BodyVelocity(at(after(now, 0.02)), v, np.eye(3))])
-    assert limited(command, options, memory, None, now, manual=False)[1] == (Limit.FENCE,)
-
-
 @given(*[st.floats(-3.0, 3.0)] * 3, st.floats(-4.0, 4.0), st.booleans(), st.booleans())
 def test_without_a_trusted_velocity_guidance_flies_nowhere_along_an_unseen_deck_and_never_lower(
     vx, vy, vz, trim, over_ground, guided
 ):
-    command, trims = flown((vx, vy, vz)), np.array([trim, 0.0])
+    command, trims = ordered((vx, vy, vz)), np.array([trim, 0.0])
     blind = without_velocity(command, Unmeasured(trims, 0.35, None, over_ground), guided=guided)
     kind = Velocity if over_ground else Lean
     if guided and vz >= 0.0:
@@ -282,7 +257,7 @@ def test_without_a_trusted_velocity_guidance_flies_nowhere_along_an_unseen_deck_
 
 def test_a_climb_that_is_flown_by_tilt_counts_as_the_one_that_was_ordered() -> None:
     """WHY: a go-around by a frozen velocity counted no climb, and went on to 9 m."""
-    guidance, command = make_pilot(load("sim")).landing, flown((0.0, 0.0, -0.5))
+    guidance, command = make_pilot(load("sim")).landing, ordered((0.0, 0.0, -0.5))
     guidance._ordered, guidance.mission = command, msgspec.structs.replace(guidance.mission, climbs_m_s=0.5)
     guidance.on_command(NOW, guidance.without_velocity(command, Knowledge(NOW, None), guided=True))
     assert guidance.mission.climbs_m_s == 0.5
@@ -296,9 +271,9 @@ def test_a_hand_flies_on_by_tilt_while_the_velocity_repeats_itself() -> None:
     for n in range(150):
         now = after(now, 0.02)
         v = np.array([0.5 if 50 <= n < 100 else 0.5 + 1e-3 * n, 0.0, 0.0])
-        pilot.on_sample(Attitude(at(now), Rotation.from_rpy(1e-4 * n, 0.0, 0.0), 1e-5 * np.eye(3)))
-        pilot.on_sample(BodyVelocity(at(now), v, 0.01 * np.eye(3)))
-        pilot.on_sample(VehicleStatus(at(now), True, "flying", 0.9, False, True))
+        pilot.on_sample(Attitude(stamp_at(now), Rotation.from_rpy(1e-4 * n, 0.0, 0.0), 1e-5 * np.eye(3)))
+        pilot.on_sample(BodyVelocity(stamp_at(now), v, 0.01 * np.eye(3)))
+        pilot.on_sample(VehicleStatus(stamp_at(now), True, "flying", 0.9, False, True))
         if n == 0:
             assert pilot.operator.take(OperatorOrder.MANUAL, sender, now).accepted
         pilot.operator.move(sender, StickPositions(forward=1.0), now)
@@ -315,17 +290,17 @@ def test_a_fence_that_holds_guidance_back_ends_the_landing_and_reports_it() -> N
     pilot = make_pilot(msgspec.structs.replace(load("sim"), limits=LimitOptions(fence="start", fence_radius_m=5.0)))
     orders: list[HandledOrder] = []
     pilot.operator.on_order = orders.append
-    pilot.on_sample(Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
-    pilot.on_sample(VehicleStatus(at(NOW), True, "flying", 0.9, False, True))
-    pilot.operator._place = place((4.9, 0.0))
+    pilot.on_sample(Attitude(stamp_at(NOW), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
+    pilot.on_sample(VehicleStatus(stamp_at(NOW), True, "flying", 0.9, False, True))
+    pilot.operator._place = known_place((4.9, 0.0))
     now, output = NOW, list[str]()
     for _ in range(250):
         now = after(now, 0.02)
         pilot.operator.tick(now)
-        chosen = pilot.operator.choose(now, Hover() if pilot.paused else flown((1.0, 0.0, 0.0)))
+        chosen = pilot.operator.choose(now, Hover() if pilot.paused else ordered((1.0, 0.0, 0.0)))
         output += [chosen.limit] if not output or output[-1] != chosen.limit else []
     assert output == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
     assert chosen.command == Hover()
     assert [(o.sender.source, o.order) for o in orders] == [(OrderSource.LIMITS, OperatorOrder.HOLD)]
     assert pilot.operator.take(OperatorOrder.BEGIN, OrderSender(OrderSource.MQTT), now).accepted
-    assert isinstance(pilot.operator.choose(after(now, 0.02), flown((-1.0, 0.0, 0.0))).command, Velocity)
+    assert isinstance(pilot.operator.choose(after(now, 0.02), ordered((-1.0, 0.0, 0.0))).command, Velocity)
